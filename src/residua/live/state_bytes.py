@@ -9,13 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.persistence import stopped
+from residua.decide.stream_test import StreamTest
 from residua.errors import FileFormatError
 from residua.monitor.plant_records import SELDOM, takes_no_memory
 from residua.monitor.running import State, initial_state
 from residua.monitor.specification import Specification
 
 #: The first byte, which changes with the layout. In version 1 counters had 64 bits, Kalman filters held the values of
-#: outputs too, and tests that do not look at it counted the samples below their threshold.
+#: outputs too, tests that do not look at it counted the samples below their threshold, and CUSUM kept its alarm behind
+#: its sums too.
 VERSION = 2
 
 
@@ -59,6 +61,8 @@ def _like(spec: Specification, version: int) -> State:
     state = initial_state(spec, 1)
     if version == 1:
         state = replace(state, filter=replace(state.filter, held=np.zeros((1, spec.B.shape[1]))))
+        if isinstance(spec.test, StreamTest):
+            state = replace(state, test=replace(state.test, sums=spec.test.first_sums(1)))
         state = _with_wide_counters(state)
     return state
 
@@ -77,7 +81,8 @@ def _renewed(whole: Any, like: Any, name: str = "") -> Any:
     if isinstance(whole, np.ndarray):
         if name == "down" and takes_no_memory(like):
             return like
-        whole = whole[:, : like.shape[1]] if name == "held" else whole
+        if name in ("held", "sums") and whole.shape != like.shape:
+            whole = whole[:, : like.shape[1]]
         return stopped(whole) if like.dtype == np.int32 else whole
     if not is_dataclass(whole):
         return whole

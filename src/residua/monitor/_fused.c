@@ -46,6 +46,30 @@ stop_counts(const piece *p, const whole *before, Py_ssize_t parts)
         p->up[i] = stopped(p->up[i]);
 }
 
+/* Numbers that are remembered of the sums of a test: cumulative ones end with whether an alarm stands. */
+INLINE Py_ssize_t
+kept_sums(const test_plan *t)
+{
+    return t->sums - (t->kind >= PAGE && t->kind <= PIGNATIELLO_RUNGER);
+}
+
+/* Judge a test that remembers, with what is behind its sums. */
+INLINE void
+judge_remembering(const Runner *self, Py_ssize_t row, test_row test, piece *p, double *part, double *spare,
+                  Py_ssize_t k, int has_squares, scratch *s)
+{
+    const test_plan *t = &self->test;
+    const Py_ssize_t kept = kept_sums(t);
+    if (kept < t->sums) {
+        memcpy(s->stream, test.sums, (size_t)kept * sizeof(double));
+        s->stream[kept] = *test.alarm ? 1.0 : 0.0;
+        test.sums = s->stream;
+    }
+    judge_stream(t, &test, p, part, spare, k, has_squares);
+    if (kept < t->sums)
+        memcpy(F8(self, SUMS, row), s->stream, (size_t)kept * sizeof(double));
+}
+
 static test_row
 row_of_test(const Runner *self, Py_ssize_t row, whole *runs)
 {
@@ -206,7 +230,7 @@ judge_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row
     else if (s->is_chained)
         memcpy(p.statistic, p.e, (size_t)time * sizeof(double));
     else
-        judge_stream(t, &test, &p, part, spare, k, has_squares);
+        judge_remembering(self, row, test, &p, part, spare, k, has_squares, s);
     read_runs(self, row, 1, runs);
     const whole before = runs[0];
     raise_alarms(t, &test, &p);
@@ -348,7 +372,7 @@ take_all(Runner *self, PyObject *plan, PyObject *state)
         p->groups, t->parts, t->parts, nr * k, p->groups * p->k, partial_numbers(n, self->some.inputs, self->some.p)};
     const Py_ssize_t parts = t->kind == PARTS ? t->parts : 1;
     const Py_ssize_t state_sizes[STATE_ARRAYS] = {
-        n, self->held, 1, 1, 1, 1, 1, 1, n, 1, 1, n * n, 1, t->window * k, k, 1, t->order * k, t->order, t->sums, parts, parts,
+        n, self->held, 1, 1, 1, 1, 1, 1, n, 1, 1, n * n, 1, t->window * k, k, 1, t->order * k, t->order, kept_sums(t), parts, parts,
         parts, p->window * p->k, p->k, 1, p->k, p->k, 1, 1, nr, 1, p->groups, p->k};
     const char *const formats[STATE_ARRAYS] = {"d", "d", "il", "?", "il", "lq", "lq", "?",  "d", "d", "?", "d", "lq",
                                                "d", "d", "lq", "d", "?",  "d",  "il", "il", "?", "d", "d", "lq",
@@ -778,7 +802,7 @@ make_scratch(const Runner *self, scratch *s, Py_ssize_t time)
     const Py_ssize_t columns = parts ? samples * (self->nr + 1) + parts : 0;
     const Py_ssize_t seldom = self->m + (self->lacks_room ? NOTES * (NOTE_HEAD + self->n) : 0);
     const Py_ssize_t doubles = samples * (self->m + self->nr + 2 * k + 2) + states + small_size(self) + room_e + history
-                               + parts + 2 * members + columns + directions + 3 * t->parts + seldom + 12;
+                               + parts + 2 * members + columns + directions + 3 * t->parts + t->sums + seldom + 12;
     double *room = malloc((size_t)doubles * sizeof(double) + (size_t)(3 * samples + parts + members + 1));
     memset(&s->gains, 0, sizeof s->gains);
     if (room == NULL || (self->has_gains && !make_gain_store(&s->gains, &self->some))) {
@@ -803,7 +827,8 @@ make_scratch(const Runner *self, scratch *s, Py_ssize_t time)
     s->columns = s->parts.columns + columns;
     s->sample = s->columns + directions;
     s->notes = s->sample + self->m;
-    s->runs = (whole *)(s->sample + seldom);
+    s->stream = s->sample + seldom;
+    s->runs = (whole *)(s->stream + t->sums);
     s->n_notes = 0;
     s->wants_gains = 0;
     s->usable = (flag *)(room + doubles);

@@ -65,6 +65,7 @@ typedef struct {
     chain chain;
     int is_chained; /* whether cumulative sums of a piece are there already, their sizes in `e` */
     gain_store gains;
+    double *stream;    /* the sums of a test that remembers, and whether an alarm stands */
     whole *runs;       /* of the counters of parts, and what they were before a piece */
     double *sample;    /* with values held where they are missing */
     seldom_row seldom; /* of the plant that is run */
@@ -451,7 +452,8 @@ begin_chain(const Runner *self, Py_ssize_t row, scratch *s)
 {
     const test_plan *t = &self->test;
     const double *sums = F8(self, SUMS, row);
-    s->chain = (chain){t->allowance, FULL * t->threshold, t->threshold, t->release_level, {0.0}, s->e, sums[t->k] > 0};
+    s->chain = (chain){t->allowance, FULL * t->threshold, t->threshold, t->release_level, {0.0}, s->e,
+                       *B1(self, ALARM, row)};
     memcpy(s->chain.sums, sums, (size_t)t->k * sizeof(double));
     s->filter.chain = &s->chain;
 }
@@ -467,7 +469,6 @@ end_chain(const Runner *self, Py_ssize_t row, Py_ssize_t time, int is_sound, scr
     if (!s->is_chained)
         return;
     memcpy(sums, s->chain.sums, (size_t)k * sizeof(double));
-    sums[k] = s->chain.is_alarmed ? 1.0 : 0.0;
 }
 
 static int

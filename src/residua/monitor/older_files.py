@@ -28,8 +28,8 @@ def renewed(content: dict[str, Any]) -> dict[str, Any]:
     measurement: without the recording that was fitted, only what would overflow is missing. Before version 7 what ran
     and its state were one flat table of every kind of test and isolation. Before version 8 all plants of a monitor had
     seen equally many samples, and a moving sum kept what it had read. Before version 9 a Kalman filter that goes on
-    without missing outputs held the last values of these too, and a test whose alarm is ended by a level counted the
-    samples below its threshold.
+    without missing outputs held the last values of these too, a test whose alarm is ended by a level counted the
+    samples below its threshold, and CUSUM kept its alarm behind its sums too.
     """
     version, content = content["version"], {"bounds": {}, "fit_check": None, "normal": None, "learnt": []} | content
     if version == 3:
@@ -75,7 +75,10 @@ def _with_less(content: dict[str, Any]) -> None:
     if set(test) == {"past", "sums", "runs"}:
         runs = table_in(test["runs"], "state.test.runs")
         down = array_in(runs.get("down"), "state.test.runs.down", INDEX)
-        state["test"] = test | {"runs": runs | {"down": array_out(np.zeros_like(down))}}
+        test |= {"runs": runs | {"down": array_out(np.zeros_like(down))}}
+        if table_in(content["fitted"], "fitted").get("kind") == "cusum":
+            test["sums"] = array_out(array_in(test["sums"], "state.test.sums", ndim=2)[:, :-1])
+        state["test"] = test
     content["state"] = state
 
 

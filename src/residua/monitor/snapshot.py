@@ -4,7 +4,7 @@ The layout, version 2: the mark ``RESIDUAF``; the version and the length of the 
 JSON in UTF-8, which names for each model the fingerprint of its monitor and its columns (name, type, shape); the
 columns, one after the other, each from a multiple of eight bytes on; and the SHA-256 of everything before it. A column that is zero throughout, of those that are zero as a rule
 (:data:`residua.monitor.plant_records.SELDOM`), is left out. In version 1, which is read, counters had 64 bits, Kalman filters held the
-values of outputs too, and tests that do not look at it counted the samples below their threshold.
+values of outputs too, and tests that do not look at it counted the samples below their threshold, and CUSUM kept its alarm behind its sums too.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.persistence import stopped
+from residua.decide.stream_test import StreamState
 from residua.errors import FileFormatError, ResiduaError
 from residua.monitor.fleet_block import FleetBlock, StandingAlarms, fingerprint_of
 from residua.monitor.monitor import Monitor
@@ -73,9 +74,8 @@ def restored_blocks(content: bytes, monitors: Mapping[str, Monitor]) -> dict[str
             name, kept = model["model"], {}
             for label, kind, shape in model["columns"]:
                 kept[label], start = _column(view, start, kind, shape, label)
-            if version == 1 and name in monitors and "state.filter.held" in kept:
-                held = monitors[name]._specification().held
-                kept["state.filter.held"] = kept["state.filter.held"][:, :held]
+            if version == 1 and name in monitors:
+                _leave_out(kept, monitors[name]._specification())
             blocks[name] = _block(name, model, kept, monitors)
     except ResiduaError:
         raise
@@ -146,6 +146,17 @@ def _arrays(whole: Any, where: str) -> list[tuple[str, NDArray]]:
         needs_none = takes_no_memory(whole) or (where in _AT_TIMES and whole.size > 0 and not whole.any())
         return [] if needs_none else [(where, whole)]
     return [pair for one in fields(whole) for pair in _arrays(getattr(whole, one.name), f"{where}.{one.name}")]
+
+
+def _leave_out(kept: dict[str, NDArray], spec: Specification) -> None:
+    """Leave out of the columns of version 1 what is no longer remembered."""
+    state = initial_state(spec, 1)
+    widths = {"state.filter.held": state.filter.held.shape[1]}
+    if isinstance(state.test, StreamState) and state.test.sums.ndim == 2:
+        widths["state.test.sums"] = state.test.sums.shape[1]
+    for label, width in widths.items():
+        if label in kept:
+            kept[label] = kept[label][:, :width]
 
 
 def _state_from(like: Any, kept: dict[str, NDArray], where: str) -> Any:
