@@ -25,7 +25,7 @@ def _read_windows(state: Any) -> Any:
 def _hold_outputs(content: dict[str, Any]) -> None:
     """Hold the last values of the outputs of a Kalman filter, and an alarm behind sums, as before version 9."""
     test = content["state"]["test"]
-    if content["fitted"]["kind"] == "cusum":
+    if content["test"]["kind"] == "cusum":
         (plants, count), sums, alarm = test["sums"]["shape"], test["sums"]["float"], test["runs"]["alarm"]["bool"]
         rows = [sums[k * count : (k + 1) * count] + [float(alarm[k])] for k in range(plants)]
         test["sums"] = {"shape": [plants, count + 1], "float": [value for row in rows for value in row]}

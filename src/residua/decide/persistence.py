@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-
 #: Where counters of 32 bits stop. They are compared with lengths alone, never subtracted: a count that has stopped is
 #: over any length below it as one that goes on would be, and a length beyond is never reached.
 LAST_COUNT = 2**31 - 1

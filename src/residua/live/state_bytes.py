@@ -14,6 +14,7 @@ from residua.errors import FileFormatError
 from residua.monitor.plant_records import SELDOM, takes_no_memory
 from residua.monitor.running import State, initial_state
 from residua.monitor.specification import Specification
+from residua.monitor.starting import MOVED_FROM
 
 #: The first byte, which changes with the layout. In version 1 counters had 64 bits, Kalman filters held the values of
 #: outputs too, tests that do not look at it counted the samples below their threshold, and CUSUM kept its alarm behind
@@ -83,12 +84,12 @@ def _renewed(whole: Any, like: Any, name: str = "") -> Any:
             return like
         if name in ("held", "sums") and whole.shape != like.shape:
             whole = whole[:, : like.shape[1]]
+        if name == "moved":
+            whole = np.where(whole >= MOVED_FROM, whole, 0.0)
         return stopped(whole) if like.dtype == np.int32 else whole
     if not is_dataclass(whole):
         return whole
-    values = {
-        one.name: _renewed(getattr(whole, one.name), getattr(like, one.name), one.name) for one in fields(whole)
-    }
+    values = {one.name: _renewed(getattr(whole, one.name), getattr(like, one.name), one.name) for one in fields(whole)}
     return type(whole)(**values)  # pyright: ignore[reportCallIssue]
 
 

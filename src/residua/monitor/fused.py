@@ -173,7 +173,11 @@ def with_room(state: State, names: Iterable[str]) -> State:
 
 def with_starts(spec: Specification, state: State) -> State:
     """Return the state of new plants with room for their starts: those of all of them come soon."""
-    return state if spec.first is None else with_room(state, _OF_STARTS)
+    if spec.first is None:
+        return state
+    state = with_room(state, _OF_STARTS)
+    state.filter.start_sums[...] = 0.0  # the memory is provided here, not within the first tick
+    return state
 
 
 def _there(values: NDArray | None) -> NDArray:

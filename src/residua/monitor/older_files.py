@@ -76,7 +76,7 @@ def _with_less(content: dict[str, Any]) -> None:
         runs = table_in(test["runs"], "state.test.runs")
         down = array_in(runs.get("down"), "state.test.runs.down", INDEX)
         test |= {"runs": runs | {"down": array_out(np.zeros_like(down))}}
-        if table_in(content["fitted"], "fitted").get("kind") == "cusum":
+        if table_in(content["test"], "test").get("kind") == "cusum":
             test["sums"] = array_out(array_in(test["sums"], "state.test.sums", ndim=2)[:, :-1])
         state["test"] = test
     content["state"] = state

@@ -2,9 +2,10 @@
 
 The layout, version 2: the mark ``RESIDUAF``; the version and the length of the header, four bytes each; the header,
 JSON in UTF-8, which names for each model the fingerprint of its monitor and its columns (name, type, shape); the
-columns, one after the other, each from a multiple of eight bytes on; and the SHA-256 of everything before it. A column that is zero throughout, of those that are zero as a rule
-(:data:`residua.monitor.plant_records.SELDOM`), is left out. In version 1, which is read, counters had 64 bits, Kalman filters held the
-values of outputs too, and tests that do not look at it counted the samples below their threshold, and CUSUM kept its alarm behind its sums too.
+columns, one after the other, each from a multiple of eight bytes on; and the SHA-256 of everything before it. A column
+of those that are zero as a rule (:data:`residua.monitor.plant_records.SELDOM`) is left out where it is zero throughout.
+In version 1, which is read, counters had 64 bits, Kalman filters held the values of outputs too, tests that do not look
+at it counted the samples below their threshold, and CUSUM kept its alarm behind its sums too.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from residua.monitor.plant_records import SELDOM, takes_no_memory
 from residua.monitor.running import State, initial_state
 from residua.monitor.skipped_samples import SkippedSamples
 from residua.monitor.specification import Specification
+from residua.monitor.starting import MOVED_FROM
 from residua.visible import echo, listed
 
 #: The mark and the version.
@@ -157,6 +159,9 @@ def _leave_out(kept: dict[str, NDArray], spec: Specification) -> None:
     for label, width in widths.items():
         if label in kept:
             kept[label] = kept[label][:, :width]
+    moved = kept.get("state.filter.moved")
+    if moved is not None:
+        kept["state.filter.moved"] = np.where(moved >= MOVED_FROM, moved, 0.0)
 
 
 def _state_from(like: Any, kept: dict[str, NDArray], where: str) -> Any:
