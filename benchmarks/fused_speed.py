@@ -188,7 +188,7 @@ def fleets(rounds: Rounds, plants: int) -> list[tuple[str, str, float, str]]:
     return rows + missing(rounds, plants // 10)
 
 
-def settled(generator: rs.ResidualGenerator, **settings: object) -> State:
+def settled(generator: rs.design.ResidualGenerator, **settings: object) -> State:
     """Return the state of some plants whose starts are over."""
     made = rs.Fleet(rs.Monitor(generator, **settings), plants=range(100))  # pyright: ignore[reportArgumentType]
     u, y = recorded(plant(), 100)

@@ -48,8 +48,10 @@ class OnePlant:
     @staticmethod
     def of(state: FilterState, plant: int) -> OnePlant:
         """Return the filter of a plant."""
-        kept = {name: getattr(state, name)[plant] for name in (*FIELDS, *SELDOM)}
-        return OnePlant(**(kept | {name: int(kept[name]) for name in _COUNTERS}))
+        kept: dict[str, Any] = {name: getattr(state, name)[plant] for name in (*FIELDS, *SELDOM)}
+        for name in _COUNTERS:
+            kept[name] = int(kept[name])
+        return OnePlant(**kept)
 
     def field(self, name: str) -> Any:
         """Return what a state keeps."""
