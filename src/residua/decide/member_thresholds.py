@@ -406,8 +406,8 @@ def member_alarms(
     test: BankTest,
     exceeded: NDArray[np.bool_],
     usable: NDArray[np.bool_],
-    up: NDArray[np.int64],
-    down: NDArray[np.int64],
+    up: NDArray[np.integer],
+    down: NDArray[np.integer],
     alarm: NDArray[np.bool_],
 ) -> tuple[NDArray[np.bool_], NDArray[np.int64], NDArray[np.int64]]:
     """Run the alarm logic of every member; as :func:`residua.decide.persistence.alarm_logic`, with an axis more.

@@ -30,8 +30,8 @@ class AlarmRuns:
         Whether the alarm is on.
     """
 
-    up: NDArray[np.int64]
-    down: NDArray[np.int64]
+    up: NDArray[np.int32]
+    down: NDArray[np.int32]
     alarm: NDArray[np.bool_]
 
     def arrays(self) -> tuple[NDArray, ...]:
@@ -76,8 +76,8 @@ def run_alarm(
 def alarm_logic(
     exceeded: NDArray[np.bool_],
     usable: NDArray[np.bool_],
-    up: NDArray[np.int64],
-    down: NDArray[np.int64],
+    up: NDArray[np.integer],
+    down: NDArray[np.integer],
     alarm: NDArray[np.bool_],
     persistence: int,
     release: int,

@@ -135,7 +135,7 @@ class StreamTest(ResidualTest):
         if self.coefficients.size:
             e = ordered_product(e, self.rewhitening)
         e = normal_scores(e, self.knots, self.scores)
-        before = np.hstack([state.sums, state.runs.alarm[:, None]]) if self.sums_alarm else state.sums
+        before = np.hstack([state.sums, state.runs.alarm[:, None].astype(float)]) if self.sums_alarm else state.sums
         values, sums = self.statistic(before, e, seen)
         values = np.where(seen, values, np.nan)
         exceeded = seen & (np.where(seen, values, 0.0) > self.threshold)

@@ -173,7 +173,7 @@ def with_room(state: State, names: Iterable[str]) -> State:
 
 def with_starts(spec: Specification, state: State) -> State:
     """Return the state of new plants with room for their starts: those of all of them come soon."""
-    if spec.first is None:
+    if spec.first is None or not len(state.count):
         return state
     state = with_room(state, _OF_STARTS)
     state.filter.start_sums[...] = 0.0  # the memory is provided here, not within the first tick
