@@ -26,7 +26,7 @@ from residua.linear.systems import recursion
 from residua.monitor import fused
 from residua.monitor.fused import OUTPUTS, FusedRun, copied, plan_of
 from residua.monitor.plant_records import bytes_of_record
-from residua.monitor.running import initial_state
+from residua.monitor.running import State, initial_state
 
 SAMPLES, PLANTS = 1_000_000, 1_000_000
 
@@ -181,10 +181,20 @@ def fleets(rounds: Rounds, plants: int) -> list[tuple[str, str, float, str]]:
     rows.append(("restore, likewise", "15", back, ""))
     state = bytes_of_record([fleet._blocks[""].state])
     rows.append(("state of a plant, norm and persistence, in bytes", "128", state, ""))
-    named = rs.Fleet(rs.Monitor(monitor.design, isolate=rs.decide.Directional(window=50)), plants=range(4))
-    state = bytes_of_record([named._blocks[""].state])
+    state = bytes_of_record([settled(monitor.design, isolate=None, test=rs.decide.CUSUM())])
+    rows.append(("state of a plant, CUSUM, in bytes", "128", state, ""))
+    state = bytes_of_record([settled(monitor.design, isolate=rs.decide.Directional(window=50))])
     rows.append(("state of a plant, window 50 and five directions, in bytes", "1400", state, ""))
     return rows + missing(rounds, plants // 10)
+
+
+def settled(generator: rs.design.ResidualGenerator, **settings: object) -> State:
+    """Return the state of some plants whose starts are over."""
+    made = rs.Fleet(rs.Monitor(generator, **settings), plants=range(100))  # pyright: ignore[reportArgumentType]
+    u, y = recorded(plant(), 100)
+    for _ in range(60):
+        made.tick(None, u, y)
+    return made._blocks[""].state
 
 
 def missing(rounds: Rounds, plants: int) -> list[tuple[str, str, float, str]]:

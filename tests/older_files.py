@@ -22,6 +22,22 @@ def _read_windows(state: Any) -> Any:
     return {name: _read_windows(entry) for name, entry in state.items()}
 
 
+def _hold_outputs(content: dict[str, Any]) -> None:
+    """Hold the last values of the outputs of a Kalman filter, and an alarm behind sums, as before version 9."""
+    test = content["state"]["test"]
+    if content["test"]["kind"] == "cusum":
+        (plants, count), sums, alarm = test["sums"]["shape"], test["sums"]["float"], test["runs"]["alarm"]["bool"]
+        rows = [sums[k * count : (k + 1) * count] + [float(alarm[k])] for k in range(plants)]
+        test["sums"] = {"shape": [plants, count + 1], "float": [value for row in rows for value in row]}
+    partial = content["running"]["partial"]
+    if partial is None:
+        return
+    held, outputs = content["state"]["filter"]["held"], partial["settled"]["shape"][0]
+    (plants, inputs), values = held["shape"], held["float"]
+    rows = [values[k * inputs : (k + 1) * inputs] + [0.5] * outputs for k in range(plants)]
+    held |= {"shape": [plants, inputs + outputs], "float": [value for row in rows for value in row]}
+
+
 _WINDOW, _RUNS = ("ends", "block", "begun", "filled"), ("up", "down", "alarm")
 
 
@@ -58,6 +74,11 @@ def _flat(content: dict[str, Any]) -> None:
 def as_version(version: int, content: dict[str, Any]) -> dict[str, Any]:
     """Take out of a file of today what came later than a version; it must hold nothing that only today has."""
     content["version"] = version
+    if content["state"] is not None:
+        _hold_outputs(content)
+    if version == 8:
+        content["checksum"] = None
+        return content
     if content["state"] is not None:
         content["state"] = _read_windows(content["state"]) | {"count": content["state"]["count"]["int"][0]}
     if version == 7:

@@ -219,12 +219,19 @@ def state_in(value: Any, where: str, like: Any) -> Any:
         elif is_dataclass(example):
             out[name] = state_in(entry, at, example)
         elif isinstance(example, np.ndarray):
-            out[name] = array_in(entry, at, kinds.get(name, USUAL[example.dtype.kind]))
+            out[name] = _as_narrow(array_in(entry, at, kinds.get(name, USUAL[example.dtype.kind])), example.dtype)
             if out[name].shape != example.shape:
                 raise FileFormatError(f"{at} must have shape {example.shape}, got {out[name].shape}")
         else:
             out[name] = number_in(entry, at, kinds.get(name, USUAL[_SCALARS[type(example)]]))
     return type(like)(**out)
+
+
+def _as_narrow(array: NDArray, kind: np.dtype) -> NDArray:
+    """Return counts as counters of another size, which stop at the largest number that they hold."""
+    if array.dtype.kind != "i" or array.dtype == kind:
+        return array
+    return np.minimum(array, np.iinfo(kind).max).astype(kind)
 
 
 def field_names(cls: Any) -> list[str]:

@@ -324,7 +324,7 @@ def taken() -> bytes:
         (lambda b: b"", "no snapshot"),
         (lambda b: b"PK" + b[2:], "no snapshot"),
         (lambda b: b[:100] + bytes([b[100] ^ 1]) + b[101:], "was changed"),
-        (lambda b: b[:8] + b"\x02" + b[9:], "version 2, this residua reads version 1"),
+        (lambda b: b[:8] + b"\x03" + b[9:], "version 3, this residua reads versions 1 and 2"),
         (lambda b: b + b"x", "was changed"),
     ],
 )

@@ -70,6 +70,8 @@ class CUSUMTest(StreamTest):
 
     NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {**StreamTest.NUMBER_KINDS, "allowance": POSITIVE}
 
+    sums_alarm: ClassVar[bool] = True
+
     allowance: float
     form: str
 

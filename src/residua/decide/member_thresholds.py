@@ -128,7 +128,7 @@ class BankTest(ResidualTest):
         runs = state.runs
         fired, up, down = member_alarms(self, over, usable, runs.up, runs.down, runs.alarm)
         if usable.shape[1]:
-            runs = AlarmRuns(up[:, -1].copy(), down[:, -1].copy(), fired[:, -1].copy())
+            runs = AlarmRuns.after(up, down, fired)
         tested = Tested(
             usable,
             np.max(statistics / self.thresholds, axis=2),
@@ -406,8 +406,8 @@ def member_alarms(
     test: BankTest,
     exceeded: NDArray[np.bool_],
     usable: NDArray[np.bool_],
-    up: NDArray[np.int64],
-    down: NDArray[np.int64],
+    up: NDArray[np.integer],
+    down: NDArray[np.integer],
     alarm: NDArray[np.bool_],
 ) -> tuple[NDArray[np.bool_], NDArray[np.int64], NDArray[np.int64]]:
     """Run the alarm logic of every member; as :func:`residua.decide.persistence.alarm_logic`, with an axis more.

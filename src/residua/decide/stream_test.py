@@ -86,6 +86,9 @@ class StreamTest(ResidualTest):
         "promised": SHARE,
     }
 
+    #: Whether the last of the sums says that an alarm stands: it is not remembered twice.
+    sums_alarm: ClassVar[bool] = False
+
     center: NDArray[np.float64]
     whitening: NDArray[np.float64]
     coefficients: NDArray[np.float64]
@@ -122,7 +125,8 @@ class StreamTest(ResidualTest):
 
     def start(self, plants: int) -> StreamState:
         """Return the state before the first sample."""
-        return StreamState(Past.empty(plants, self.coefficients), self.first_sums(plants), AlarmRuns.empty(plants))
+        sums, runs = self.first_sums(plants), AlarmRuns.empty(plants).without_down()
+        return StreamState(Past.empty(plants, self.coefficients), sums[:, :-1] if self.sums_alarm else sums, runs)
 
     def run(self, state: StreamState, block: Block) -> tuple[StreamState, Tested]:
         """Run the statistic over a block, and the alarm that it raises."""
@@ -131,16 +135,17 @@ class StreamTest(ResidualTest):
         if self.coefficients.size:
             e = ordered_product(e, self.rewhitening)
         e = normal_scores(e, self.knots, self.scores)
-        values, sums = self.statistic(state.sums, e, seen)
+        before = np.hstack([state.sums, state.runs.alarm[:, None].astype(float)]) if self.sums_alarm else state.sums
+        values, sums = self.statistic(before, e, seen)
         values = np.where(seen, values, np.nan)
         exceeded = seen & (np.where(seen, values, 0.0) > self.threshold)
         _, up, runs = run_alarm(exceeded, seen, state.runs, 1, 1)
         alarm = held(exceeded, seen & (np.where(seen, values, np.inf) <= self.release), state.runs.alarm)
         if alarm.shape[1]:
-            runs = replace(runs, alarm=alarm[:, -1].copy())
+            runs = replace(runs, alarm=alarm[:, -1].copy()).without_down()
         nobody = np.zeros((*seen.shape, 0))
         tested = Tested(seen, values, exceeded, alarm, up, q, nobody, nobody.astype(bool))
-        return StreamState(past, sums, runs), tested
+        return StreamState(past, sums[:, :-1] if self.sums_alarm else sums, runs), tested
 
     def compiled_as(self, statistic: str, **numbers: Any) -> CompiledTest:
         """Return what the fused loop runs, of a statistic that is written in C too."""

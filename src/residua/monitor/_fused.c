@@ -15,12 +15,67 @@
 
 /* ---- judging a piece --------------------------------------------------------------------------------------------- */
 
+/* The counters of a plant as whole numbers, which are kept afterwards: all `up`, then all `down`, if there are any. */
+static void
+read_runs(const Runner *self, Py_ssize_t row, Py_ssize_t parts, whole *runs)
+{
+    for (Py_ssize_t j = 0; j < parts; j++) {
+        runs[j] = I4(self, UP, row)[j];
+        runs[parts + j] = self->has_state[DOWN] ? I4(self, DOWN, row)[j] : 0;
+    }
+}
+
+static void
+keep_runs(const Runner *self, Py_ssize_t row, Py_ssize_t parts, const whole *runs)
+{
+    for (Py_ssize_t j = 0; j < parts; j++) {
+        I4(self, UP, row)[j] = stopped(runs[j]);
+        if (self->has_state[DOWN])
+            I4(self, DOWN, row)[j] = stopped(runs[parts + j]);
+    }
+}
+
+/* Let what is said of a piece stop where the counters do that were there before it. */
+static void
+stop_counts(const piece *p, const whole *before, Py_ssize_t parts)
+{
+    whole most = 0;
+    for (Py_ssize_t j = 0; j < parts; j++)
+        most = before[j] > most ? before[j] : most;
+    for (Py_ssize_t i = 0; most + p->time > INT32_MAX && i < p->time; i++)
+        p->up[i] = stopped(p->up[i]);
+}
+
+/* Numbers that are remembered of the sums of a test: cumulative ones end with whether an alarm stands. */
+INLINE Py_ssize_t
+kept_sums(const test_plan *t)
+{
+    return t->sums - (t->kind >= PAGE && t->kind <= PIGNATIELLO_RUNGER);
+}
+
+/* Judge a test that remembers, with what is behind its sums. */
+INLINE void
+judge_remembering(const Runner *self, Py_ssize_t row, test_row test, piece *p, double *part, double *spare,
+                  Py_ssize_t k, int has_squares, scratch *s)
+{
+    const test_plan *t = &self->test;
+    const Py_ssize_t kept = kept_sums(t);
+    if (kept < t->sums) {
+        memcpy(s->stream, test.sums, (size_t)kept * sizeof(double));
+        s->stream[kept] = *test.alarm ? 1.0 : 0.0;
+        test.sums = s->stream;
+    }
+    judge_stream(t, &test, p, part, spare, k, has_squares);
+    if (kept < t->sums)
+        memcpy(F8(self, SUMS, row), s->stream, (size_t)kept * sizeof(double));
+}
+
 static test_row
-row_of_test(const Runner *self, Py_ssize_t row)
+row_of_test(const Runner *self, Py_ssize_t row, whole *runs)
 {
     const test_plan *t = &self->test;
     const int is_norm = t->kind == NORM || t->kind == PARTS;
-    test_row out = {.up = I8(self, UP, row), .down = I8(self, DOWN, row), .alarm = B1(self, ALARM, row)};
+    test_row out = {.up = runs, .down = runs + 1, .alarm = B1(self, ALARM, row)};
     if (is_norm && t->window == 1) /* such a window remembers nothing */
         return out;
     if (is_norm) {
@@ -83,9 +138,9 @@ write_last(const Runner *self, Py_ssize_t row, const piece *p, const scratch *s,
 }
 
 static part_row
-row_of_parts(const Runner *self, Py_ssize_t row)
+row_of_parts(const Runner *self, Py_ssize_t row, whole *runs)
 {
-    part_row out = {.up = I8(self, UP, row), .down = I8(self, DOWN, row), .alarm = B1(self, ALARM, row)};
+    part_row out = {.up = runs, .down = runs + self->test.parts, .alarm = B1(self, ALARM, row)};
     if (self->naming.kind == CODES) {
         out.since = I8(self, SINCE, row);
         out.fired = B1(self, FIRED, row);
@@ -115,8 +170,9 @@ judge_parts(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row
 {
     const test_plan *t = &self->test;
     const isolation_plan *n = &self->naming;
-    const test_row test = row_of_test(self, row);
-    const part_row own = row_of_parts(self, row);
+    whole *const runs = s->runs, *const before = runs + 2 * t->parts;
+    const test_row test = row_of_test(self, row, runs);
+    const part_row own = row_of_parts(self, row, runs);
     double *const spare = s->small;
     part_piece m = outputs_of_parts(b, plant, first, s);
     piece p = {time, s->r, s->q, s->sums, s->statistic, out_f8(b, OUT_SCORES, plant, first), s->e, s->history,
@@ -132,7 +188,11 @@ judge_parts(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row
         norms_by_column(t, &p, &m);
     else
         norms_of_parts(t, test.window, &p, &m);
+    read_runs(self, row, t->parts, runs);
+    memcpy(before, runs, (size_t)t->parts * sizeof(whole));
     alarms_of_parts(t, &own, &p, &m);
+    stop_counts(&p, before, t->parts);
+    keep_runs(self, row, t->parts, runs);
     if (t->joint != NULL)
         joint_residuals(t, &p, spare);
     write_piece(self, b, plant, first, &p);
@@ -165,7 +225,8 @@ judge_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row
             scratch *s, Py_ssize_t nr, Py_ssize_t k)
 {
     const test_plan *t = &self->test;
-    const test_row test = row_of_test(self, row);
+    whole runs[2];
+    const test_row test = row_of_test(self, row, runs);
     double *part = s->small, *spare = part + k + t->sums + t->directions + 2;
     piece p = {time, s->r, s->q, s->sums, s->statistic, out_f8(b, OUT_SCORES, plant, first), s->e, s->history,
                s->usable, s->over, s->alarm, s->up, .is_judged = s->is_judged, .is_laned = self->path == PATH_AVX2};
@@ -188,8 +249,12 @@ judge_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row
     if (t->kind == NORM)
         judge_norm(t, &test, &p, k, has_squares);
     else
-        judge_stream(t, &test, &p, part, spare, k, has_squares);
+        judge_remembering(self, row, test, &p, part, spare, k, has_squares, s);
+    read_runs(self, row, 1, runs);
+    const whole before = runs[0];
     raise_alarms(t, &test, &p);
+    stop_counts(&p, &before, 1);
+    keep_runs(self, row, 1, runs);
     write_piece(self, b, plant, first, &p);
     if (self->naming.kind == DIRECTIONS)
         name_by_direction(&self->naming, row_of_isolation(self, row), &p, spare, s->columns, k);
@@ -291,6 +356,8 @@ static Py_ssize_t
 run_plant(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row, Py_ssize_t k, scratch *s)
 {
     const Py_ssize_t begin = k;
+    if (!open_seldom(self, row, s))
+        return k;
     if (b->is_used)
         clear_outputs(self, b, plant);
     while (k < b->time) {
@@ -303,6 +370,7 @@ run_plant(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row, 
         k += done;
     }
     *I8(self, COUNT, row) += k - begin;
+    close_seldom(self, row, s);
     return k;
 }
 
@@ -332,7 +400,7 @@ take_rows(Runner *self, PyObject *object, int which, const char *format, Py_ssiz
         return -1;
     Py_ssize_t items = 1, expected = view->itemsize;
     int fits = view->ndim >= 1 && view->format != NULL && strchr(format, view->format[0]) && view->format[1] == 0
-               && view->shape[0] == self->plants;
+               && view->shape[0] == self->plants && (format[0] != 'i' || view->itemsize == sizeof(counter));
     for (int d = view->ndim - 1; fits && d > 0; d--) {
         fits = view->strides[d] == expected || view->shape[d] <= 1;
         expected *= view->shape[d];
@@ -360,10 +428,10 @@ take_all(Runner *self, PyObject *plan, PyObject *state)
         p->groups, t->parts, t->parts, nr * k, p->groups * p->k, partial_numbers(n, self->some.inputs, self->some.p)};
     const Py_ssize_t parts = t->kind == PARTS ? t->parts : 1;
     const Py_ssize_t state_sizes[STATE_ARRAYS] = {
-        n, m, 1, 1, 1, 1, 1, 1, n, 1, 1, n * n, 1, t->window * k, k, 1, t->order * k, t->order, t->sums, parts, parts,
+        n, self->held, 1, 1, 1, 1, 1, 1, n, 1, 1, n * n, 1, t->window * k, k, 1, t->order * k, t->order, kept_sums(t), parts, parts,
         parts, p->window * p->k, p->k, 1, p->k, p->k, 1, 1, nr, 1, p->groups, p->k};
-    const char *const formats[STATE_ARRAYS] = {"d", "d", "lq", "?", "lq", "lq", "lq", "?",  "d", "d", "?", "d", "lq",
-                                               "d", "d", "lq", "d", "?",  "d",  "lq", "lq", "?", "d", "d", "lq",
+    const char *const formats[STATE_ARRAYS] = {"d", "d", "il", "?", "il", "lq", "lq", "?",  "d", "d", "?", "d", "lq",
+                                               "d", "d", "lq", "d", "?",  "d",  "il", "il", "?", "d", "d", "lq",
                                                "lq", "?", "B", "d", "d", "lq", "d", "?"};
     for (int j = 0; j < PLAN_ARRAYS; j++) {
         PyObject *one = PyTuple_GetItem(plan, j);
@@ -378,6 +446,9 @@ take_all(Runner *self, PyObject *plan, PyObject *state)
             return -1;
         self->has_state[j] = one != Py_None;
     }
+    const char *const has = self->has_state;
+    self->has_starts = self->first && has[START_SUMS] && has[MOVED];
+    self->lacks_room = !has[RESETS] || !has[BROKEN] || !has[MOVED] || (self->first && !has[START_SUMS]);
     return 0;
 }
 
@@ -398,7 +469,8 @@ is_complete(const Runner *self)
         complete &= self->has_plan[j] || !needed;
     }
     for (int j = 0; j < STATE_ARRAYS; j++) {
-        const int needed = (j <= COUNT && j != SPREAD && (j != START_SUMS || self->first)) || (j >= UP && j <= ALARM)
+        const int is_seldom = j == SPREAD || j == START_SUMS || j == MOVED || j == RESETS || j == BROKEN;
+        const int needed = (j <= COUNT && !is_seldom) || j == UP || j == ALARM || (norm && j == DOWN)
                            || (norm && self->test.window > 1 && j >= TEST_VALUES && j <= TEST_FILLED)
                            || (!norm && j >= PAST && j <= SUMS)
                            || (named && self->naming.window > 1 && j >= VALUES && j <= FILLED)
@@ -421,9 +493,9 @@ points_inside(const Runner *self)
     const int named = self->naming.kind != NOBODY && self->naming.window > 1;
     for (Py_ssize_t p = 0; p < self->plants; p++) {
         const whole test = norm ? *I8(self, TEST_FILLED, p) : 0, naming = named ? *I8(self, FILLED, p) : 0;
-        const whole age = *B1(self, STARTING, p) ? *I8(self, AGE, p) : 0;
+        const whole age = *B1(self, STARTING, p) ? *I4(self, AGE, p) : 0;
         if (test < 0 || test >= self->test.window || naming < 0 || naming >= (named ? self->naming.window : 1)
-            || age < 0 || (*B1(self, STARTING, p) && age >= self->first)) {
+            || age < 0 || (*B1(self, STARTING, p) && (age >= self->first || !self->has_starts))) {
             PyErr_SetString(PyExc_ValueError, "a state that cannot be");
             return 0;
         }
@@ -473,6 +545,8 @@ read_plan(Runner *self, const whole *i, const double *d)
     self->some.n = self->n;
     self->some.inputs = (Py_ssize_t)i[PLANT_INPUTS];
     self->some.p = self->m - self->some.inputs;
+    self->held = self->partial ? self->some.inputs : self->m;
+    self->moved_from = d[MOVED_FROM];
     test_plan *t = &self->test;
     t->kind = (int)i[TEST_KIND];
     t->nr = self->nr;
@@ -805,8 +879,9 @@ make_scratch(const Runner *self, scratch *s, Py_ssize_t time)
     const Py_ssize_t parts = samples * t->parts, members = self->naming.kind == CODES ? parts : 0;
     const Py_ssize_t directions = self->naming.kind == DIRECTIONS ? samples * (k + 3) : 0;
     const Py_ssize_t columns = parts ? samples * (self->nr + 1) + parts : 0;
+    const Py_ssize_t seldom = self->m + (self->lacks_room ? NOTES * (NOTE_HEAD + self->n) : 0);
     const Py_ssize_t doubles = samples * (self->m + self->nr + 3 * k + 2) + states + small_size(self) + room_e + history
-                               + parts + 2 * members + columns + directions + 12;
+                               + parts + 2 * members + columns + directions + 3 * t->parts + t->sums + seldom + 12;
     double *room = malloc((size_t)doubles * sizeof(double) + (size_t)(3 * samples + parts + members + 1));
     memset(&s->gains, 0, sizeof s->gains);
     if (room == NULL || (self->has_gains && !make_gain_store(&s->gains, &self->some))) {
@@ -829,6 +904,12 @@ make_scratch(const Runner *self, scratch *s, Py_ssize_t time)
     s->parts.counts = s->parts.ones + members;
     s->parts.columns = s->parts.counts + members;
     s->columns = s->parts.columns + columns;
+    s->sample = s->columns + directions;
+    s->notes = s->sample + self->m;
+    s->stream = s->sample + seldom;
+    s->runs = (whole *)(s->stream + t->sums);
+    s->n_notes = 0;
+    s->wants_gains = 0;
     s->usable = (flag *)(room + doubles);
     s->over = s->usable + samples;
     s->alarm = s->over + samples;
@@ -921,41 +1002,37 @@ check_rows(const Runner *self, const whole *rows, const whole *left, int fresh, 
     return 0;
 }
 
-/* How many plants stopped for want of room, or -1 without memory. */
+/* How many plants stopped for want of room. */
 static Py_ssize_t
 run_all(const Runner *self, const block *b, const whole *rows, whole *left, int fresh, Py_ssize_t first,
-        Py_ssize_t stop)
+        Py_ssize_t stop, scratch *s)
 {
-    scratch s;
     Py_ssize_t open = 0;
-    void *room = make_scratch(self, &s, b->time);
-    if (room == NULL)
-        return -1;
     if (fresh && b->time == 1)
-        open = run_tick(self, b, rows, left, first, stop, &s);
+        open = run_tick(self, b, rows, left, first, stop, s);
     else
         for (Py_ssize_t p = first; p < stop; p++) {
             const Py_ssize_t begin = fresh ? 0 : b->time - (Py_ssize_t)left[p];
-            const Py_ssize_t end = run_plant(self, b, p, rows == NULL ? p : (Py_ssize_t)rows[p], begin, &s);
+            const Py_ssize_t end = run_plant(self, b, p, rows == NULL ? p : (Py_ssize_t)rows[p], begin, s);
             if (end < b->time || !fresh)
                 left[p] = b->time - end;
             open += end < b->time;
         }
-    free_scratch(room, &s);
     return open;
 }
 
 PyDoc_STRVAR(run_doc, "run(u, y, outputs, rows, left, fresh, first, stop)\n--\n\n"
                       "Run the last `left` samples of plants first to stop of a block, all of them if it is fresh, and "
-                      "return how many plants stopped on the way. `left` is then what is left of each; it must be "
-                      "zeros if the block is fresh.");
+                      "return how many plants stopped on the way, whether one did for want of what a Kalman filter with "
+                      "missing values needs, and notes of what there was no room for. `left` is then what is left of "
+                      "each; it must be zeros if the block is fresh.");
 
 static PyObject *
 runner_run(PyObject *object, PyObject *args)
 {
     const Runner *self = (Runner *)object;
-    PyObject *u, *y, *outputs, *rows, *left;
-    Py_ssize_t first, stop, status = -1;
+    PyObject *u, *y, *outputs, *rows, *left, *made = NULL;
+    Py_ssize_t first, stop, open = 0;
     int fresh;
     if (!PyArg_ParseTuple(args, "OOO!OOpnn:run", &u, &y, &PyTuple_Type, &outputs, &rows, &left, &fresh, &first, &stop))
         return NULL;
@@ -985,18 +1062,25 @@ runner_run(PyObject *object, PyObject *args)
                 b.is_dense = b.u_strides[2] == sizeof(double) && b.y_strides[2] == sizeof(double);
                 if (get_outputs(self, outputs, plants, &b, &all) == 0
                     && check_rows(self, places, view[0].buf, fresh, plants, b.time) == 0) {
-                    Py_BEGIN_ALLOW_THREADS
-                    status = run_all(self, &b, places, view[0].buf, fresh, first, stop);
-                    Py_END_ALLOW_THREADS
-                    if (status < 0)
+                    scratch s;
+                    void *room = make_scratch(self, &s, b.time);
+                    if (room == NULL)
                         PyErr_NoMemory();
+                    else {
+                        Py_BEGIN_ALLOW_THREADS
+                        open = run_all(self, &b, places, view[0].buf, fresh, first, stop, &s);
+                        Py_END_ALLOW_THREADS
+                        made = Py_BuildValue("nNy#", open, PyBool_FromLong(s.wants_gains), (const char *)s.notes,
+                                             s.n_notes * (NOTE_HEAD + self->n) * (Py_ssize_t)sizeof(double));
+                        free_scratch(room, &s);
+                    }
                 }
             }
         }
     }
     while (all.held > 0)
         PyBuffer_Release(&all.views[--all.held]);
-    return status < 0 ? NULL : PyLong_FromSsize_t(status);
+    return made;
 }
 
 PyDoc_STRVAR(bind_doc, "bind(outputs)\n--\n\nName the arrays that steps write, of one plant and one sample.");
@@ -1005,7 +1089,7 @@ static PyObject *
 runner_bind(PyObject *object, PyObject *outputs)
 {
     Runner *self = (Runner *)object;
-    if (self->plants != 1 || self->one_room != NULL || !PyTuple_Check(outputs)) {
+    if (self->plants != 1 || self->lacks_room || self->one_room != NULL || !PyTuple_Check(outputs)) {
         PyErr_SetString(PyExc_ValueError, "steps are of one plant, and bound once to a tuple of arrays");
         return NULL;
     }

@@ -41,7 +41,17 @@ enum {
     N_KNOTS, N_SUMS, N_ALONG, GROUPS, ISOLATION_WINDOW, COLUMNS, N_PARTS, MEMBERS, AT_ONCE, PLANT_INPUTS,
     INTEGERS
 };
-enum { THRESHOLD, RELEASE_LEVEL, ALLOWANCE, OLD_WEIGHT, NEW_WEIGHT, DEVIATION, SHARE, NUMBERS };
+enum { THRESHOLD, RELEASE_LEVEL, ALLOWANCE, OLD_WEIGHT, NEW_WEIGHT, DEVIATION, SHARE, MOVED_FROM, NUMBERS };
+
+#define NOTES 64     /* plants in a thread whose restarts and starts are noted before room is made for those of all */
+#define NOTE_HEAD 5  /* numbers of a note before the sums of a start: row, restarts of two kinds, whether it starts, moved */
+typedef int32_t counter; /* stops at its largest number, as residua.decide.persistence says */
+
+/* What is zero for most plants: where it lies of one, in its columns if there is room, else in a note. */
+typedef struct {
+    double *start_sums, *moved;
+    whole *resets, *broken;
+} seldom_row;
 
 typedef struct {
     source in;                                            /* deviations of a piece: where they lie, or in v */
@@ -61,6 +71,13 @@ typedef struct {
     double *columns_of_q;
     int is_deferred; /* whether it is the filter that finds out whether all signals are values */
     gain_store gains;
+    double *stream;    /* the sums of a test that remembers, and whether an alarm stands */
+    whole *runs;       /* of the counters of parts, and what they were before a piece */
+    double *sample;    /* with values held where they are missing */
+    seldom_row seldom; /* of the plant that is run */
+    double *notes;     /* of plants for which there are no columns: as Python takes them in */
+    Py_ssize_t n_notes;
+    int wants_gains; /* whether a plant was left for want of what a Kalman filter with missing values needs */
 } scratch;
 
 typedef struct {
@@ -84,6 +101,10 @@ typedef struct {
 typedef struct {
     PyObject_HEAD
     Py_ssize_t n, m, n_u, n_y, nr, n_ratios;
+    Py_ssize_t held; /* channels whose last values are held */
+    double moved_from; /* how far a start moves a residual at least for it to be remembered */
+    int has_starts;  /* whether there is room for the starts of all plants */
+    int lacks_room;  /* whether there is none for something that is seldom */
     whole settle, max_hold, first;
     int partial, path;
     int has_gains; /* whether there is what a Kalman filter with missing values needs; else such a plant is left */
@@ -120,6 +141,7 @@ typedef struct {
 #define PLACE(self, which, row) ((self)->base[which] + (row) * (self)->stride[which])
 #define F8(self, which, row) ((double *)PLACE(self, which, row))
 #define I8(self, which, row) ((whole *)PLACE(self, which, row))
+#define I4(self, which, row) ((counter *)PLACE(self, which, row))
 #define B1(self, which, row) ((flag *)PLACE(self, which, row))
 #define PLAN(self, which) ((const double *)(self)->plan[which].buf)
 
@@ -134,6 +156,48 @@ static flag *
 out_b1(const block *b, int which, Py_ssize_t plant, Py_ssize_t k)
 {
     return (flag *)out_f8(b, which, plant, k);
+}
+
+INLINE counter
+stopped(whole count)
+{
+    return count < INT32_MAX ? (counter)count : INT32_MAX;
+}
+
+/* ---- what is seldom ---------------------------------------------------------------------------------------------- */
+
+/* Begin with a plant: point at its columns, or at a note; 0 if there is no room for another one. */
+static int
+open_seldom(const Runner *self, Py_ssize_t row, scratch *s)
+{
+    const Py_ssize_t size = NOTE_HEAD + self->n;
+    double *note = NULL;
+    if (self->lacks_room) {
+        if (s->n_notes == NOTES)
+            return 0;
+        note = s->notes + s->n_notes * size;
+        memset(note, 0, (size_t)size * sizeof(double));
+        *(whole *)note = row;
+    }
+    s->seldom = (seldom_row){
+        self->has_state[START_SUMS] || note == NULL ? F8(self, START_SUMS, row) : note + NOTE_HEAD,
+        self->has_state[MOVED] || note == NULL ? F8(self, MOVED, row) : note + 4,
+        self->has_state[RESETS] || note == NULL ? I8(self, RESETS, row) : (whole *)(note + 1),
+        self->has_state[BROKEN] || note == NULL ? I8(self, BROKEN, row) : (whole *)(note + 2)};
+    return 1;
+}
+
+/* Keep the note of a plant of which there is something to tell. */
+static void
+close_seldom(const Runner *self, Py_ssize_t row, scratch *s)
+{
+    if (!self->lacks_room)
+        return;
+    double *const note = s->notes + s->n_notes * (NOTE_HEAD + self->n);
+    const whole *const counts = (const whole *)note;
+    ((whole *)note)[3] = !self->has_state[START_SUMS] && *B1(self, STARTING, row);
+    if (counts[1] || counts[2] || counts[3] || note[4] != 0.0)
+        s->n_notes++;
 }
 
 /* ---- the filter -------------------------------------------------------------------------------------------------- */
@@ -379,12 +443,13 @@ deviation(const source *in, Py_ssize_t row, Py_ssize_t column)
                                 : in->second[row * in->second_step + column - in->columns];
 }
 
+/* The first `some` of them. */
 INLINE void
-copy_sample(double *to, const source *in, Py_ssize_t row, Py_ssize_t m)
+copy_sample(double *to, const source *in, Py_ssize_t row, Py_ssize_t some)
 {
-    copy_doubles(to, in->first + row * in->first_step, in->columns);
-    if (m > in->columns)
-        copy_doubles(to + in->columns, in->second + row * in->second_step, m - in->columns);
+    copy_doubles(to, in->first + row * in->first_step, some < in->columns ? some : in->columns);
+    if (some > in->columns)
+        copy_doubles(to + in->columns, in->second + row * in->second_step, some - in->columns);
 }
 
 static int
@@ -428,12 +493,12 @@ are_sound(const Runner *self, const double *r, Py_ssize_t count)
 }
 
 static void
-stop_filter(const Runner *self, Py_ssize_t row)
+stop_filter(const Runner *self, Py_ssize_t row, scratch *s)
 {
     *B1(self, RUNNING, row) = *B1(self, STARTING, row) = 0;
     memset(F8(self, X, row), 0, (size_t)self->n * sizeof(double));
     if (self->first)
-        memset(F8(self, START_SUMS, row), 0, (size_t)self->n * sizeof(double));
+        memset(s->seldom.start_sums, 0, (size_t)self->n * sizeof(double));
     if (self->has_gains && *B1(self, APART, row)) {
         *B1(self, APART, row) = 0;
         memset(F8(self, SPREAD, row), 0, (size_t)(self->n * self->n) * sizeof(double));
@@ -441,19 +506,19 @@ stop_filter(const Runner *self, Py_ssize_t row)
 }
 
 static void
-break_filter(const Runner *self, Py_ssize_t row)
+break_filter(const Runner *self, Py_ssize_t row, scratch *s)
 {
-    stop_filter(self, row);
-    *I8(self, BROKEN, row) += 1;
-    *I8(self, GAP, row) = 0;
+    stop_filter(self, row, s);
+    *s->seldom.broken += 1;
+    *I4(self, GAP, row) = 0;
 }
 
 static void
-start_filter(const Runner *self, Py_ssize_t row, const double *v)
+start_filter(const Runner *self, Py_ssize_t row, const double *v, scratch *s)
 {
     const double *start = PLAN(self, START);
     double *x = F8(self, X, row);
-    stop_filter(self, row);
+    stop_filter(self, row, s);
     for (Py_ssize_t i = 0; i < self->n; i++) {
         double sum = 0.0;
         for (Py_ssize_t j = 0; j < self->m; j++)
@@ -462,16 +527,16 @@ start_filter(const Runner *self, Py_ssize_t row, const double *v)
     }
     *B1(self, RUNNING, row) = 1;
     *B1(self, STARTING, row) = self->first > 0;
-    *I8(self, AGE, row) = *I8(self, GAP, row) = 0;
+    *I4(self, AGE, row) = *I4(self, GAP, row) = 0;
 }
 
 /* Take out of the state what the start has left in it, and say how far that moves the next residual. */
 static void
-correct_start(const Runner *self, Py_ssize_t row, double *left)
+correct_start(const Runner *self, Py_ssize_t row, scratch *s)
 {
     const Py_ssize_t n = self->n, nr = self->nr, ratios = self->n_ratios;
     const double *correction = PLAN(self, CORRECTION), *C = PLAN(self, C_);
-    double *x = F8(self, X, row), *sums = F8(self, START_SUMS, row), *seen = left + n, *moved = seen + nr;
+    double *x = F8(self, X, row), *sums = s->seldom.start_sums, *left = s->small, *seen = left + n, *moved = seen + nr;
     for (Py_ssize_t i = 0; i < n; i++) {
         left[i] = 0.0;
         for (Py_ssize_t j = 0; j < n; j++)
@@ -486,8 +551,8 @@ correct_start(const Runner *self, Py_ssize_t row, double *left)
     const double far = length_of(moved, ratios);
     for (Py_ssize_t i = 0; i < n; i++)
         x[i] -= left[i];
-    if (far > *F8(self, MOVED, row))
-        *F8(self, MOVED, row) = far;
+    if (far >= self->moved_from && far > *s->seldom.moved)
+        *s->seldom.moved = far;
     memset(sums, 0, (size_t)n * sizeof(double));
     *B1(self, STARTING, row) = 0;
 }
@@ -503,15 +568,15 @@ add_response(const double *restrict r, const double *restrict response, double *
 }
 
 INLINE void
-learn_start(const Runner *self, Py_ssize_t row, const double *r, int complete, double *spare)
+learn_start(const Runner *self, Py_ssize_t row, const double *r, int complete, scratch *s)
 {
     const Py_ssize_t n = self->n, nr = self->nr;
-    double *sums = F8(self, START_SUMS, row), part[4];
+    double *sums = s->seldom.start_sums, *spare = s->small, part[4];
     if (!complete) {
         memset(sums, 0, (size_t)n * sizeof(double));
         return;
     }
-    const double *response = PLAN(self, ROWS) + *I8(self, AGE, row) * nr * n;
+    const double *response = PLAN(self, ROWS) + (Py_ssize_t)*I4(self, AGE, row) * nr * n;
     if (n == 4)
         add_response(r, response, sums, part, nr, 4);
     else if (n == 3)
@@ -545,7 +610,7 @@ filter_with_gain(const Runner *self, Py_ssize_t row, const double *held, double 
     double *const x = F8(self, X, row), *const spread = F8(self, SPREAD, row);
     if (*B1(self, STARTING, row)) { /* nothing is known of the state: the recursion finds out, from here on */
         *B1(self, STARTING, row) = 0;
-        memset(F8(self, START_SUMS, row), 0, (size_t)self->n * sizeof(double));
+        memset(s->seldom.start_sums, 0, (size_t)self->n * sizeof(double));
         memcpy(spread, self->some.unknown, size);
     }
     const gain *g = find_gain(&s->gains, &self->some, spread, &self->filter, self->path);
@@ -571,26 +636,26 @@ filter_with_gain(const Runner *self, Py_ssize_t row, const double *held, double 
 static int
 filter_sample(const Runner *self, Py_ssize_t row, const double *held, int complete, double *r, scratch *s)
 {
-    double *x = F8(self, X, row), *spare = s->small;
-    whole *age = I8(self, AGE, row), *gap = I8(self, GAP, row);
+    double *x = F8(self, X, row);
+    counter *age = I4(self, AGE, row), *gap = I4(self, GAP, row);
     const int is_blank = !complete && (!self->has_gains || find_pattern(&self->some, s->gains.pattern));
     int with_gain, is_known;
     for (;;) {
         int fresh = 0;
         if (!*B1(self, RUNNING, row)) {
             if (!complete) {
-                *gap += 1;
+                *gap = stopped((whole)*gap + 1);
                 return 0;
             }
-            start_filter(self, row, held);
+            start_filter(self, row, held, s);
             fresh = 1;
         }
-        if (is_blank && *gap + 1 > self->max_hold) { /* too long a gap: wait for a complete sample */
+        if (is_blank && (whole)*gap + 1 > self->max_hold) { /* too long a gap: wait for a complete sample */
             if (is_finite(x, self->n)) {
-                stop_filter(self, row);
-                *I8(self, RESETS, row) += 1;
+                stop_filter(self, row, s);
+                *s->seldom.resets += 1;
             } else
-                break_filter(self, row);
+                break_filter(self, row, s);
             continue;
         }
         with_gain = self->has_gains && (!complete || *B1(self, APART, row));
@@ -600,24 +665,24 @@ filter_sample(const Runner *self, Py_ssize_t row, const double *held, int comple
         else
             filter_some(self, s, x, one_array(held, self->m), r, 1, NULL);
         if (all_within(r, self->nr, LARGEST)) {
-            *gap = is_blank ? *gap + 1 : 0;
+            *gap = is_blank ? stopped((whole)*gap + 1) : 0;
             break;
         }
-        break_filter(self, row);
+        break_filter(self, row, s);
         if (fresh) /* a sample that overflows by itself: pass it over */
             return 0;
     }
     if (*B1(self, STARTING, row))
-        learn_start(self, row, r, complete, spare);
-    *age = complete || with_gain ? *age + 1 : 0;
+        learn_start(self, row, r, complete, s);
+    *age = complete || with_gain ? stopped((whole)*age + 1) : 0;
     if (*B1(self, STARTING, row) && *age == self->first)
-        correct_start(self, row, spare);
+        correct_start(self, row, s);
     if (!is_known && is_finite(x, self->n)) { /* so little is known of the state that a new start is better */
-        stop_filter(self, row);
-        *I8(self, RESETS, row) += 1;
+        stop_filter(self, row, s);
+        *s->seldom.resets += 1;
         *gap = 0;
     } else if (!is_known)
-        break_filter(self, row);
+        break_filter(self, row, s);
     return complete;
 }
 
@@ -628,10 +693,11 @@ filter_with_gaps(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_
 {
     const Py_ssize_t m = self->m, nr = self->nr;
     const double *low = PLAN(self, LOW), *high = PLAN(self, HIGH);
-    double *held = F8(self, HELD, row);
+    double *const held = F8(self, HELD, row), *const sample = s->sample;
     for (Py_ssize_t i = 0; i < time; i++) {
         double *r = s->r + i * nr;
         int complete = 1;
+        copy_doubles(sample, held, self->held);
         for (Py_ssize_t j = 0; j < m; j++) {
             const double v = deviation(&s->in, i, j);
             const int there = (v >= low[j]) & (v <= high[j]);
@@ -639,8 +705,10 @@ filter_with_gaps(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_
             if (self->has_gains)
                 s->gains.pattern[j] = (flag)there;
             if (there)
-                held[j] = v;
-            else if (b->out[OUT_ASIDE].base != NULL) {
+                sample[j] = v;
+            else if (j >= self->held) /* the gain takes no notice of outputs that are missing */
+                sample[j] = 0.0;
+            if (!there && b->out[OUT_ASIDE].base != NULL) {
                 const char *at = j < self->n_u ? b->u + plant * b->u_strides[0] + (k + i) * b->u_strides[1]
                                                      + j * b->u_strides[2]
                                                : b->y + plant * b->y_strides[0] + (k + i) * b->y_strides[1]
@@ -652,8 +720,9 @@ filter_with_gaps(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_
         if (!complete && b->out[OUT_MISSING].base != NULL)
             *out_b1(b, OUT_MISSING, plant, k + i) = 1;
         s->is_missing = !complete;
-        const int known = filter_sample(self, row, held, complete, r, s);
-        s->usable[i] = known && *I8(self, AGE, row) > self->settle;
+        copy_doubles(held, sample, self->held);
+        const int known = filter_sample(self, row, sample, complete, r, s);
+        s->usable[i] = known && *I4(self, AGE, row) > self->settle;
         if (!known)
             for (Py_ssize_t j = 0; j < nr; j++)
                 r[j] = NAN;
@@ -719,7 +788,7 @@ filter_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t ro
     int all = gather(self, b, u, y, b->u_strides[1], b->y_strides[1], time, may_defer, s);
     if (all && is_going) {
         double *x = F8(self, X, row), *before = s->small;
-        const whole age = *I8(self, AGE, row);
+        const whole age = *I4(self, AGE, row);
         copy_doubles(before, x, n);
         int is_sound = filter_and_judge(self, x, out_f8(b, OUT_WHITENED, plant, k), time, s);
         is_sound = (is_sound || are_sound(self, s->r, time * self->nr)) && is_finite(x, n);
@@ -732,20 +801,22 @@ filter_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t ro
             else
                 for (Py_ssize_t i = 0; i < time; i++)
                     s->usable[i] = age + 1 + i > self->settle;
-            *I8(self, AGE, row) = age + time;
-            *I8(self, GAP, row) = 0;
-            copy_sample(F8(self, HELD, row), &s->in, time - 1, self->m);
+            *I4(self, AGE, row) = stopped(age + time);
+            *I4(self, GAP, row) = 0;
+            copy_sample(F8(self, HELD, row), &s->in, time - 1, self->held);
             return 1;
         }
         copy_doubles(x, before, n);
         s->is_judged = 0;
         s->apart = 0;
     }
-    if (self->partial && !self->has_gains && (!all || is_apart))
+    if (self->partial && !self->has_gains && (!all || is_apart)) {
+        s->wants_gains = 1;
         return 0;
+    }
     filter_with_gaps(self, b, plant, row, k, time, s);
     if (k + time == b->time && *B1(self, RUNNING, row) && !is_finite(F8(self, X, row), n))
-        break_filter(self, row);
+        break_filter(self, row, s);
     return 1;
 }
 

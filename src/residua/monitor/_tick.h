@@ -66,7 +66,7 @@ gather_records(const Runner *self, const tick *t, chunk *c, double *x)
     const Py_ssize_t n = self->n, stride = self->stride[COUNT], size = self->record_size, first = c->first;
     const Py_ssize_t begin = self->offset[X], running = self->offset[RUNNING], starting = self->offset[STARTING];
     const Py_ssize_t apart = self->offset[APART], count = c->count, ahead = t->stop - CHUNK - first;
-    const int is_early = t->is_early && self->first;
+    const int is_early = t->is_early && self->has_starts;
     flag all_running = 1, any_starting = 0, any_apart = 0;
     for (Py_ssize_t i = 0; i < count; i++) {
         char *const record = self->records + row_in_tick(t, first + i) * stride;
@@ -118,6 +118,18 @@ mark_odd(const Runner *self, const tick *t, chunk *c, const source *in, int all)
     c->is_fresh = is_fresh;
 }
 
+/* Mark those whose filters start, where there is no room for what their residuals say of it. */
+static void
+mark_starts(const Runner *self, const tick *t, chunk *c)
+{
+    if (!c->has_odd)
+        memset(c->is_odd, 0, sizeof c->is_odd);
+    for (Py_ssize_t i = 0; i < c->count; i++)
+        c->is_odd[i] |= !*B1(self, RUNNING, row_in_tick(t, c->first + i));
+    c->has_odd = 1;
+    c->is_fresh = 0;
+}
+
 /* The first plant from one on that is another case; the number of plants if there is none. */
 INLINE Py_ssize_t
 next_odd(const chunk *c, Py_ssize_t from)
@@ -145,26 +157,29 @@ start_together(const Runner *self, const tick *t, const chunk *c, const scratch 
 
 /* What is remembered of filters that start or have just started, before their sample is counted. */
 static void
-learn_together(const Runner *self, const tick *t, const chunk *c, double *x, const scratch *s)
+learn_together(const Runner *self, const tick *t, const chunk *c, double *x, scratch *s)
 {
     const Py_ssize_t n = self->n;
     for (Py_ssize_t i = 0; i < c->count; i++) {
         const Py_ssize_t row = row_in_tick(t, c->first + i);
         if (c->has_odd && c->is_odd[i])
             continue;
-        if (!*B1(self, RUNNING, row)) {
+        const int is_fresh = !*B1(self, RUNNING, row);
+        if (is_fresh) {
             *B1(self, RUNNING, row) = 1;
             *B1(self, STARTING, row) = self->first > 0;
-            *I8(self, AGE, row) = 0;
-            if (self->first)
-                memset(F8(self, START_SUMS, row), 0, (size_t)n * sizeof(double));
+            *I4(self, AGE, row) = 0;
         }
         if (!*B1(self, STARTING, row))
             continue;
-        learn_start(self, row, s->own_r + i * self->nr, 1, s->small);
-        if (*I8(self, AGE, row) + 1 == self->first) {
+        s->seldom.start_sums = F8(self, START_SUMS, row);
+        s->seldom.moved = F8(self, MOVED, row);
+        if (is_fresh)
+            memset(s->seldom.start_sums, 0, (size_t)n * sizeof(double));
+        learn_start(self, row, s->own_r + i * self->nr, 1, s);
+        if ((whole)*I4(self, AGE, row) + 1 == self->first) {
             copy_doubles(F8(self, X, row), x + i * n, n);
-            correct_start(self, row, s->small);
+            correct_start(self, row, s);
             copy_doubles(x + i * n, F8(self, X, row), n);
         }
     }
@@ -195,11 +210,11 @@ mark_overflows(const Runner *self, chunk *c, const double *r, const double *x)
 INLINE int
 keep_filter(const Runner *self, Py_ssize_t row, const source *in, Py_ssize_t i, const double *x)
 {
-    const whole age = *I8(self, AGE, row) + 1;
+    const counter age = stopped((whole)*I4(self, AGE, row) + 1);
     copy_few(F8(self, X, row), (const char *)x, self->n);
-    copy_sample(F8(self, HELD, row), in, i, self->m);
-    *I8(self, AGE, row) = age;
-    *I8(self, GAP, row) = 0;
+    copy_sample(F8(self, HELD, row), in, i, self->held);
+    *I4(self, AGE, row) = age;
+    *I4(self, GAP, row) = 0;
     *I8(self, COUNT, row) += 1;
     return age > self->settle;
 }
@@ -213,7 +228,7 @@ finish_records(const Runner *self, const tick *t, const chunk *c, const double *
 {
     const Py_ssize_t first = c->first, count = c->count;
     const test_plan *const test = &self->test;
-    const Py_ssize_t n = self->n, m = self->m, nr = self->nr;
+    const Py_ssize_t n = self->n, held = self->held, nr = self->nr;
     const double threshold = test->threshold, *const statistics = s->statistic, *const r = s->own_r;
     const whole settle = self->settle, persistence = test->persistence, release = test->release;
     const source in = s->in;
@@ -235,24 +250,25 @@ finish_records(const Runner *self, const tick *t, const chunk *c, const double *
         char *const record = c->records[i];
         if (has_odd && c->is_odd[i])
             continue;
-        const whole age = ++OF_RECORD(whole, AGE);
+        const counter age = stopped((whole)OF_RECORD(counter, AGE) + 1);
         const int usable = age > settle, over = usable & (statistics[i] > threshold);
-        whole up = OF_RECORD(whole, UP), down = OF_RECORD(whole, DOWN);
+        counter up = OF_RECORD(counter, UP), down = OF_RECORD(counter, DOWN);
         flag alarm = OF_RECORD(flag, ALARM);
-        OF_RECORD(whole, GAP) = 0;
+        OF_RECORD(counter, AGE) = age;
+        OF_RECORD(counter, GAP) = 0;
         OF_RECORD(whole, COUNT) += 1;
         if (usable) {
-            up = (up + 1) & -(whole)over;
-            down = (down + 1) & ((whole)over - 1);
+            up = (up + (up < INT32_MAX)) & -(counter)over;
+            down = (down + (down < INT32_MAX)) & ((counter)over - 1);
             const int ends = !over & (down >= release), begins = over & (up >= persistence);
             alarm = (flag)((alarm & !ends) | begins);
         }
-        OF_RECORD(whole, UP) = up;
-        OF_RECORD(whole, DOWN) = down;
+        OF_RECORD(counter, UP) = up;
+        OF_RECORD(counter, DOWN) = down;
         OF_RECORD(flag, ALARM) = alarm;
         const double statistic = usable ? statistics[i] : NAN;
         copy_few(&OF_RECORD(double, X), (const char *)(x + i * n), n);
-        copy_sample(&OF_RECORD(double, HELD), &in, i, m);
+        copy_sample(&OF_RECORD(double, HELD), &in, i, held);
         *(flag *)(usables.base + (first + i) * usables.plant) = (flag)usable;
         *(flag *)(alarms.base + (first + i) * alarms.plant) = alarm;
         *(double *)(told.base + (first + i) * told.plant) = statistic;
@@ -304,6 +320,8 @@ together(const Runner *self, tick *t, chunk *c, scratch *s)
     c->has_odd = 0;
     if (!all || c->has_apart)
         mark_odd(self, t, c, &s->in, all);
+    if (c->is_fresh && self->first && !self->has_starts)
+        mark_starts(self, t, c);
     if (c->is_fresh)
         start_together(self, t, c, s, x);
     job *q = &s->filter;

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.decide.persistence import stopped
 from residua.linear.systems.recursion import ordered_product, run_filter
 from residua.monitor.one_plant import FIELDS, LARGEST, SELDOM, OnePlant
 from residua.monitor.specification import FilterState, Specification
@@ -100,12 +101,12 @@ def _run_calm(
     if not before["running"].all():
         _start(spec, fields, v)
     ages = fields["age"][:, None] + np.arange(1, v.shape[1] + 1)
-    fields["held"], fields["gap"] = v[:, -1].copy(), np.zeros_like(before["gap"])
+    fields["held"], fields["gap"] = v[:, -1, : spec.held].copy(), np.zeros_like(before["gap"])
     if fields["starting"].any():
         residuals = _run_starting(spec, fields, v)
     else:
         fields["x"], residuals = run_filter(spec.A, spec.B, spec.C, spec.D, fields["x"], v)
-    fields["age"] = ages[:, -1].copy()
+    fields["age"] = stopped(ages[:, -1])
     return fields, residuals, ages
 
 
@@ -116,7 +117,7 @@ def _start(spec: Specification, fields: dict[str, NDArray], v: NDArray) -> None:
     x[fresh], sums[fresh] = ordered_product(v[fresh, 0], spec.start.T), 0.0
     starting[fresh] = spec.first is not None
     fields |= {"x": x, "start_sums": sums, "starting": starting}
-    fields |= {"age": np.where(fresh, 0, fields["age"]), "running": np.ones(len(x), dtype=bool)}
+    fields |= {"age": np.where(fresh, np.int32(0), fields["age"]), "running": np.ones(len(x), dtype=bool)}
 
 
 def _run_starting(spec: Specification, fields: dict[str, NDArray], v: NDArray) -> NDArray[np.float64]:
@@ -152,10 +153,10 @@ def _run_one_by_one(
     """Run plants with gaps; writes into ``fields`` and the outputs, and returns the bends of all."""
     bends, after = [], {}
     for p in who.tolist():
-        one = OnePlant(**{name: getattr(state, name)[p] for name in (*FIELDS, *SELDOM)})
+        one = OnePlant.of(state, p)
         bends += [(p, k, R) for k, R in one.run(spec, v[p], residuals[p], ages[p])]
         for name in FIELDS:
-            fields[name][p] = getattr(one, name)
+            fields[name][p] = one.field(name)
         after[p] = one
     if fields["apart"].any() or state.apart.any():  # else these are zero, and stay so
         for name in SELDOM:

@@ -15,7 +15,7 @@ from residua.decide.alarm import Candidate
 from residua.decide.persistence import AlarmRuns
 from residua.errors import DataError
 from residua.monitor.decision import Decision, decision_from
-from residua.monitor.fused import FusedRun, LastSample, decisions_of, plan_of
+from residua.monitor.fused import FusedRun, LastSample, decisions_of, plan_of, with_starts
 from residua.monitor.monitor import Monitor
 from residua.monitor.plant_records import as_records, takes_no_memory
 from residua.monitor.running import Decisions, State, initial_state, rows_of, run_reference, written_rows
@@ -23,6 +23,8 @@ from residua.monitor.saving import monitor_out
 from residua.monitor.skipped_samples import SkippedSamples
 from residua.visible import echo
 
+#: The version of files since which what runs is laid out as it is now; only states have changed since.
+_LAID_OUT = 8
 #: What a tick says of its records.
 _TOLD = ("missing", "usable", "statistic", "alarm")
 
@@ -181,6 +183,7 @@ def fingerprint_of(monitor: Monitor) -> str:
     if known is None:
         content = monitor_out(monitor)
         ran = {name: content[name] for name in sorted(content) if name not in ("state", "notes", "fit_check")}
+        ran["version"] = _LAID_OUT
         known = hashlib.sha256(json.dumps(ran, sort_keys=True).encode()).hexdigest()
         object.__setattr__(spec, "_fingerprint", known)
     return known
@@ -227,9 +230,13 @@ class FleetBlock:
         members = 0 if isolation.coding is None else len(isolation.coding.members)
         last = LastSample.blank(plants, self.generator.n_residuals, len(isolation.groups), members)
         self._state, self.last = as_records([state, last]) if plants else (state, last)
+        if self._is_settling:
+            self._state = with_starts(self.spec, self._state)
         self._run: FusedRun | None = None
         if plan is not None and plan.names:
             self._run = FusedRun(self.spec, plan, self._state, len(self.generator.plant.inputs), self.last)
+        #: Samples since there is room for starts, and after how many of each plant to look whether these are over.
+        self._samples, self._starts = 0, 1 if self.spec.first is None else self.spec.first.samples + 1
         #: In NumPy: the decisions that hold the last sample of each plant, and where in them.
         self._made, self._place_in_made = np.empty(plants, dtype=object), np.zeros(plants, dtype=np.int64)
         self._looked_up: tuple[Any, NDArray[np.int64] | None] = (None, None)
@@ -318,6 +325,7 @@ class FleetBlock:
         if run is not None:
             out: dict[str, Any] = run.outputs(len(y), y.shape[1], keep)
             run.run(u, y, out, rows, threads=threads)
+            self._after(y.shape[0] * y.shape[1])
             return out
         places = np.arange(len(self.ids)) if rows is None else rows
         data = np.ascontiguousarray(np.concatenate([u, y], axis=2))
@@ -325,6 +333,16 @@ class FleetBlock:
         self._state = written_rows(self.state, places, after)
         self._remember(places, made)
         return {name: getattr(made, name) for name in keep}
+
+    def _after(self, samples: int) -> None:
+        """Let the room for starts go when they are over, which is looked for ever less often."""
+        run = self._run
+        if run is None or not run.has_room_for_starts:
+            return
+        self._samples += samples
+        if self._samples >= self._starts * len(self.ids):
+            self._starts *= 2
+            run.let_go_of_starts()
 
     def follow(self, rows: NDArray[np.int64], u: NDArray, y: NDArray, threads: int) -> list[AlarmEvent]:
         """Go on with a block, (plants, time, channels), of some plants, each once; return what their alarms did."""
@@ -404,6 +422,7 @@ class FleetBlock:
             inputs = len(self.generator.plant.inputs)
             outputs = run.outputs(data.shape[0], data.shape[1])
             run.run(data[..., :inputs], data[..., inputs:], outputs, threads=threads)
+            self._after(data.shape[0] * data.shape[1])
             decisions = decisions_of(outputs)
         else:
             after, decisions = run_reference(self.spec, self.state, data)

@@ -7,7 +7,7 @@ values are missing, its covariances and room for those of every plant, is brough
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, is_dataclass, replace
 from itertools import pairwise
@@ -21,9 +21,10 @@ from residua.decide.isolation import Scores
 from residua.decide.test import Block, Tested
 from residua.kernels import kernel
 from residua.linear.systems.recursion import best_path, compiled
-from residua.monitor.plant_records import takes_no_memory
+from residua.monitor.plant_records import SELDOM, takes_no_memory
 from residua.monitor.running import Decisions, State, run_reference, written_rows
 from residua.monitor.specification import Specification
+from residua.monitor.starting import MOVED_FROM
 
 _kernel = kernel("residua.monitor._fused")
 
@@ -44,6 +45,8 @@ _TYPES = {
     "fired": bool,
     "code": bool,
 }
+#: What starts of filters need, and what is counted of restarts: zero as a rule.
+_OF_STARTS, _RESTARTS = ("start_sums", "moved"), ("resets", "broken")
 #: Of what a step returns in one number: that the plant was left.
 _IS_LEFT = 8
 
@@ -111,7 +114,7 @@ def _plan(spec: Specification, test: CompiledTest) -> Plan:
     ]  # fmt: skip
     numbers = [
         *(test.threshold, test.release_level, test.allowance, 1 - test.weight, test.weight, test.deviation),
-        0.0 if codes is None else codes.share,
+        *(0.0 if codes is None else codes.share, MOVED_FROM),
     ]
     started = (None, None, None) if first is None else (first.rows, first.correction, first.ratios)
     bases = np.hstack(naming.bases) if naming.bases else None
@@ -146,16 +149,35 @@ def state_arrays(spec: Specification, state: State) -> tuple[NDArray | None, ...
     elif named is not None and named.bases:
         naming = (*state.isolation.arrays(), None, None)
     remembered = (one if one is None or one.flags.writeable else None for one in (*state.test.arrays(), *naming))
+    resets, broken, sums, moved, spread = (
+        one if _has_room(one) else None for one in (f.resets, f.broken, f.start_sums, f.moved, f.spread)
+    )
     return (
-        f.x, f.held, f.gap, f.running, f.age, f.resets, f.broken, f.starting,
-        None if spec.first is None else f.start_sums, f.moved, f.apart,
-        f.spread if _has_room(f.spread) else None, state.count, *remembered,
+        f.x, f.held, f.gap, f.running, f.age, resets, broken, f.starting, sums, moved, f.apart, spread, state.count,
+        *remembered,
     )  # fmt: skip
 
 
-def _has_room(spread: NDArray) -> bool:
-    """Tell whether a state has room for the covariances of filters that are off their stationary one."""
-    return bool(spread.size) and not takes_no_memory(spread)
+def _has_room(seldom: NDArray) -> bool:
+    """Tell whether a state has room for what is zero as a rule, such as covariances off the stationary one."""
+    return bool(seldom.size) and not takes_no_memory(seldom)
+
+
+def with_room(state: State, names: Iterable[str]) -> State:
+    """Return a state with room for what is zero as a rule; the system provides the memory where it is written."""
+    filtered = state.filter
+    now = {name: getattr(filtered, name) for name in names}
+    room = {name: np.zeros(one.shape, one.dtype) for name, one in now.items() if takes_no_memory(one)}
+    return replace(state, filter=replace(filtered, **room)) if room else state
+
+
+def with_starts(spec: Specification, state: State) -> State:
+    """Return the state of new plants with room for their starts: those of all of them come soon."""
+    if spec.first is None or not len(state.count):
+        return state
+    state = with_room(state, _OF_STARTS)
+    state.filter.start_sums[...] = 0.0  # the memory is provided here, not within the first tick
+    return state
 
 
 def _there(values: NDArray | None) -> NDArray:
@@ -240,8 +262,12 @@ class FusedRun:
         self, spec: Specification, plan: Plan, state: State, inputs: int | None = None, last: LastSample | None = None
     ) -> None:
         assert _kernel is not None
-        self.spec, self.plan, self.state, self.last = spec, plan, state, last
         self.plants = len(state.count)
+        if self.plants == 1:  # of one plant there always is room
+            state = with_room(state, _OF_STARTS + _RESTARTS)
+        elif state.filter.starting.any():
+            state = with_room(state, _OF_STARTS)
+        self.spec, self.plan, self.state, self.last = spec, plan, state, last
         self._one: dict[str, NDArray | None] | None = None
         integers = plan.integers.copy()
         self._inputs = int(integers[1]) if inputs is None else inputs
@@ -262,19 +288,49 @@ class FusedRun:
         remembered = (*state_arrays(spec, state), *kept)
         return _kernel.Runner(self._integers, plan.numbers, arrays, remembered, self.plants, best_path())
 
-    def _make_room(self) -> None:
-        """Bring what a Kalman filter with missing values needs."""
-        filtered = self.state.filter
-        self.state = replace(self.state, filter=replace(filtered, spread=np.zeros(filtered.spread.shape)))
+    def _make_room(self, names: Iterable[str]) -> None:
+        """Make room for what is zero as a rule: where values are missing, a Kalman filter needs its covariance."""
+        self.state = with_room(self.state, names)
         self._kernel = self._runner()
         if self._one is not None:
             self._kernel.bind(tuple(self._one[name] for name in OUTPUTS))
 
+    @property
+    def has_room_for_starts(self) -> bool:
+        """Whether there is room for what residuals say of starts."""
+        return _has_room(self.state.filter.start_sums)
+
+    def let_go_of_starts(self) -> None:
+        """Let the room go that starts need, if no plant starts."""
+        filtered = self.state.filter
+        if filtered.starting.any():
+            return
+        room = {name: one for name in _OF_STARTS if not (one := getattr(filtered, name)).any()}
+        gone = {name: np.broadcast_to(one.dtype.type(0), one.shape) for name, one in room.items()}
+        self.state = replace(self.state, filter=replace(filtered, **gone))
+        self._kernel, self._one = self._runner(), None
+
+    def _take_in(self, notes: bytes) -> None:
+        """Write what the kernel had no room for: restarts of plants, and starts that are under way."""
+        n = self.state.filter.x.shape[1]
+        kind = [("row", "i8"), ("resets", "i8"), ("broken", "i8"), ("starting", "i8"), ("moved", "f8")]
+        table = np.frombuffer(notes, dtype=np.dtype([*kind, ("start_sums", "f8", (n,))]))
+        restarts = [name for name in _RESTARTS if table[name].any()]
+        starts = _OF_STARTS if table["starting"].any() else _OF_STARTS[1:] if table["moved"].any() else ()
+        wanted = [*restarts, *starts]
+        rows, before = table["row"], self.state
+        self._make_room(wanted)
+        for name in wanted:  # where there was room the kernel has written by itself
+            if takes_no_memory(getattr(before.filter, name)):
+                getattr(self.state.filter, name)[rows] = table[name]
+
     def write(self, rows: NDArray[np.int64], state: State) -> None:
         """Let some plants go on from other states."""
-        before = self.state.filter.spread
+        before = self.state.filter
         self.state = written_rows(self.state, rows, state)
-        if self.state.filter.spread is not before:
+        if state.filter.starting.any():
+            self.state = with_room(self.state, _OF_STARTS)
+        if any(getattr(self.state.filter, name) is not getattr(before, name) for name in SELDOM):
             self._kernel, self._one = self._runner(), None
 
     def outputs(self, plants: int, time: int, keep: Sequence[str] = OUTPUTS) -> dict[str, NDArray | None]:
@@ -311,18 +367,26 @@ class FusedRun:
         """
         left = np.zeros(len(y), dtype=np.int64)  # samples; written, and read, only where it has to be
         call = (u, y, tuple(outputs[name] for name in OUTPUTS), rows, left)
-        if self._shared((*call, True), len(y), threads):
-            self._make_room()
-            self._shared((*call, False), len(y), threads)
+        fresh = True
+        while self._shared((*call, fresh), len(y), threads):
+            fresh = False
 
     def _shared(self, call: tuple[Any, ...], plants: int, threads: int) -> int:
-        """Run all plants, and return how many of them stopped where a value was missing."""
+        """Run all plants, make the room that they lacked, and return how many of them stopped for want of it."""
         if threads == 1 or plants < 2 * threads:
-            return self._kernel.run(*call, 0, plants)
-        bounds = np.linspace(0, plants, threads + 1).astype(int).tolist()
-        with ThreadPoolExecutor(threads) as pool:
-            parts = [pool.submit(self._kernel.run, *call, *ends) for ends in pairwise(bounds)]
-            return sum(part.result() for part in parts)
+            left, wants_gains, notes = self._kernel.run(*call, 0, plants)
+        else:
+            bounds = np.linspace(0, plants, threads + 1).astype(int).tolist()
+            with ThreadPoolExecutor(threads) as pool:
+                parts = [pool.submit(self._kernel.run, *call, *ends) for ends in pairwise(bounds)]
+                made = [part.result() for part in parts]
+            left, wants_gains = sum(one[0] for one in made), any(one[1] for one in made)
+            notes = b"".join(one[2] for one in made)
+        if notes:
+            self._take_in(notes)
+        if wants_gains:
+            self._make_room(("spread",))
+        return left
 
     def block(self, data: NDArray[np.float64], outputs: dict[str, NDArray | None]) -> Decisions:
         """Go on with a block of (plants, time, channels), and return what was decided, isolation included."""
@@ -350,7 +414,7 @@ class FusedRun:
             self._kernel.bind(tuple(out[name] for name in OUTPUTS))
         flags, statistic = self._kernel.step(u, y)
         if flags & _IS_LEFT:
-            self._make_room()
+            self._make_room(("spread",))
             flags, statistic = self._kernel.step(u, y)
         return bool(flags & 1), bool(flags & 2), bool(flags & 4), statistic
 
@@ -389,4 +453,4 @@ def run_block(spec: Specification, state: State, data: NDArray[np.float64]) -> t
     return run.state, decisions
 
 
-__all__ = ["OUTPUTS", "FusedRun", "LastSample", "Plan", "copied", "decisions_of", "plan_of", "run_block"]
+__all__ = ["OUTPUTS", "FusedRun", "LastSample", "Plan", "copied", "decisions_of", "plan_of", "run_block", "with_starts"]

@@ -10,11 +10,11 @@ from residua.errors import FileFormatError
 from residua.json_files import CHECKSUM
 from residua.monitor.partial_update import empty_partial
 from residua.monitor.plausible import TIMES
-from residua.number_kinds import FLAG, INDEX
+from residua.number_kinds import ENTRY, FLAG, INDEX
 from residua.records import array_in, array_out, joined, record, table_in, whole_in
 
 #: Versions before today's that are read.
-OLDER = (3, 4, 5, 6, 7)
+OLDER = (3, 4, 5, 6, 7, 8)
 
 
 def renewed(content: dict[str, Any]) -> dict[str, Any]:
@@ -27,7 +27,9 @@ def renewed(content: dict[str, Any]) -> dict[str, Any]:
     and its Kalman filters held the values of missing outputs, which both stay so; and every finite number was a
     measurement: without the recording that was fitted, only what would overflow is missing. Before version 7 what ran
     and its state were one flat table of every kind of test and isolation. Before version 8 all plants of a monitor had
-    seen equally many samples, and a moving sum kept what it had read.
+    seen equally many samples, and a moving sum kept what it had read. Before version 9 a Kalman filter that goes on
+    without missing outputs held the last values of these too, a test whose alarm is ended by a level counted the
+    samples below its threshold, and CUSUM kept its alarm behind its sums too.
     """
     version, content = content["version"], {"bounds": {}, "fit_check": None, "normal": None, "learnt": []} | content
     if version == 3:
@@ -45,11 +47,39 @@ def renewed(content: dict[str, Any]) -> dict[str, Any]:
         _with_plausible(content)
     if version in (3, 4, 5, 6):
         _nested(content)
-    if version in OLDER and content.get("state") is not None:
+    if version in OLDER[:-1] and content.get("state") is not None:
         _with_counts(content)
+    if version in OLDER and content.get("state") is not None:
+        _with_less(content)
     if content["fit_check"] is not None:  # what the channels were like was not kept at first
         content["fit_check"] = {"mean": [], "spread": [], "units": []} | table_in(content["fit_check"], "fit_check")
     return content
+
+
+# ----------------------------------------------------------------------------- version 8 to 9
+
+
+def _with_less(content: dict[str, Any]) -> None:
+    """Leave out of a state what is no longer remembered."""
+    state = table_in(content["state"], "state")
+    partial = table_in(content.get("running"), "running").get("partial")
+    if partial is not None:
+        filtered = table_in(state.get("filter"), "state.filter")
+        settled = table_in(partial, "running.partial").get("settled")
+        outputs = len(array_in(settled, "running.partial.settled", ENTRY, 2))
+        held = array_in(filtered.get("held"), "state.filter.held", ndim=2)
+        if held.shape[1] < outputs:
+            raise FileFormatError(f"state.filter.held must have a column for each channel, got {held.shape[1]}")
+        state["filter"] = filtered | {"held": array_out(held[:, : held.shape[1] - outputs])}
+    test = table_in(state.get("test"), "state.test")
+    if set(test) == {"past", "sums", "runs"}:
+        runs = table_in(test["runs"], "state.test.runs")
+        down = array_in(runs.get("down"), "state.test.runs.down", INDEX)
+        test |= {"runs": runs | {"down": array_out(np.zeros_like(down))}}
+        if table_in(content["test"], "test").get("kind") == "cusum":
+            test["sums"] = array_out(array_in(test["sums"], "state.test.sums", ndim=2)[:, :-1])
+        state["test"] = test
+    content["state"] = state
 
 
 # ----------------------------------------------------------------------------- version 7 to 8

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.decide.persistence import LAST_COUNT
 from residua.linear.systems.recursion import ordered_product, run_filter
-from residua.monitor.specification import Specification
+from residua.monitor.specification import FilterState, Specification
 
 #: A residual beyond is one of a filter that overflows.
 LARGEST = 1e150
@@ -16,13 +18,18 @@ LARGEST = 1e150
 FIELDS = ("x", "held", "gap", "running", "age", "resets", "broken", "starting", "start_sums", "moved", "apart")
 #: Likewise, and zero for all plants as a rule: how a Kalman filter is off its stationary one.
 SELDOM = ("spread", "bent")
+#: Counters of these that stop.
+_COUNTERS = ("gap", "age")
 
 _Bends = list[tuple[int, NDArray[np.float64]]]
 
 
 @dataclass(eq=False)
 class OnePlant:
-    """The filter of one plant; see :class:`residua.monitor.specification.FilterState`."""
+    """The filter of one plant; see :class:`residua.monitor.specification.FilterState`.
+
+    Its counters are whole numbers of any size; what is kept of them is :meth:`field`.
+    """
 
     x: NDArray[np.float64]
     held: NDArray[np.float64]
@@ -37,6 +44,19 @@ class OnePlant:
     apart: bool
     spread: NDArray[np.float64]
     bent: NDArray[np.float64]
+
+    @staticmethod
+    def of(state: FilterState, plant: int) -> OnePlant:
+        """Return the filter of a plant."""
+        kept: dict[str, Any] = {name: getattr(state, name)[plant] for name in (*FIELDS, *SELDOM)}
+        for name in _COUNTERS:
+            kept[name] = int(kept[name])
+        return OnePlant(**kept)
+
+    def field(self, name: str) -> Any:
+        """Return what a state keeps."""
+        value = getattr(self, name)
+        return min(value, LAST_COUNT) if name in _COUNTERS else value
 
     def run(self, spec: Specification, v: NDArray, residuals: NDArray, ages: NDArray[np.int64]) -> _Bends:
         """Run over a block, NaN where values are missing; writes into the outputs, and returns the bends."""
@@ -70,7 +90,7 @@ class OnePlant:
                     self._stop()
                     self.resets += 1
             k = stop_now + int(fresh and stop_now == k)  # a sample that overflows by itself, from a start: pass it over
-        self.held = signals.filled[-1]
+        self.held = signals.filled[-1, : spec.held]
         return bends
 
     def _start(self, spec: Specification, v: NDArray) -> None:
@@ -219,7 +239,10 @@ def _signals(spec: Specification, v: NDArray, held: NDArray) -> _Signals:
         moved = (~given) @ (spec.partial.D != 0).T  # at once, by an input that is missing
         there = finite[:, inputs:] & ~moved
         blank, upset = ~there.any(axis=1), np.zeros_like(whole)
-    return _Signals(_hold(v, held), there, given, whole, np.asarray(blank), upset)
+    filled = _hold(v[:, : spec.held], held)
+    if spec.held < v.shape[1]:  # the gain takes no notice of outputs that are missing
+        filled = np.hstack([filled, np.where(finite[:, spec.held :], v[:, spec.held :], 0.0)])
+    return _Signals(filled, there, given, whole, np.asarray(blank), upset)
 
 
 def _hold(v: NDArray, held: NDArray) -> NDArray:

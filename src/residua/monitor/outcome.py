@@ -19,13 +19,12 @@ from residua.monitor.fit_check import FitCheck
 from residua.monitor.inputs import settling_reason
 from residua.monitor.running import Decisions
 from residua.monitor.specification import FilterState, Specification
+from residua.monitor.starting import MOVED_FROM
 from residua.plant import Plant
 from residua.recording.levels import rows_apart, units_of
 from residua.robust.estimators.certified_threshold import AFFINE_FORM
 from residua.words import percent
 
-#: Part of its threshold by which the residual must move before a note says so.
-_TOLD = 0.1
 #: Part of a recording that is not judged for want of values, from which on a note says so.
 _TOLD_GAPS = 0.05
 #: Samples that are counted at once.
@@ -258,7 +257,7 @@ def _broken_notes(count: int) -> tuple[str, ...]:
 
 def _start_notes(spec: Specification, moved: float) -> tuple[str, ...]:
     """Return that the plant was not at rest, where that matters, and what follows for faults."""
-    if spec.first is None or moved < _TOLD:
+    if spec.first is None or moved < MOVED_FROM:
         return ()
     return (
         f"the plant was hardly at rest when the filter started: its state was estimated from {spec.first.samples} "

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 #: Numbers begin at multiples of so many bytes; records of more than a line begin with a line of the cache.
 _ALIGNED, _LINE = 8, 64
-#: What an ordinary sample does not touch lies in records of its own.
-SELDOM = frozenset({"start_sums", "moved", "resets", "broken", "spread", "bent"})
+#: What is zero as a rule. Each has an array of its own, whose memory the system provides where something is written;
+#: of plants all of which have zeros it is one zero, broadcast, and room is made when one of them needs it.
+SELDOM = ("start_sums", "moved", "resets", "broken", "spread", "bent")
 
 
 def takes_no_memory(array: NDArray) -> bool:
@@ -21,17 +22,15 @@ def takes_no_memory(array: NDArray) -> bool:
 
 
 def as_records(wholes: list[Any]) -> list[Any]:
-    """Return dataclasses of arrays with a row per plant as views of two blocks, filled with their values.
+    """Return dataclasses of arrays with a row per plant as views of one block, filled with their values.
 
-    What every sample touches is in one block, the rest in the other. Arrays that are broadcast from one number stay so.
+    Arrays that are broadcast from one number stay so; those of :data:`SELDOM` are copied, or become so.
     """
     named = [pair for whole in wholes for pair in _arrays(whole)]
-    views: list[NDArray] = [one for _, one in named]
-    for seldom in (False, True):
-        which = [k for k, (name, one) in enumerate(named) if (name in SELDOM) == seldom and one.size]
+    views: list[NDArray] = [_seldom(one) if name in SELDOM and one.size else one for name, one in named]
+    which = [k for k, (name, one) in enumerate(named) if name not in SELDOM and one.size]
+    if which:
         arrays = [named[k][1] for k in which]
-        if not arrays:
-            continue
         offsets, size = _offsets(arrays)
         block, stride = _block(len(arrays[0]), size)
         for k, one, offset in zip(which, arrays, offsets, strict=True):
@@ -39,6 +38,10 @@ def as_records(wholes: list[Any]) -> list[Any]:
             views[k][...] = one
     rebuilt = iter(one if one.size else one.copy() for one in views)
     return [_rebuilt(whole, rebuilt) for whole in wholes]
+
+
+def _seldom(array: NDArray) -> NDArray:
+    return array.copy() if array.any() else np.broadcast_to(array.dtype.type(0), array.shape)
 
 
 def _block(plants: int, size: int) -> tuple[NDArray[np.uint8], int]:
@@ -50,10 +53,10 @@ def _block(plants: int, size: int) -> tuple[NDArray[np.uint8], int]:
 
 
 def bytes_of_record(wholes: list[Any]) -> int:
-    """Return the bytes of what is remembered of one plant."""
+    """Return the bytes of what is remembered of one plant; of what is seldom, those for which there is room now."""
     named = [pair for whole in wholes for pair in _arrays(whole)]
-    parts = ([one for name, one in named if (name in SELDOM) == seldom] for seldom in (False, True))
-    return sum(_offsets(part)[1] for part in parts if part)
+    often = [one for name, one in named if name not in SELDOM]
+    return _offsets(often)[1] + sum(one.nbytes // len(one) for name, one in named if name in SELDOM and len(one))
 
 
 def _arrays(whole: Any, name: str = "") -> Iterator[tuple[str, NDArray]]:
@@ -75,13 +78,11 @@ def _rebuilt(whole: Any, views: Iterator[NDArray]) -> Any:
 
 
 def _offsets(arrays: list[NDArray]) -> tuple[list[int], int]:
-    """Return where each array begins in a record, the wide numbers first, and the size of a record."""
+    """Return where each array begins in a record, the widest numbers first, and the size of a record."""
     offsets, at = [0] * len(arrays), 0
-    for wide in (True, False):
-        for k, one in enumerate(arrays):
-            if (one.itemsize > 1) == wide:
-                offsets[k] = at
-                at += int(np.prod(one.shape[1:])) * one.itemsize
+    for k in sorted(range(len(arrays)), key=lambda k: -arrays[k].itemsize):
+        offsets[k] = at
+        at += int(np.prod(arrays[k].shape[1:])) * arrays[k].itemsize
     return offsets, max(-(-at // _ALIGNED) * _ALIGNED, _ALIGNED)
 
 
@@ -93,4 +94,4 @@ def _inner_strides(array: NDArray) -> list[int]:
     return strides[::-1]
 
 
-__all__ = ["as_records", "bytes_of_record", "takes_no_memory"]
+__all__ = ["SELDOM", "as_records", "bytes_of_record", "takes_no_memory"]

@@ -17,6 +17,7 @@ from residua.decide.matched_hold import Match
 from residua.decide.test import Block, Tested
 from residua.monitor.filtering import Filtered, filter_block
 from residua.monitor.partial_update import empty_partial
+from residua.monitor.plant_records import takes_no_memory
 from residua.monitor.specification import FilterState, Specification
 
 #: Responses that are held at once, in numbers.
@@ -152,6 +153,9 @@ def rows_of(whole: Any, plant: int | NDArray[np.int64]) -> Any:
     if whole is None:
         return None
     if isinstance(whole, np.ndarray):
+        if isinstance(plant, np.ndarray) and takes_no_memory(whole):
+            rows = np.broadcast_to(np.False_, len(whole))[plant]
+            return np.broadcast_to(whole.flat[0], (len(rows), *whole.shape[1:]))
         return whole[plant]
     return type(whole)(**{one.name: rows_of(getattr(whole, one.name), plant) for one in fields(whole)})
 
@@ -159,18 +163,19 @@ def rows_of(whole: Any, plant: int | NDArray[np.int64]) -> Any:
 def initial_state(spec: Specification, plants: int) -> State:
     """Return the state before the first sample."""
     n = len(spec.A)
-    whole, flag = np.zeros(plants, dtype=np.int64), np.zeros(plants, dtype=bool)
+    whole, counter = np.zeros(plants, dtype=np.int64), np.zeros(plants, dtype=np.int32)
+    flag, restarts = np.zeros(plants, dtype=bool), np.broadcast_to(np.int64(0), plants)
     filtered = FilterState(
         x=np.zeros((plants, n)),
-        held=np.zeros((plants, spec.B.shape[1])),
-        gap=whole,
+        held=np.zeros((plants, spec.held)),
+        gap=counter,
         running=flag,
-        age=whole,
-        resets=whole,
-        broken=whole,
+        age=counter,
+        resets=restarts,
+        broken=restarts,
         starting=flag,
-        start_sums=np.zeros((plants, 0 if spec.first is None else n)),
-        moved=np.zeros(plants),
+        start_sums=np.broadcast_to(0.0, (plants, 0 if spec.first is None else n)),
+        moved=np.broadcast_to(0.0, plants),
         apart=flag,
         **empty_partial(spec.partial, plants),
     )
@@ -182,7 +187,7 @@ def written_rows(whole: Any, rows: NDArray[np.int64], part: Any) -> Any:
     if whole is None:
         return None
     if isinstance(whole, np.ndarray):
-        if whole.size and not any(whole.strides):
+        if takes_no_memory(whole):
             if not part.any():
                 return whole
             whole = whole.copy()

@@ -57,7 +57,7 @@ from residua.visible import echo, shortened
 FORMAT = "residua-monitor"
 #: That of monitors by operating mode (``regime_files``), of which each holds several.
 REGIMES = "residua-regime-monitor"
-VERSION = 8
+VERSION = 9
 #: The first version whose files have a checksum.
 _CHECKED = 6
 

@@ -57,6 +57,11 @@ class Specification:
     partial: PartialUpdate | None
 
     @property
+    def held(self) -> int:
+        """How many channels have values that are held: a Kalman filter takes missing outputs out of its correction."""
+        return self.B.shape[1] if self.partial is None else self.partial.B.shape[1]
+
+    @property
     def members(self) -> tuple[str, ...]:
         """Names of what has an alarm of its own: members of a bank, or groups of residuals."""
         return self.test.part_names
@@ -66,22 +71,44 @@ class Specification:
 class FilterState:
     """What the filter of a running monitor remembers; every array has one row per plant.
 
+    Counters of 32 bits stop at :data:`residua.decide.persistence.LAST_COUNT`. Those of :data:`SELDOM` are zero as a
+    rule, and take no memory for plants all of which have zeros.
+
     Attributes
     ----------
-    x : filter state; held : last value of each channel; gap : incomplete samples in a row;
-    running : whether the filter has been started; age : samples since its start or the last held value;
-    resets : restarts after long gaps; broken : restarts of a filter whose state overflowed;
-    starting : whether the start is still to be estimated; start_sums : what residuals say of it so far; moved : how
-    far that moved a residual, in units of the threshold, at most; apart : whether a Kalman filter is off its
-    stationary one, since outputs were missing; spread : its covariance then, zero for the stationary one; bent : how
-    far its errors by faults are off.
+    x : ndarray, shape (plants, states)
+        Filter state, in its own units: 8 bytes for each.
+    held : ndarray, shape (plants, channels)
+        Last value of each channel as a deviation, in plant units: 8 bytes for each. Of a Kalman filter that goes on
+        without missing outputs, those of the inputs alone.
+    gap : ndarray of int32
+        Incomplete samples in a row, or of such a Kalman filter those without any output that it can use.
+    running : ndarray of bool
+        Whether the filter has been started.
+    age : ndarray of int32
+        Samples since its start or the last held value.
+    resets, broken : ndarray of int
+        Restarts after long gaps, and of a filter whose state overflowed.
+    starting : ndarray of bool
+        Whether the start is still to be estimated.
+    start_sums : ndarray, shape (plants, states)
+        What residuals say of the start so far; zero where none is to be estimated.
+    moved : ndarray
+        How far an estimate of the start moved a residual, in units of the threshold, at most; zero where it is less
+        than :data:`residua.monitor.starting.MOVED_FROM`.
+    apart : ndarray of bool
+        Whether a Kalman filter is off its stationary one, since outputs were missing.
+    spread : ndarray, shape (plants, states, states)
+        Its covariance then, zero for the stationary one.
+    bent : ndarray, shape (plants, ages + 1, faults, states)
+        How far its errors by faults are off.
     """
 
     x: NDArray[np.float64]
     held: NDArray[np.float64]
-    gap: NDArray[np.int64]
+    gap: NDArray[np.int32]
     running: NDArray[np.bool_]
-    age: NDArray[np.int64]
+    age: NDArray[np.int32]
     resets: NDArray[np.int64]
     broken: NDArray[np.int64]
     starting: NDArray[np.bool_]

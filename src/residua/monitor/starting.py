@@ -22,6 +22,9 @@ from residua.visible import echo
 #: How a filter starts: from rest at the first sample, or with the state that its first residuals show.
 STARTS = ("estimated", "rest")
 
+#: How far the estimate of a start moves a residual, in units of its threshold, from which on that is remembered: a
+#: diagnosis says it, since a fault at the first sample may have been taken for a start.
+MOVED_FROM = 0.1
 #: Samples that a start is estimated from at most.
 MOST_SAMPLES = 2000
 #: Numbers that such an estimate may cost once, in multiplications.
@@ -85,11 +88,12 @@ class StartFit:
     def corrected(self, x: NDArray[np.float64], sums: NDArray[np.float64]) -> tuple[NDArray, NDArray]:
         """Return states without what the start has left in them, and how far that moves the next residual.
 
-        In units of the threshold; both for every plant.
+        In units of the threshold, zero where it is less than :data:`MOVED_FROM`; both for every plant.
         """
         left = ordered_product(sums, self.correction.T)
         moved = ordered_product(ordered_product(left, self.C.T), self.ratios)
-        return x - left, row_norms(moved)
+        far = row_norms(moved)
+        return x - left, np.where(far >= MOVED_FROM, far, 0.0)
 
 
 def checked_start(value: object) -> str:
