@@ -137,6 +137,8 @@ _EARLIER = [
     ("oscillators", 703, designs._parity),
     ("integrators", 704, None),
     ("stiff", 703, designs._observers),
+    # unknown inputs were compared by the largest entries of rows and columns, which three rounds do not even out
+    ("stiff", 7002, designs._observers),
 ]
 
 

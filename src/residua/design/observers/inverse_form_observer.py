@@ -229,7 +229,8 @@ def _existence(plant: Plant, rtol: float) -> UnknownInputExistence:
             f"{', '.join(seen)} enters the outputs; the inverse form asks for none: augment the plant, "
             f"residua.plant.augment_sensor_filter, or use fault_estimator, which does not need it"
         )
-    independent = decide_rank(equilibrated(plant.Bd), rtol=rtol)
+    equations, inputs = evened(plant.Bd)
+    independent = decide_rank(equations[:, None] * plant.Bd * inputs, rtol=rtol)
     if independent.rank < q:
         raise DesignError(f"the {q} unknown inputs have only {independent.rank} independent directions")
     _refuse_singular(plant.A, rtol)
