@@ -138,7 +138,7 @@ _EARLIER = [
     ("integrators", 704, None),
     ("stiff", 703, designs._observers),
     # unknown inputs were compared by the largest entries of rows and columns, which three rounds do not even out
-    ("stiff", 7002, designs._observers),
+    ("stiff", 7002, designs._estimators),
 ]
 
 
