@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -258,6 +259,66 @@ def test_a_tick_of_many_plants_has_the_bits_of_ticks_of_few(states: int) -> None
         for fleet, which in zip(few, ([0, 1, 2], [32, 33], [64, 65]), strict=True):
             np.testing.assert_array_equal(fleet.tick(None, u[which], y[which]).statistic, whole[which])
     assert np.isfinite(whole).all()
+
+
+@needs_kernel
+@pytest.mark.parametrize("seed", range(8))
+def test_calm_pieces_count_as_those_of_numpy(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
+    """Where nothing is over the threshold and nobody asks for the statistic little is done, but what counts goes on."""
+    monkeypatch.setitem(TESTS, "rare", rs.decide.NormThreshold(threshold=3.0, persistence=3, release=2))
+    spec = specification("rare", "none", 3, 2, "observer")
+    rng = np.random.default_rng(seed)
+    data = 0.05 * rng.standard_normal((3, 300, spec.B.shape[1])) + spec.offset
+    for _ in range(20):
+        data[rng.integers(3), rng.integers(300)] += 20 * rng.standard_normal(spec.B.shape[1])
+    with np.errstate(all="ignore"):
+        state, expected = run_reference(spec, initial_state(spec, 3), data)
+    plan = plan_of(spec)
+    assert plan is not None
+    run = FusedRun(spec, plan, copied(initial_state(spec, 3)))
+    outputs = run.outputs(3, 300, ["alarm", "up"])
+    cuts = [0, *sorted(set(rng.integers(1, 300, 25).tolist())), 300]
+    for begin, end in pairwise(cuts):
+        part = {name: None if one is None else one[:, begin:end] for name, one in outputs.items()}
+        run.run(data[:, begin:end], data[:, begin:end, :0], part)
+    assert np.array_equal(outputs["alarm"], expected.alarm)
+    assert np.array_equal(outputs["up"], expected.up)
+    same(run.state, state, "state")
+
+
+@needs_kernel
+@pytest.mark.parametrize("outputs", [1, 3, 4])
+@pytest.mark.parametrize("samples", [1025, 8448 + 1, 8448 + 1025])
+@pytest.mark.parametrize(("test", "isolation"), [("crosier", "none"), ("norm", "short")])
+def test_a_single_sample_behind_full_pieces_has_the_bits_of_numpy(
+    test: str, isolation: str, samples: int, outputs: int
+) -> None:
+    """It goes through the filter in a row, and the samples before it in columns."""
+    spec = replace(specification(test, isolation, 4, outputs, "kalman"), settle=0)
+    data = 0.3 * np.random.default_rng(outputs).standard_normal((1, 100 + samples, spec.B.shape[1])) + spec.offset
+    with np.errstate(all="ignore"):
+        state, expected = run_reference(spec, initial_state(spec, 1), data)
+    now, first = run_block(spec, initial_state(spec, 1), data[:, :100])  # a filter that starts is judged in rows
+    now, then = run_block(spec, now, data[:, 100:])
+    same(joined_decisions([first, then]), expected, "decisions")
+    same(now, state, "state")
+
+
+@needs_kernel
+@pytest.mark.parametrize("alarm", [0, 527, 528, 4000, 8447])
+def test_an_alarm_within_parts_of_cumulative_sums_has_the_bits_of_numpy(alarm: int) -> None:
+    """Parts before it are summed beside each other, those from it on one sample after the other."""
+    spec = replace(specification("crosier", "none", 4, 3, "kalman"), settle=0)
+    data = 0.3 * np.random.default_rng(alarm).standard_normal((1, 100 + 2 * 8448, spec.B.shape[1])) + spec.offset
+    data[:, 100 + alarm : 100 + alarm + 30] += 40.0
+    with np.errstate(all="ignore"):
+        state, expected = run_reference(spec, initial_state(spec, 1), data)
+    assert expected.alarm.any()
+    assert not expected.alarm.all()
+    now, first = run_block(spec, initial_state(spec, 1), data[:, :100])
+    now, then = run_block(spec, now, data[:, 100:])
+    same(joined_decisions([first, then]), expected, "decisions")
+    same(now, state, "state")
 
 
 @needs_kernel

@@ -537,8 +537,8 @@ static const lanes_runner lanes_table[MAX_LANED] = {crosier_lanes_1, crosier_lan
 
 /* The first samples of a piece, which is cut into parts. Each part begins at zero, and then again with what the one
  * before has left: sums that begin apart come together, to the last bit, as what is left of either is shortened each
- * time. How many samples that were; 0, and nothing has happened, where they do not come together within their part, or
- * there is an alarm. `room` is for what has been at some samples. */
+ * time. How many samples that were: the parts before one with an alarm; 0, where they do not come together within their
+ * part. The statistics of all others are to be formed anew. `room` is for what has been at some samples. */
 static Py_ssize_t
 crosier_by_parts(const test_plan *t, double *sums, const piece *p, double *room, Py_ssize_t k)
 {
@@ -554,6 +554,8 @@ crosier_by_parts(const test_plan *t, double *sums, const piece *p, double *room,
         run(t, now, p, i, CHECKED, each);
         memcpy(room + i / CHECKED * size, now, (size_t)size * sizeof(double));
     }
+    if (!(largest_of(p->statistic, each) <= t->threshold)) /* the first part, which began as it is, has an alarm */
+        return 0;
     memcpy(ends, now, (size_t)size * sizeof(double));
     for (Py_ssize_t j = 0; j < size; j++)
         now[j] = j % LANES == 0 ? sums[j / LANES] : ends[j - 1];
@@ -562,11 +564,14 @@ crosier_by_parts(const test_plan *t, double *sums, const piece *p, double *room,
         run(t, now, p, i, CHECKED, each);
         differs = memcmp(room + i / CHECKED * size, now, (size_t)size * sizeof(double)) != 0;
     }
-    if (differs || !(largest_of(p->statistic, each * LANES) <= t->threshold))
+    if (differs)
         return 0;
-    for (Py_ssize_t j = 0; j < k; j++)
-        sums[j] = ends[j * LANES + LANES - 1];
-    return each * LANES;
+    Py_ssize_t parts = 0; /* before the first alarm */
+    while (parts < LANES && largest_of(p->statistic + parts * each, each) <= t->threshold)
+        parts++;
+    for (Py_ssize_t j = 0; j < k && parts; j++)
+        sums[j] = ends[j * LANES + parts - 1];
+    return parts * each;
 }
 #else
 INLINE Py_ssize_t

@@ -22,17 +22,23 @@ typedef struct {
 
 typedef long long flags4u __attribute__((vector_size(32), aligned(8), may_alias));
 
-#define COLUMN_OF(a, b, c, d) __builtin_shuffle(a, b, (flags4){c, d, 4 + (c), 4 + (d)})
+/* Numbers of two vectors, those of the second counted from four on. */
+#if defined(__clang__)
+#define CHOSEN(a, b, ...) __builtin_shufflevector(a, b, __VA_ARGS__)
+#else
+#define CHOSEN(a, b, ...) __builtin_shuffle(a, b, (flags4){__VA_ARGS__})
+#endif
+#define COLUMN_OF(a, b, c, d) CHOSEN(a, b, c, d, 4 + (c), 4 + (d))
 
 /* Four samples of NR residuals each, in rows. */
 #define DEFINE_JUDGED_QUAD(NR)                                                                                        \
     AVX2 INLINE void judge_quad_##NR(const lanes4 *rows, quads *to, Py_ssize_t k, lanes4 *sizes, flags4 *within)      \
     {                                                                                                                 \
         const flags4 sign = (flags4){0} + INT64_MAX;                                                                  \
-        const lanes4 even = __builtin_shuffle(rows[0], rows[1], (flags4){0, 4, 2, 6});                                \
-        const lanes4 odd = __builtin_shuffle(rows[0], rows[1], (flags4){1, 5, 3, 7});                                 \
-        const lanes4 even_too = __builtin_shuffle(rows[2], rows[3], (flags4){0, 4, 2, 6});                            \
-        const lanes4 odd_too = __builtin_shuffle(rows[2], rows[3], (flags4){1, 5, 3, 7});                             \
+        const lanes4 even = CHOSEN(rows[0], rows[1], 0, 4, 2, 6);                                                     \
+        const lanes4 odd = CHOSEN(rows[0], rows[1], 1, 5, 3, 7);                                                      \
+        const lanes4 even_too = CHOSEN(rows[2], rows[3], 0, 4, 2, 6);                                                 \
+        const lanes4 odd_too = CHOSEN(rows[2], rows[3], 1, 5, 3, 7);                                                  \
         const lanes4 column[4] = {COLUMN_OF(even, even_too, 0, 1), COLUMN_OF(odd, odd_too, 0, 1),                     \
                                   COLUMN_OF(even, even_too, 2, 3), COLUMN_OF(odd, odd_too, 2, 3)};                    \
         lanes4 centred[NR], total = {0.0};                                                                            \
@@ -53,10 +59,10 @@ typedef long long flags4u __attribute__((vector_size(32), aligned(8), may_alias)
         }                                                                                                             \
         if (to->rows != NULL) {                                                                                       \
             double *const at = to->rows + k * NR;                                                                     \
-            const lanes4 low = __builtin_shuffle(white[0], white[1], (flags4){0, 4, 2, 6});                           \
-            const lanes4 high = __builtin_shuffle(white[0], white[1], (flags4){1, 5, 3, 7});                          \
-            const lanes4 low_too = __builtin_shuffle(white[2], white[3], (flags4){0, 4, 2, 6});                       \
-            const lanes4 high_too = __builtin_shuffle(white[2], white[3], (flags4){1, 5, 3, 7});                      \
+            const lanes4 low = CHOSEN(white[0], white[1], 0, 4, 2, 6);                                                \
+            const lanes4 high = CHOSEN(white[0], white[1], 1, 5, 3, 7);                                               \
+            const lanes4 low_too = CHOSEN(white[2], white[3], 0, 4, 2, 6);                                            \
+            const lanes4 high_too = CHOSEN(white[2], white[3], 1, 5, 3, 7);                                           \
             *(lanes4 *)at = COLUMN_OF(low, low_too, 0, 1);                                                            \
             *(lanes4 *)(at + NR) = COLUMN_OF(high, high_too, 0, 1);                                                   \
             *(lanes4 *)(at + 2 * NR) = COLUMN_OF(low, low_too, 2, 3);                                                 \

@@ -234,9 +234,11 @@ judge_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row
         copy_flags(out_b1(b, OUT_READY, plant, first), s->usable, time);
     p.is_within = s->is_within;
     p.rows = s->e;
+    read_runs(self, row, 1, runs);
     if (is_calm(self, b, &test, &p)) {
         p.statistic[time - 1] = sqrt(p.statistic[time - 1]);
         *test.down += time;
+        keep_runs(self, row, 1, runs);
         p.is_quiet = 1;
         write_piece(self, b, plant, first, &p);
         if (self->has_state[LAST_FLAGS])
@@ -250,7 +252,6 @@ judge_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row
         judge_norm(t, &test, &p, k, has_squares);
     else
         judge_remembering(self, row, test, &p, part, spare, k, has_squares, s);
-    read_runs(self, row, 1, runs);
     const whole before = runs[0];
     raise_alarms(t, &test, &p);
     stop_counts(&p, &before, 1);

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from residua.decide.compiled import STATISTICS, CompiledCodes, CompiledIsolation, CompiledTest
 from residua.decide.isolation import Scores
+from residua.decide.stream_test import StreamState
 from residua.decide.test import Block, Tested
 from residua.kernels import kernel
 from residua.linear.systems.recursion import best_path, compiled
@@ -148,7 +149,12 @@ def state_arrays(spec: Specification, state: State) -> tuple[NDArray | None, ...
         naming = state.isolation.arrays()
     elif named is not None and named.bases:
         naming = (*state.isolation.arrays(), None, None)
-    remembered = (one if one is None or one.flags.writeable else None for one in (*state.test.arrays(), *naming))
+    # tests whose alarm a level ends do not count the samples after it, whatever became of their zeros
+    uncounted = state.test.runs.down if isinstance(state.test, StreamState) else None
+    remembered = (
+        one if one is None or (one.flags.writeable and one is not uncounted) else None
+        for one in (*state.test.arrays(), *naming)
+    )
     resets, broken, sums, moved, spread = (
         one if _has_room(one) else None for one in (f.resets, f.broken, f.start_sums, f.moved, f.spread)
     )

@@ -81,7 +81,7 @@ def restored_blocks(content: bytes, monitors: Mapping[str, Monitor]) -> dict[str
             blocks[name] = _block(name, model, kept, monitors)
     except ResiduaError:
         raise
-    except (TypeError, KeyError, ValueError, AttributeError, OverflowError) as error:
+    except (TypeError, KeyError, ValueError, IndexError, AttributeError, OverflowError) as error:
         raise FileFormatError(f"the header of this snapshot is none: {error}") from error
     if start != len(view) - _SUM:
         raise FileFormatError("this snapshot has more in it than its header says")
@@ -177,6 +177,8 @@ def _state_from(like: Any, kept: dict[str, NDArray], where: str) -> Any:
     if array is None:
         raise FileFormatError(f"this snapshot has no column {where!r}")
     if array.dtype == np.int64 and like.dtype == np.int32:  # in version 1
+        if (array < 0).any():
+            raise FileFormatError(f"the column {where!r} of this snapshot counts less than nothing")
         array = stopped(array)
     if array.shape != like.shape or array.dtype != like.dtype:
         raise FileFormatError(f"the column {where!r} of this snapshot has another type or shape")
@@ -228,7 +230,8 @@ def _in_order(spans: NDArray, state: State) -> bool:
 def _check_state(spec: Specification, state: State) -> None:
     """Raise where a state cannot be one; the checksum keeps out damage, and this what somebody made up."""
     counters = (state.count, state.filter.age, state.filter.gap, state.filter.resets, state.filter.broken)
-    if any((one < 0).any() for one in counters) or not np.isfinite(state.filter.x).all():
+    numbers = (state.filter.x, state.filter.start_sums, state.filter.moved)
+    if any((one < 0).any() for one in counters) or not all(np.isfinite(one).all() for one in numbers):
         raise FileFormatError("this snapshot holds a filter that cannot be")
     first = spec.first
     if first is not None and (state.filter.age[state.filter.starting] >= first.samples).any():

@@ -8,9 +8,11 @@ written in the unit of the caller again: nothing is rounded on the way.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, ValuesView
 from dataclasses import fields, is_dataclass, replace
 from functools import wraps
+from inspect import signature
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -18,7 +20,7 @@ import numpy as np
 from residua.design.core.evidence import Evidence
 from residua.linear import StateSpace
 from residua.linear.systems.units import powers_of_two
-from residua.plant import Plant
+from residua.plant import InputOutputModel, Plant
 from residua.plant.comparable_units import unit_of_rates_of, with_rates_times
 from residua.words import rates_in
 
@@ -68,21 +70,24 @@ def in_own_time(**powers: float) -> Callable[[F], F]:
 
     def declared(function: F) -> F:
         of_options = {**_OPTIONS, **powers}
-        names = function.__code__.co_varnames[: function.__code__.co_argcount]
+        called = signature(function)
+        first = next(iter(called.parameters))
 
         @wraps(function)
         def timed(*args: Any, **options: Any) -> Any:
-            if not args or len(args) > len(names):
+            try:
+                asked = dict(called.bind(*args, **options).arguments)
+            except TypeError:
                 return function(*args, **options)  # which says what is wrong
-            source, options = args[0], {**dict(zip(names[1:], args[1:], strict=False)), **options}
+            source = asked.pop(first)
             plant = source if isinstance(source, Plant) else getattr(source, "plant", None)
             if not isinstance(plant, Plant) or plant.is_discrete:
-                return function(source, **options)
-            unit = unit_of_rates_of(plant) or _unit_of(options)
+                return function(*args, **options)
+            unit = unit_of_rates_of(plant) or _unit_of(asked)
             if unit == 1.0:
-                return function(source, **options)
+                return function(*args, **options)
             change = _Change(1.0 / unit)
-            asked = {name: change.option(value, of_options.get(name, 0.0)) for name, value in options.items()}
+            asked = {name: change.option(value, of_options.get(name, 0.0)) for name, value in asked.items()}
             with rates_in(unit):
                 made = function(change.written(source), **asked)
             return _Change(unit, change.known).written(made)
@@ -95,10 +100,9 @@ def in_own_time(**powers: float) -> Callable[[F], F]:
 def _unit_of(options: Mapping[str, Any]) -> float:
     """Return the unit of the rates that are asked for, where the plant has none."""
     for name in ("poles", "margin", "bandwidth"):
-        try:
-            sizes = np.abs(np.asarray(options.get(name), dtype=complex)).ravel()
-        except (TypeError, ValueError):
-            continue
+        asked = options.get(name)
+        numbers = [_numbers(one) for one in (asked.values() if isinstance(asked, Mapping) else [asked])]
+        sizes = np.abs(np.concatenate([np.ravel(one) for one in numbers if one is not None] or [np.zeros(0)]))
         sizes = sizes[np.isfinite(sizes) & (sizes > 0)]
         if sizes.size:
             return float(powers_of_two(np.log2(np.exp(np.mean(np.log(sizes), keepdims=True))))[0])
@@ -129,7 +133,10 @@ class _Change:
             return system_with(value, self.factor)
         if isinstance(value, Evidence):
             return _evidence_with(value, self.factor)
-        kind = type(value)
+        if isinstance(value, InputOutputModel):
+            return value if value.is_discrete else self.written(value.to_plant())
+        # a class of a user's own is written as what it is made of
+        kind = next((one for one in type(value).__mro__ if one in _FIELDS or one in _WRITTEN), type(value))
         if kind in _WRITTEN:
             value = _WRITTEN[kind](value, self.factor)
         if kind in _FIELDS or kind in _WRITTEN:
@@ -138,6 +145,8 @@ class _Change:
             return kind(self.written(one) for one in value)
         if kind is dict:
             return {name: self.written(one) for name, one in value.items()}
+        if isinstance(value, (Iterator, ValuesView, deque)):
+            return [self.written(one) for one in value]
         return value
 
     def _fields_of(self, value: Any, powers: Mapping[str, float]) -> Any:
@@ -152,22 +161,31 @@ class _Change:
 
     def option(self, value: Any, power: float) -> Any:
         """Return numbers with a power of a rate in them, in whatever containers; what are none stays as it is."""
-        if value is None or isinstance(value, (str, bool)):
+        if value is None or isinstance(value, bool):
             return value
         if not power:
             return self.written(value)
         if isinstance(value, Mapping):
             return {name: self.option(one, power) for name, one in value.items()}
-        factor = self.factor**power
-        if isinstance(value, (int, float, complex, np.number)) or _numeric(value):
-            return value * factor
-        if isinstance(value, Sequence):
+        numbers = _numbers(value)
+        if numbers is not None:
+            return numbers * self.factor**power
+        if isinstance(value, Iterable) and not isinstance(value, (str, bytes)):
             return [self.option(one, power) for one in value]
         return value
 
 
-def _numeric(value: Any) -> bool:
-    return isinstance(value, np.ndarray) and value.dtype.kind in "iufc"
+def _numbers(value: Any) -> Any:
+    """Return numbers, or whatever a design would read as such: words, fractions, columns of a table; else nothing."""
+    if isinstance(value, np.ndarray) and value.dtype.kind in "iufc":
+        return value
+    if value is None or isinstance(value, (Mapping, bool)):
+        return None
+    try:
+        numbers = np.asarray(value, dtype=complex)[()]
+    except (TypeError, ValueError, OverflowError):
+        return None
+    return numbers if np.any(np.imag(numbers)) or np.iscomplexobj(value) else np.real(numbers)
 
 
 def system_with(system: StateSpace, factor: float) -> StateSpace:
