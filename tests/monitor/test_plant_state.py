@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import json
+import pickle
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -214,3 +216,24 @@ def test_a_snapshot_of_before_with_another_shape_is_refused() -> None:
     other = rs.Monitor(monitor.design, test=NormThreshold(persistence=3))
     with pytest.raises(rs.errors.FileFormatError, match="another monitor"):
         rs.Fleet.restore((SAVED / "version1-norm.fleet").read_bytes(), other)
+
+
+@pytest.mark.parametrize("how", ["file", "copy", "pickle"])
+def test_a_copy_counts_what_its_original_counts(how: str, tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    one = fleet(1, isolate=None, test=CUSUM())._blocks[""].monitor
+    u, y = 0.01 * rng.standard_normal((60, 5)), 0.01 * rng.standard_normal((60, 3))
+    for k in range(30):
+        one.step(u[k], y[k])
+    one.save(tmp_path / "before.json")
+    other = {
+        "file": lambda: rs.Monitor.load(tmp_path / "before.json"),
+        "copy": lambda: copy.deepcopy(one),
+        "pickle": lambda: pickle.loads(pickle.dumps(one)),
+    }[how]()
+    for k in range(30, 60):
+        one.step(u[k], y[k])
+        other.step(u[k], y[k])
+    one.save(tmp_path / "one.json")
+    other.save(tmp_path / "other.json")
+    assert (tmp_path / "one.json").read_text() == (tmp_path / "other.json").read_text()
