@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -73,7 +73,7 @@ TEXTS: dict[str, tuple[Callable[[], Plant], Callable[[Plant, float], Any], dict[
     "number of poles": (_joint_zero, lambda p, t: D.detection_filter(p, poles=[-3 * t] * 7), {"fixed:": 1}),
     "a fixed pole": (_joint_zero, lambda p, t: D.detection_filter(p, poles=[-7 * t, -8 * t, -9 * t]), {"the pole": 1}),
     "no margin": (_seen, lambda p, t: D.detection_filter(p, margin=-t), {"got": 1}),
-    "margins": (_seen, lambda p, t: D.luenberger_observer(p, margin=[t, 2 * t]), {"got": 1}),
+    "margins": (_seen, lambda p, t: D.luenberger_observer(p, margin=cast(Any, [t, 2 * t])), {"got": 1}),
     "bandwidth of estimates": (_seen, lambda p, t: _first(p, bandwidth=-t), {"got": 1}),
     "bandwidth of derivatives": (_singular, lambda p, t: D.perfect_observer(p, bandwidth=-t), {"got": 1}),
     "gain from elsewhere": (_singular, lambda p, t: D.perfect_observer(p, K=[[t], [2 * t]]), {"eigenvalue": -1}),
