@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
+from typing import Any
 
 _unit_of_rates: ContextVar[float] = ContextVar("unit of rates", default=1.0)
 
@@ -23,6 +24,21 @@ def rates_in(unit: float) -> Iterator[None]:
 def unit_of_rates() -> float:
     """Return the unit in which rates are worked on here, in 1/s: what texts multiply them by."""
     return _unit_of_rates.get()
+
+
+def as_given(value: Any, power: float = 1.0) -> Any:
+    """Return an option with a power of a rate in it as it was given, for a text that says what is wrong with it."""
+    factor = unit_of_rates() ** power
+    if factor == 1.0 or value is None or isinstance(value, (str, bytes, bool)):
+        return value
+    if isinstance(value, Mapping):
+        return {name: as_given(one, power) for name, one in value.items()}
+    if isinstance(value, Sequence):
+        return [as_given(one, power) for one in value]
+    try:
+        return value * factor
+    except TypeError:  # no number: it was not converted either
+        return value
 
 
 def number(value: float | None, digits: int = 4) -> str:

@@ -45,7 +45,8 @@ class Evidence:
         slower of these and of 1e-3 rad per sample, or from 1e-5 of the Nyquist frequency if it does not integrate.
         A plant that does answers to slower inputs by powers of 1/s more; what rounding leaves of the filter does too.
     ranks : mapping of str to RankDecision
-        Every rank decision with the singular values on both sides of its gap.
+        Every rank decision with the singular values on both sides of its gap. It is made, and they are, in units that
+        are chosen from the plant itself, of time too: they are the same whatever units the plant is written in.
     conditions : mapping of str to float
         Named condition numbers and residuals of the identities that define the design.
     notes : tuple of str

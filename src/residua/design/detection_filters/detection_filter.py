@@ -34,7 +34,7 @@ from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace
 from residua.linear.poles.matrix_poles import explicit_poles
 from residua.linear.poles.placement import default_margin
-from residua.linear.poles.spectrum import spectrum_error
+from residua.linear.poles.spectrum import describe_modes, spectrum_error
 from residua.linear.subspaces.detection_space import inverse_without_rounding
 from residua.linear.subspaces.far_gain import refuse_far_gain
 from residua.linear.subspaces.observability import detectability
@@ -184,7 +184,7 @@ def directional_filters(
         raise DesignError("the plant has no faults to tell apart: add some with with_sensor_faults, with_faults")
     answer = detectability(A, C, dt=plant.dt, rtol=rtol)
     if not answer.detectable:
-        bad = ", ".join(f"{z:.4g}" for z in np.atleast_1d(answer.unstable_modes))
+        bad = describe_modes(answer.unstable_modes)
         raise DesignError(f"no stable filter exists: no measurement sees the mode {bad}; add a sensor")
     weights = even.output_weights(A, np.zeros((len(A), 0)), C)
     units = _Units.of(A, C, event_matrices(plant, T, chosen, form, weights), weights)

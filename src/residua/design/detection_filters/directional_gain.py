@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import DesignError
 from residua.linear.poles.placement import default_margin, place_observer_margin, place_observer_poles
+from residua.linear.poles.spectrum import describe_modes
 from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.detection_space import (
     DetectionSpace,
@@ -23,7 +24,7 @@ from residua.linear.subspaces.far_gain import refuse_far_gain
 from residua.linear.subspaces.observability import detectability, observability_form
 from residua.linear.subspaces.rank import DEFAULT_RTOL, decide_rank
 from residua.linear.systems.balancing import without_rounding
-from residua.words import counted
+from residua.words import as_given, counted
 
 Poles = Sequence[complex] | ArrayLike | Mapping[str, Sequence[complex]] | None
 
@@ -104,7 +105,7 @@ def obstacle(A: NDArray, C: NDArray, events: Sequence[FaultEvent], dt: float) ->
     blocks = split_blocks(A, C, spaces)
     rest = detectability(*blocks.rest, dt=dt)
     if not rest.detectable:
-        bad = ", ".join(f"{z:.4g}" for z in np.atleast_1d(rest.unstable_modes))
+        bad = describe_modes(rest.unstable_modes)
         return f"{names}: the invariant zero {bad} of these faults together is a fixed pole, and not stable"
     return None
 
@@ -113,7 +114,7 @@ def checked_options(poles: Poles, margin: float | None) -> tuple[Any, float | No
     """Return the wanted poles as numbers and the margin, or say what is wrong with them."""
     if margin is not None:
         if isinstance(margin, bool) or not isinstance(margin, (int, float, np.number)) or not 0 < margin < np.inf:
-            raise DesignError(f"margin must be a positive number in 1/s, got {margin!r}")
+            raise DesignError(f"margin must be a positive number in 1/s, got {as_given(margin)!r}")
         if poles is not None and not isinstance(poles, Mapping):
             raise DesignError("give poles or margin, not both")
     try:
@@ -150,7 +151,9 @@ def scalar_pole(A: NDArray, C: NDArray, poles: Poles, margin: float | None, dt: 
         return None
     pole = float(np.real(wanted[0]))
     if not is_stable_mode(np.array([pole]), dt).all():
-        raise DesignError(f"the pole {pole:g} is not stable for {'a sampled' if dt else 'a continuous'} plant")
+        raise DesignError(
+            f"the pole {describe_modes([pole])} is not stable for {'a sampled' if dt else 'a continuous'} plant"
+        )
     return pole
 
 
@@ -221,7 +224,7 @@ def share_poles(
     if len(wanted) != free:
         raise DesignError(
             f"{len(wanted)} poles were given, {free} are free"
-            + (f" (fixed: {', '.join(f'{z:.4g}' for z in fixed)})" if len(fixed) else "")
+            + (f" (fixed: {describe_modes(fixed)})" if len(fixed) else "")
         )
     reals = [z for z in wanted if z.imag == 0]
     pairs = [z for z in wanted if z.imag > 0]
@@ -278,7 +281,7 @@ def _without(wanted: NDArray, fixed: NDArray) -> NDArray:
         nearest = int(np.argmin(np.abs(np.asarray(left) - z)))
         if abs(left[nearest] - z) > 1e-6 * max(1.0, abs(z)):
             raise DesignError(
-                f"the pole {z:.6g} cannot be moved and is not among the requested poles; "
+                f"the pole {describe_modes([z])} cannot be moved and is not among the requested poles; "
                 f"give the other {counted(len(wanted) - len(fixed), 'pole')}"
             )
         left.pop(nearest)

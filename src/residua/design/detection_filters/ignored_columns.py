@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from residua import arrays
 from residua.design.observers.observer_gain import gain_size
 from residua.errors import DesignError
+from residua.linear.poles.spectrum import describe_modes
 from residua.linear.subspaces.observability import detectability
 from residua.linear.subspaces.rank import RankDecision, decide_rank, range_basis, without_rounded_gains
 from residua.linear.systems.balancing import descriptor_units, without_rounding
@@ -170,7 +171,7 @@ def require_detectable(parts: IgnoredColumns, *, rtol: float) -> None:
     """Raise when no observer that uses the outputs left over is stable."""
     answer = detectability(parts.A, parts.C, dt=parts.plant.dt, rtol=rtol)
     if not answer:
-        bad = ", ".join(f"{z:.4g}" for z in np.atleast_1d(answer.unstable_modes))
+        bad = describe_modes(answer.unstable_modes)
         raise DesignError(
             f"no stable observer of the whole state ignores {parts.text}: the measurements that are left do not see "
             f"the mode {bad}; add a sensor, or use decoupled_residual, which observes only what it needs"

@@ -24,6 +24,7 @@ from residua.linear.subspaces.observability import observability_form
 from residua.linear.subspaces.rank import left_null_basis, range_basis, spectral_norm
 from residua.linear.subspaces.reachability import reachable_basis
 from residua.tolerances import TINY, above_rounding
+from residua.words import unit_of_rates
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +158,7 @@ def right_gain(
     fixed = fixed_poles(parts, confined, rtol=rtol)
     bad = fixed[~is_stable_mode(fixed, dt, margin or 0.0)]
     if len(bad):
-        which = "not stable" if margin is None else f"not stable with the margin {margin:g}"
+        which = "not stable" if margin is None else f"not stable with the margin {margin * unit_of_rates():g}"
         raise DesignError(
             f"the invariant zero {describe_modes(bad)} of the columns of {parts.text} is a fixed pole once they are "
             f"eigenvectors, and {which}; allow combine=True, or use decoupled_residual, whose poles are all free"

@@ -29,6 +29,7 @@ from residua.linear.poles.placement import default_margin
 from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.linear.systems.balancing import sum_without_rounding
 from residua.plant import Plant
+from residua.words import as_given
 
 REFERENCES = (
     "Sueur, Observer-based actuator and sensor fault estimation, eqs. (1) to (8), (12) to (16)",
@@ -245,7 +246,7 @@ def fault_estimator(
     """
     names = _chosen(plant, faults)
     if bandwidth is not None and not (np.isfinite(bandwidth) and bandwidth > 0):
-        raise SettingError(f"bandwidth must be a positive number in rad/s, got {bandwidth}")
+        raise SettingError(f"bandwidth must be a positive number in rad/s, got {as_given(bandwidth)!r}")
     if poles is None and margin is None:
         margin = own_rate(plant)
     disturbed = plant.faults_as_disturbances(names)

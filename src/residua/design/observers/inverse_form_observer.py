@@ -32,7 +32,7 @@ from residua.linear.subspaces.rank import DEFAULT_RTOL, decide_rank, equilibrate
 from residua.linear.systems.balancing import evened
 from residua.plant import Plant
 from residua.tolerances import IDENTITY, RESIDUE, TINY
-from residua.words import unit_of_rates
+from residua.words import rates_in, unit_of_rates
 
 #: No pole of a sampled observer is chosen nearer to zero: its inverse would be far from all others.
 _LEAST = 0.01
@@ -358,7 +358,8 @@ def _placed(N_BO: NDArray, plant: Plant, poles: NDArray, rtol: float) -> tuple[N
     if plant.dt:  # the inverses lie outside of the unit disc: place them, shifted, in the left half plane
         shift = 1.5 * float(max(np.abs(inverses).max(), np.abs(np.linalg.eigvals(N_BO)).max()))
     n = plant.n_states
-    placed = place_observer_poles(N_BO - shift * np.eye(n), plant.C, inverses - shift, rtol=rtol)
+    with rates_in(unit_of_rates() ** -2):  # they are times
+        placed = place_observer_poles(N_BO - shift * np.eye(n), plant.C, inverses - shift, rtol=rtol)
     return placed.gain, 1 / (placed.requested + shift)
 
 

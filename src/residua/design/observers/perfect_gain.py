@@ -22,6 +22,7 @@ from residua.linear.subspaces.rank import (
 )
 from residua.linear.systems.units import pencil_units
 from residua.tolerances import IDENTITY, RESIDUE, ROUNDING
+from residua.words import unit_of_rates
 
 Matrix = NDArray[np.float64]
 #: Largest relative variation of det(sN - I), which has to be constant, over the tried s.
@@ -409,9 +410,10 @@ def given_gain(A: Matrix, E: Matrix, C: Matrix, K: Matrix, *, rtol: float, bandw
     deadbeat = _deadbeat(G @ p.S, np.zeros((0, len(A))), rtol, p.rounding)
     if deadbeat is None:
         modes = np.linalg.eigvals(G @ p.S)
+        worst = modes[np.argmax(np.abs(modes))] / (p.unit * unit_of_rates())  # in seconds
         raise DesignError(
-            "det(sE - A - KC) is not constant: (A + KC)^-1 E has the eigenvalue "
-            f"{modes[np.argmax(np.abs(modes))] / p.unit:.4g} instead of zeros; leave K out and it is designed"
+            f"det(sE - A - KC) is not constant: (A + KC)^-1 E has the eigenvalue {worst:.4g} instead of zeros; leave K "
+            "out and it is designed"
         )
     Z = (G - p.inverse) @ p.left.T
     gain = _finished(p, Z, deadbeat[1], deadbeat[2])

@@ -28,7 +28,7 @@ from residua.linear.systems.descriptor import scaled_pencil
 from residua.linear.systems.response_terms import in_even_units, response_terms
 from residua.plant import Plant
 from residua.tolerances import RESPONSE_ROUNDING, SAME, above_rounding
-from residua.words import counted, used_up
+from residua.words import as_given, counted, used_up
 
 REFERENCE = "Twardy and Kaczorek, part I, eqs. (30) to (33), Theorem 4, Procedure 2"
 #: States of a filter beyond which its peak gain is not computed.
@@ -435,7 +435,7 @@ def _bandwidth(bandwidth: float | None, form: WeierstrassForm, plant: Plant) -> 
             return 5.0 * default_margin(form.A1)
         return 5.0 * scaled_pencil(plant.A, np.eye(plant.n_states) if plant.E is None else plant.E).unit
     if not np.isfinite(bandwidth) or bandwidth <= 0:
-        raise SettingError(f"bandwidth must be a positive number of rad/s, got {bandwidth!r}")
+        raise SettingError(f"bandwidth must be a positive number of rad/s, got {as_given(bandwidth)!r}")
     return float(bandwidth)
 
 
@@ -613,7 +613,7 @@ def perfect_evidence(o: PerfectObserver, R: NDArray, rtol: float) -> Evidence:
         "T [A Bd] + L [C Dd] - I": gain.missed,
         "dropped from N": gain.dropped,
         "estimate off the state": off,
-        "sum of |C N^i L|": _noise_sum(o),
+        "sum of |C N^i L|" if p.dt else "sum of |C (bandwidth N)^i L|": _noise_sum(o),
     }
     if o.complete:
         conditions["condition of T"] = gain.condition
@@ -679,6 +679,10 @@ def _estimate_off(o: PerfectObserver, system: StateSpace, limit: float = 1e-6) -
 
 
 def _noise_sum(o: PerfectObserver) -> float:
-    """Return ``sum_i |C N^i L|``, the size of the coefficients that the measurements have in their own estimate."""
+    """Return ``sum_i |C N^i L|``, the size of the coefficients that the measurements have in their own estimate.
+
+    Those of derivatives are seconds to a power: they count as in units of time of one over the bandwidth.
+    """
     whole = np.hstack([o.plant.C[o.rows], o.plant.Dd[o.rows]])
-    return sum(float(np.linalg.norm(P, 2)) for P in o.series(o.L, whole, []))
+    rate = 1.0 if o.plant.dt else o.bandwidth
+    return sum(rate**i * float(np.linalg.norm(P, 2)) for i, P in enumerate(o.series(o.L, whole, [])))

@@ -233,7 +233,7 @@ def place_observer_poles(
             if best is None
             else (
                 f"reached {describe_modes(best[1].achieved)}, error {best[1].error:.3g} against {tolerance:.3g}, "
-                f"norm of the gain {best[1].norm:.3g}"
+                f"norm of the gain {best[1].norm * unit_of_rates():.3g}"
             )
         )
         raise AccuracyError(
