@@ -276,7 +276,7 @@ def _rebuilt(value: R, to_copy: Callable[[Any], bool]) -> R:
         return cast("R", make(parts))
     if hasattr(value, "__dataclass_fields__") and hasattr(value, "__dict__"):
         own = vars(value)
-        given = {name: own[name] for name in value.__dataclass_fields__ if name in own}
+        given = {name: own[name] for name in getattr(value, "__dataclass_fields__", ()) if name in own}
         new = {name: _rebuilt(part, to_copy) for name, part in given.items()}
         if any(new[name] is not part for name, part in given.items()):
             value = copy(value)
@@ -321,9 +321,9 @@ def _bytes(value: object) -> tuple[int, bool]:
     owners: set[int] = set()
     for part in _parts(value):
         kind = type(part)
-        if kind is np.ndarray:
+        if isinstance(part, np.ndarray):
             whole += _OBJECT
-            owner = part if part.base is None else _owner(part)  # pyright: ignore[reportAttributeAccessIssue]
+            owner = part if part.base is None else _owner(part)
             if id(owner) not in owners:
                 owners.add(id(owner))
                 whole += owner.nbytes
