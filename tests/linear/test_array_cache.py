@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import multiprocessing
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any, cast
+
 import numpy as np
 import pytest
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from residua.linear.poles.matrix_poles import explicit_poles
+import residua as rs
+from residua.linear import StateSpace
+from residua.linear.poles.matrix_poles import _kept_poles, explicit_poles
+from residua.linear.poles.placement import kept_observer_margin
 from residua.linear.systems import array_cache
 from residua.linear.systems.array_cache import UnkeyedError, cached_by_contents, cached_by_entries, contents, forget
 from residua.linear.systems.balancing import balance_system
@@ -46,7 +55,8 @@ def test_a_kept_result_cannot_be_written_to_and_does_not_follow_its_arguments():
 
 
 def test_large_matrices_are_kept_too_but_only_so_many_bytes_of_them(monkeypatch):
-    monkeypatch.setattr(array_cache, "_MOST_BYTES", 3 * 100 * 100 * 8)
+    forget()
+    monkeypatch.setattr(array_cache, "_MOST_BYTES", 3 * (100 * 100 * 8 + 1000))
     calls = []
 
     @cached_by_entries
@@ -88,7 +98,7 @@ def test_kept_results_are_those_of_the_function_itself(seed):
         (balance_system, (A, B, C, D)),
         (pencil_units, (A, np.diag([1.0, 1.0, 0.0, 0.0]))),
         (matrix_units, (D,)),
-        (explicit_poles, (A,)),
+        (_kept_poles, (A,)),
     ):
         again, plain = (cached(*matrices), cached(*matrices)), cached.__wrapped__(*matrices)
         assert again[0] is again[1]
@@ -156,3 +166,173 @@ def test_results_are_kept_by_what_arguments_hold_and_forgotten_when_asked():
     assert len(calls) == 5
     forget()
     assert function(np.ones((2, 2)), 1.0) is not kept
+
+
+def test_all_functions_have_one_limit_and_what_was_used_least_recently_goes_first(monkeypatch):
+    forget()
+    monkeypatch.setattr(array_cache, "_MOST_BYTES", 100_000)
+    calls = []
+
+    def made(number):
+        @cached_by_entries
+        def function(A):
+            calls.append((number, A[0]))
+            return np.zeros(1000)
+
+        return function
+
+    first, second = made(1), made(2)
+    for k in range(6):
+        first(np.array([float(k)]))
+        second(np.array([float(k)]))
+    first(np.array([0.0]))  # used again
+    second(np.array([6.0]))
+    assert array_cache.kept_bytes() <= 100_000
+    calls.clear()
+    first(np.array([0.0]))
+    assert calls == []
+    second(np.array([0.0]))
+    assert calls == [(2, 0.0)]
+    forget()
+    assert array_cache.kept_bytes() == 0
+
+
+def test_keys_and_properties_that_are_kept_later_count_too():
+    forget()
+    latest = array_cache.Latest()
+    latest.of((b"0" * 5000,), lambda: 1.0)
+    assert 5000 < latest.bytes < 5500
+    system = StateSpace(-np.eye(2), np.ones((2, 1)), np.ones((1, 2)))
+    latest.of("system", lambda: system)
+    before = latest.bytes
+    vars(system)["_poles"] = np.zeros(1000)  # as a cached property keeps it
+    latest.of("another", lambda: 1.0)
+    assert latest.bytes - before > 8000
+    latest.forget()
+    assert latest.bytes == 0
+
+
+def test_threads_share_the_limit(monkeypatch):
+    forget()
+    monkeypatch.setattr(array_cache, "_MOST_BYTES", 50_000)
+    functions = [cached_by_entries(lambda A, k=k: np.full(500, A[0] + k)) for k in range(3)]
+
+    def asked(seed):
+        for value in np.random.default_rng(seed).integers(0, 20, 200):
+            for k, function in enumerate(functions):
+                assert function(np.array([float(value)]))[0] == value + k
+
+    with ThreadPoolExecutor(4) as threads:
+        list(threads.map(asked, range(4)))
+    assert 0 < array_cache.kept_bytes() <= 50_000
+    forget()
+    assert array_cache.kept_bytes() == 0
+
+
+@dataclass(frozen=True, eq=False)
+class Holder:
+    A: np.ndarray
+    parts: dict
+
+
+def test_results_do_not_share_memory_with_any_argument():
+    @cached_by_contents
+    def function(*values, **options):
+        holder = values[1]
+        return values[0][0][1:], options["A"].T, options["names"], holder, holder.A[:, :1], Holder(holder.A, {}), values
+
+    def asked():
+        listed, A, names = [np.arange(3.0)], np.ones((2, 2)), ["a"]
+        holder = Holder(np.ones((2, 3)), {"x": np.zeros(2)})
+        return function(listed, holder, A=A, names=names), listed, A, names, holder
+
+    kept, listed, A, names, holder = asked()
+    listed[0][:] = A[:] = holder.A[:] = holder.parts["x"][:] = 7.0  # the arrays of the caller can be written to
+    names.append("b")
+    listed.append(np.zeros(1))
+    again = asked()[0]
+    assert again is kept
+    assert np.array_equal(kept[0], [1.0, 2.0])
+    assert np.array_equal(kept[1], np.ones((2, 2)))
+    assert kept[2] == ["a"]
+    for one in (kept[3].A, kept[4], kept[5].A):
+        assert np.all(one == 1.0)
+    assert np.all(kept[3].parts["x"] == 0.0)
+    assert len(kept[6][0]) == 1
+
+
+def test_arguments_that_nobody_writes_to_stay_the_same_objects():
+    system = StateSpace(-np.eye(2), np.ones((2, 1)), np.ones((1, 2)))
+    kept = cached_by_contents(lambda system: (system, system.A[:1]))(system)
+    assert kept[0] is system
+    assert np.shares_memory(kept[1], system.A)
+
+
+def _writable(value, path="it"):
+    """Yield the arrays in a value, by where they are."""
+    if isinstance(value, np.ndarray):
+        yield path, value
+    elif isinstance(value, dict):
+        for name, part in value.items():
+            yield from _writable(part, f"{path}[{name!r}]")
+    elif isinstance(value, tuple):
+        for k, part in enumerate(value):
+            yield from _writable(part, f"{path}[{k}]")
+    elif hasattr(value, "__dataclass_fields__"):
+        for name in value.__dataclass_fields__:
+            yield from _writable(getattr(value, name), f"{path}.{name}")
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+def test_what_is_handed_out_can_be_changed_and_what_is_kept_does_not_follow(dt):
+    plant = rs.Plant(0.5 * np.eye(2) - np.eye(2) * (dt == 0), np.ones((2, 1)), [[1, 0], [0, 1], [1, 1]], dt=dt)
+    plant = plant.with_sensor_faults()
+    relations = rs.design.parity_relations(plant).relations
+
+    def generator(made):
+        return made.evidence, made.subspaces, made.state_map, made.static_map, made.steady
+
+    for ask in (
+        lambda: generator(rs.design.decoupled_residual(plant)),
+        lambda: generator(relations.with_poles()),
+        lambda: rs.linear.detectability(plant.A, plant.C, dt=dt),
+        lambda: kept_observer_margin(plant.A, plant.C, 0.01, dt=dt, rtol=1e-9),
+    ):
+        first, untouched = ask(), ask()
+        before = [(path, array.copy()) for path, array in _writable(untouched)]
+        assert before
+        for path, array in _writable(first):
+            assert array.flags.writeable, path
+            array[...] = 1
+        after = list(_writable(ask()))
+        assert [path for path, _ in after] == [path for path, _ in before]
+        assert all(np.array_equal(one, other) for (_, one), (_, other) in zip(after, before, strict=True))
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+def test_mappings_of_evidence_that_are_handed_out_are_the_users_own(dt):
+    plant = rs.Plant(0.5 * np.eye(2) - np.eye(2) * (dt == 0), np.ones((2, 1)), [[1, 0], [0, 1], [1, 1]], dt=dt)
+    plant = plant.with_sensor_faults()
+    relations = rs.design.parity_relations(plant).relations
+    assert relations is not None
+
+    def mappings(made: rs.ResidualGenerator) -> list[dict[str, Any]]:
+        evidence = made.evidence
+        found = [evidence.decoupling, evidence.conditions, evidence.ranks, made.subspaces]
+        assert all(isinstance(one, dict) for one in found)
+        return cast("list[dict[str, Any]]", found)
+
+    for ask in (lambda: rs.design.decoupled_residual(plant), relations.with_poles):
+        for mapping in mappings(ask()):
+            mapping["changed"] = 1.0
+        assert not any("changed" in mapping for mapping in mappings(ask()))
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are not forked here")
+def test_a_forked_process_goes_on_keeping_results():
+    function, calls = counting()
+    function(np.eye(1), np.eye(1))
+    with multiprocessing.get_context("fork").Pool(1) as pool:
+        assert pool.apply(array_cache.kept_bytes) == array_cache.kept_bytes() > 0
+        assert pool.apply(explicit_poles, (-np.eye(1),)) == [-1.0]
+    assert len(calls) == 1

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from residua.arrays import frozen
 from residua.linear.subspaces.parts import part_numbers
-from residua.linear.systems.array_cache import Latest, entries
+from residua.linear.systems.array_cache import Latest, copied, entries
 from residua.linear.systems.balancing import DescriptorUnits, descriptor_units
 from residua.linear.systems.units import (
     PencilUnits,
@@ -168,7 +168,7 @@ def even_plant(plant: Plant, *, explicit: bool = False) -> EvenPlant:
         first = even_plant(plant)
         second = even_plant(first.plant.explicit())
         return EvenPlant(second.plant, first.units.then(second.units, explicit=True))
-    units = _even.of(_matrices(plant), lambda: _even_units(plant))
+    units = copied(_even.of(_matrices(plant), lambda: _even_units(plant)))  # which answers about a plant hold
     return EvenPlant(units.applied(plant), units)
 
 

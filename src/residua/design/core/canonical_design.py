@@ -9,12 +9,12 @@ import numpy as np
 
 from residua.design.core.generator import ResidualGenerator
 from residua.linear import StateSpace
-from residua.linear.systems.array_cache import Latest, entries
+from residua.linear.systems.array_cache import Latest, copied, entries
 from residua.plant import Plant
 from residua.plant.comparable_units import PlantUnits, canonical_units
 from residua.words import unit_of_rates
 
-_kept: Latest[ResidualGenerator] = Latest(times=4)
+_kept: Latest[ResidualGenerator] = Latest()
 
 
 def designed_in_own_units(
@@ -68,5 +68,9 @@ def _rescaled(
         state_map=None if made.state_map is None else made.state_map * equations,
         static_map=None if made.static_map is None else made.static_map * equations,
         known_form=known,
-        subspaces=dict(made.subspaces),  # what is kept is not handed out to be changed
+        # what is kept is not handed out to be changed
+        evidence=copied(made.evidence),
+        subspaces=copied(made.subspaces),
+        codes=copied(made.codes),
+        steady=copied(made.steady),
     )

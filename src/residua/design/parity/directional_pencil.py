@@ -16,6 +16,7 @@ from residua.errors import AccuracyError
 from residua.linear.polynomials.pencil_null_space import PENCIL_RTOL, Pencil, pencil_null_vectors, refined
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.linear.subspaces.rank import RankDecision, left_null_basis
+from residua.linear.systems.array_cache import copied
 from residua.plant import Plant
 from residua.tolerances import RESIDUE
 
@@ -86,7 +87,7 @@ class DirectionalPencil:
     def null_vectors(self, degree: int, rtol: float) -> tuple[NDArray[np.float64], RankDecision]:
         """Return all solutions of at most a degree as coordinates, shape (count, degree + 1, rows of reduced)."""
         space = pencil_null_vectors(self.reduced, degree, rtol=rtol)
-        return space.vectors, space.decision
+        return space.vectors, copied(space.decision)
 
     def at(self, point: complex) -> NDArray[np.complex128]:
         """Return the pencil at a point."""

@@ -13,7 +13,7 @@ from residua.design.core.evidence import format_pole
 from residua.errors import ModelError
 from residua.linear.polynomials.pencil_null_space import Pencil, pencil
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis, basis_on_poles
-from residua.linear.systems.array_cache import cached_by_contents
+from residua.linear.systems.array_cache import cached_by_contents, copied
 from residua.plant import Plant
 from residua.plant.comparable_units import PlantUnits, canonical_units, even_plant
 from residua.plant.input_output_model import InputOutputModel
@@ -119,12 +119,16 @@ def state_pencil(
     return pencil(P0, P1, basis, canonical=canonical)
 
 
-@cached_by_contents
 def basis_for(plant: Plant, count: int) -> PolynomialBasis:
     """Return the basis on the poles of a plant, each used as often as needed for a number of nodes.
 
     Sizes are those of even units: the entries of a chain of integrators have none but those of its states.
     """
+    return copied(_kept_basis(plant, count))  # which relations hold
+
+
+@cached_by_contents
+def _kept_basis(plant: Plant, count: int) -> PolynomialBasis:
     plant = even_plant(plant).plant
     try:
         poles = plant.system(()).poles()

@@ -22,6 +22,7 @@ from residua.linear.polynomials.pencil_null_space import (
 )
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.linear.subspaces.rank import RankDecision
+from residua.linear.systems.array_cache import copied
 from residua.tolerances import POLYNOMIAL_LEAKAGE
 from residua.words import used_up
 
@@ -227,7 +228,7 @@ class _Search:
         smallest = null.decision.smallest_kept / s[0] if len(s) and null.decision.rank else 1.0
         dropped = null.decision.largest_dropped / s[0] if len(s) and s[0] else 0.0
         floor = max(_SEEN, 100 * np.finfo(float).eps / smallest, dropped / POLYNOMIAL_LEAKAGE)
-        return RelationSpace(vectors * self.units, self.pencil.basis, null.decision, responses, floor)
+        return RelationSpace(vectors * self.units, self.pencil.basis, copied(null.decision), responses, floor)
 
 
 def _search(model: RelationModel, ignored: Sequence[str | int]) -> _Search:

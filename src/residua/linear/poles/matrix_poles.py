@@ -10,9 +10,13 @@ from residua.linear.systems.array_cache import cached_by_entries
 from residua.linear.systems.units import system_units
 
 
-@cached_by_entries
 def explicit_poles(A: NDArray) -> NDArray[np.complex128]:
     """Return the eigenvalues of a matrix; those that may be nothing but rounding of zero are zero."""
+    return _kept_poles(A).copy()  # which results of designs hold
+
+
+@cached_by_entries
+def _kept_poles(A: NDArray) -> NDArray[np.complex128]:
     if len(A) and np.all(A):  # all states are one part: to find them is slower than to see that
         return _poles_of_part(A)
     from scipy.sparse.csgraph import connected_components  # slow to import; parts of a cascade have their own poles

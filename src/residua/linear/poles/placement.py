@@ -18,7 +18,7 @@ from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.far_gain import refuse_far_gain
 from residua.linear.subspaces.observable_part import ObservablePart, observable_part
 from residua.linear.subspaces.rank import DEFAULT_RTOL, spectral_norm
-from residua.linear.systems.array_cache import cached_by_contents
+from residua.linear.systems.array_cache import cached_by_contents, copied
 from residua.tolerances import POLE
 from residua.words import counted, unit_of_rates
 
@@ -143,7 +143,7 @@ def _placement(
         K,
         requested,
         achieved,
-        problem.fixed,
+        problem.fixed.copy(),
         error,
         condition,
         spectral_norm(K),
@@ -213,7 +213,7 @@ def place_observer_poles(
     n = problem.A.shape[0]
     if problem.order == 0:
         K = np.zeros((n, problem.C.shape[0]))
-        return Placement(K, wanted, wanted, problem.fixed, 0.0, 1.0, 0.0)
+        return Placement(K, wanted, wanted, problem.fixed.copy(), 0.0, 1.0, 0.0)
     if problem.H.shape[0] == problem.order == n:
         gains = [_direct_gain(problem, wanted)]
     else:
@@ -351,7 +351,7 @@ def place_observer_margin(
     none = np.zeros(0, dtype=complex)
     if problem.order == 0:
         K = np.zeros((problem.A.shape[0], problem.C.shape[0]))
-        return Placement(K, none, none, problem.fixed, 0.0, 1.0, 0.0)
+        return Placement(K, none, none, problem.fixed.copy(), 0.0, 1.0, 0.0)
     tried: list[Matrix] = []
     for weight in (1.0, 100.0, 1e-2, 1e4):
         L = _shifted_riccati(problem, margin, weight)
@@ -373,8 +373,12 @@ def place_observer_margin(
     )
 
 
-#: The same for designs, which ask for the gain of one pair many times; its arrays are read-only.
-kept_observer_margin = cached_by_contents(place_observer_margin)
+_kept_margin = cached_by_contents(place_observer_margin)
+
+
+def kept_observer_margin(A: ArrayLike, C: ArrayLike, margin: float | None, *, dt: float, rtol: float) -> Placement:
+    """Return the same as `place_observer_margin` for designs, which ask for the gain of one pair many times."""
+    return copied(_kept_margin(A, C, margin, dt=dt, rtol=rtol))
 
 
 def _shifted_riccati(problem: ObservablePart, margin: float, weight: float) -> Matrix | None:

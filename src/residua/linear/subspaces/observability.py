@@ -13,7 +13,7 @@ from residua import arrays
 from residua.errors import AccuracyError
 from residua.linear.poles.stability import dies_out, modes_with_uncertainty
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, spectral_norm
-from residua.linear.systems.array_cache import cached_by_contents
+from residua.linear.systems.array_cache import cached_by_contents, copied
 from residua.linear.systems.balancing import balance_system
 from residua.linear.systems.units import system_units
 from residua.tolerances import RESIDUE, above_rounding
@@ -287,7 +287,7 @@ def detectability(A: ArrayLike, C: ArrayLike, *, dt: float = 0, rtol: float = DE
     >>> bool(detectability([[-1.0, 0.0], [0.0, 0.0]], [[1.0, 0.0]]))
     False
     """
-    form = _kept_form(A, C, rtol=rtol)
+    form = copied(_kept_form(A, C, rtol=rtol))
     stable = dies_out(form.unobservable_modes, form.mode_uncertainty, dt, form.size)
     unstable = form.unobservable_modes[~stable]
     return Detectability(not unstable.size, form.unobservable_modes, unstable, form)

@@ -6,12 +6,17 @@ members, for every check of the result. The functions are pure, so that a kept r
 
 from __future__ import annotations
 
+import os
+import sys
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterator
-from functools import wraps
+from copy import copy
+from dataclasses import dataclass
+from functools import cache, cached_property, wraps
 from hashlib import blake2b
+from itertools import count
 from threading import Lock
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar, cast
 from weakref import WeakSet
 
 import numpy as np
@@ -25,13 +30,22 @@ _PLAIN = (type(None), bool, int, str, bytes)
 
 #: Results of each function that are kept, ...
 _KEPT = 512
-#: ... and the bytes that those of one function take together.
-_MOST_BYTES = 2**24
+#: ... and the bytes that those of all functions take together, with what they are known by.
+_MOST_BYTES = 2**26
+#: Bytes of an array besides its entries.
+_OBJECT = 128
+#: What has no parts.
+_SIMPLE = frozenset((*_PLAIN, float, complex))
 #: Matrices of more bytes together are known by a digest of their entries.
 _LARGE = 1024
 
 
 _all: WeakSet[Latest[Any]] = WeakSet()
+_uses = count()
+#: One for all functions: it is held for moments only, never while a result is computed.
+_lock = Lock()
+if hasattr(os, "register_at_fork"):  # a process is not forked while a thread holds it
+    os.register_at_fork(before=_lock.acquire, after_in_parent=_lock.release, after_in_child=_lock.release)
 
 
 def forget() -> None:
@@ -40,45 +54,93 @@ def forget() -> None:
         latest.forget()
 
 
+def kept_bytes() -> int:
+    """Return the bytes that the results of all functions take, with what they are known by."""
+    return sum([latest.bytes for latest in list(_all)])
+
+
+@dataclass(eq=False, slots=True)
+class _Kept(Generic[R]):
+    """A result, its bytes with those of its key, when it was used last, and whether it may grow."""
+
+    result: R
+    bytes: int
+    used: int
+    grows: bool
+
+
 class Latest(Generic[R]):
     """The latest results of one function, by what they were computed from. Threads may share it.
+
+    All functions have one limit together; what was used least recently goes first, of whichever function it is.
 
     Parameters
     ----------
     kept : int
         The most results that are kept.
-    times : int
-        Of how many times the bytes that the results of other functions may take.
     """
 
-    def __init__(self, kept: int = _KEPT, times: int = 1) -> None:
-        self._results: OrderedDict[Hashable, tuple[R, int]] = OrderedDict()
-        self._kept, self._bytes, self._times = kept, 0, times
-        _all.add(self)
-        self._lock = Lock()
+    def __init__(self, kept: int = _KEPT) -> None:
+        self._results: OrderedDict[Hashable, _Kept[R]] = OrderedDict()
+        self._kept, self.bytes = kept, 0
+        with _lock:
+            _all.add(self)
 
     def forget(self) -> None:
         """Let go of all results."""
-        with self._lock:
+        with _lock:
             self._results.clear()
-            self._bytes = 0
+            self.bytes = 0
 
     def of(self, key: Hashable, compute: Callable[[], R]) -> R:
         """Return the result kept under a key, or compute it; an error is not kept, nor is what is too large."""
-        with self._lock:
-            if key in self._results:
+        with _lock:
+            known = self._results.get(key)
+            if known is not None:
                 self._results.move_to_end(key)
-                return self._results[key][0]
+                known.used = next(_uses)
+                return known.result
         result = read_only(compute())
-        size = _bytes(result)
-        most = self._times * _MOST_BYTES
-        with self._lock:
-            if size <= most and key not in self._results:
-                self._results[key] = (result, size)
-                self._bytes += size
-                while len(self._results) > self._kept or self._bytes > most:
-                    self._bytes -= self._results.popitem(last=False)[1][1]
+        size, grows = _bytes(result)
+        size += _bytes_of_key(key)
+        with _lock:
+            if size <= _MOST_BYTES and key not in self._results:
+                self._measure_again()
+                self._results[key] = _Kept(result, size, next(_uses), grows)
+                self.bytes += size
+                if len(self._results) > self._kept:
+                    self._drop_oldest()
+                _drop_to_limit()
         return result
+
+    @property
+    def _oldest_use(self) -> float:
+        """When the result that was used least recently was used."""
+        return next(iter(self._results.values())).used if self._results else float("inf")
+
+    def _drop_oldest(self) -> None:
+        self.bytes -= self._results.popitem(last=False)[1].bytes
+
+    def _measure_again(self) -> None:
+        """Count what was added to the result that was used last, such as a cached property, since it was kept."""
+        if self._results:
+            key = next(reversed(self._results))
+            last = self._results[key]
+            if last.grows:
+                size = _bytes(last.result)[0] + _bytes_of_key(key)
+                self.bytes += size - last.bytes
+                last.bytes = size
+
+
+def _drop_to_limit() -> None:
+    """Let go of the results that were used least recently until the others are within the limit. Needs the lock."""
+    functions = list(_all)
+    total = sum([one.bytes for one in functions])
+    while total > _MOST_BYTES:
+        oldest = min(functions, key=lambda one: one._oldest_use)
+        total -= oldest.bytes
+        oldest._drop_oldest()
+        total += oldest.bytes
 
 
 def entries(*matrices: NDArray | None) -> Hashable:
@@ -154,9 +216,9 @@ def cached_by_contents(function: Callable[..., R]) -> Callable[..., R]:
             key = unit_of_rates(), contents((values, tuple(options.items())))
         except UnkeyedError:
             return function(*values, **options)
-        # copies of arrays: results may be views of the arguments, which the caller may write to
+        # one order of the entries in memory, whichever the caller has: rounding depends on it
         own = [read_only(value.copy()) if isinstance(value, np.ndarray) else value for value in values]
-        return latest.of(key, lambda: function(*own, **options))
+        return latest.of(key, lambda: _apart_from(function(*own, **options), (values, options)))
 
     return cached
 
@@ -168,17 +230,125 @@ def read_only(result: R) -> R:
     return result
 
 
+def copied(result: R) -> R:
+    """Return a result to hand out: its arrays, lists and dictionaries, and those of its parts, may be written to."""
+    return _rebuilt(result, lambda _: True)
+
+
+def _apart_from(result: R, arguments: object) -> R:
+    """Return a result with copies of what its arguments hold and their owner may write to, and of views of that."""
+    theirs = {
+        _memory(part)
+        for part in _parts(arguments)
+        if isinstance(part, (list, dict)) or (isinstance(part, np.ndarray) and _owner(part).flags.writeable)
+    }
+    return _rebuilt(result, lambda part: _memory(part) in theirs) if theirs else result
+
+
+def _owner(array: NDArray) -> NDArray:
+    """Return the array that an array is a view of, or itself."""
+    while isinstance(array.base, np.ndarray):
+        array = array.base
+    return array
+
+
+def _memory(part: object) -> int:
+    """Return what two arrays have in common that share memory; of others what tells them apart."""
+    if not isinstance(part, np.ndarray):
+        return id(part)
+    owner = _owner(part)
+    return id(owner if owner.base is None else owner.base)
+
+
+def _rebuilt(value: R, to_copy: Callable[[Any], bool]) -> R:
+    """Return a value with copies of some arrays, lists and dictionaries in it; itself when there are none."""
+    if isinstance(value, np.ndarray):
+        return cast("R", value.copy(order="K")) if to_copy(value) else value
+    if isinstance(value, dict):
+        new = {name: _rebuilt(part, to_copy) for name, part in value.items()}
+        return cast("R", new) if to_copy(value) or any(new[name] is not value[name] for name in new) else value
+    if isinstance(value, (tuple, list)):
+        parts = [_rebuilt(part, to_copy) for part in value]
+        same = all(one is other for one, other in zip(parts, value, strict=True))
+        if same and not (isinstance(value, list) and to_copy(value)):
+            return value
+        make = getattr(type(value), "_make", type(value))  # of named tuples
+        return cast("R", make(parts))
+    if hasattr(value, "__dataclass_fields__") and hasattr(value, "__dict__"):
+        own = vars(value)
+        given = {name: own[name] for name in getattr(value, "__dataclass_fields__", ()) if name in own}
+        new = {name: _rebuilt(part, to_copy) for name, part in given.items()}
+        if any(new[name] is not part for name, part in given.items()):
+            value = copy(value)
+            for name in [name for name in vars(value) if isinstance(getattr(type(value), name, None), cached_property)]:
+                del vars(value)[name]  # computed from what was copied
+            vars(value).update(new)
+    return value
+
+
+def _parts(value: object) -> Iterator[object]:
+    """Yield a value and its parts, of tuples, lists, dictionaries and dataclasses, each once; no numbers and words."""
+    seen: set[int] = set()
+    left = [value]
+    while left:
+        part = left.pop()
+        kind = type(part)
+        if kind in _SIMPLE or id(part) in seen:
+            continue
+        seen.add(id(part))
+        yield part
+        if kind is np.ndarray:
+            continue
+        if isinstance(part, (tuple, list)):
+            left += part
+        elif isinstance(part, dict):
+            left += part.values()
+        elif hasattr(part, "__dataclass_fields__"):
+            left += list(getattr(part, "__dict__", {}).values())
+
+
 def _arrays(result: object) -> Iterator[NDArray]:
     """Return the arrays of a result: itself, or those in it and in its parts."""
-    if isinstance(result, np.ndarray):
-        yield result
-        return
-    parts = result if isinstance(result, (tuple, list)) else getattr(result, "__dict__", result)
-    for part in parts.values() if isinstance(parts, dict) else parts if isinstance(parts, (tuple, list)) else ():
-        if isinstance(part, (np.ndarray, tuple, list, dict)) or hasattr(part, "__dataclass_fields__"):
-            yield from _arrays(part)
+    return (part for part in _parts(result) if isinstance(part, np.ndarray))
 
 
-def _bytes(result: object) -> int:
-    """Return the bytes of the arrays of a result and of its parts, each counted once."""
-    return sum(M.nbytes for M in {id(M): M for M in _arrays(result)}.values())
+def _bytes(value: object) -> tuple[int, bool]:
+    """Return the bytes that a value takes, each counted once, and whether properties that it keeps may be added later.
+
+    Of a view those of what it keeps alive. Numbers and words count nothing.
+    """
+    whole, grows = 0, False
+    owners: set[int] = set()
+    for part in _parts(value):
+        kind = type(part)
+        if isinstance(part, np.ndarray):
+            whole += _OBJECT
+            owner = part if part.base is None else _owner(part)
+            if id(owner) not in owners:
+                owners.add(id(owner))
+                whole += owner.nbytes
+        elif kind is tuple or kind is list or kind is dict:
+            whole += sys.getsizeof(part)
+        elif hasattr(part, "__dataclass_fields__"):
+            whole += _OBJECT + sys.getsizeof(getattr(part, "__dict__", None))
+            grows = grows or _keeps_properties(kind)
+    return whole, grows
+
+
+@cache
+def _keeps_properties(kind: type) -> bool:
+    """Tell whether a class has properties that are kept once they were asked for."""
+    return any(isinstance(value, cached_property) for one in kind.__mro__ for value in vars(one).values())
+
+
+def _bytes_of_key(key: Hashable) -> int:
+    """Return the bytes that a key takes: tuples of the bytes of arrays, and of what counts nothing."""
+    whole, left = 0, [key]
+    while left:
+        part = left.pop()
+        if type(part) is tuple:
+            whole += 40 + 8 * len(part)
+            left += part
+        elif type(part) is bytes:
+            whole += 33 + len(part)
+    return whole

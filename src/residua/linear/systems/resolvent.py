@@ -114,7 +114,7 @@ def _at_points(A: Real, E: Real | None, points: Complex) -> Complex:
     return points[:, None, None] * (np.eye(len(A)) if E is None else E) - A
 
 
-_latest: Latest[tuple[Complex, NDArray]] = Latest(kept=4, times=4)
+_latest: Latest[tuple[Complex, NDArray]] = Latest(kept=4)
 
 
 def _factored(A: Real, E: Real | None, points: Complex) -> Iterator[tuple[Complex, NDArray]]:
