@@ -28,6 +28,8 @@ def unit_of_rates() -> float:
 
 def as_given(value: Any, power: float = 1.0) -> Any:
     """Return an option with a power of a rate in it as it was given, for a text that says what is wrong with it."""
+    if hasattr(value, "tolist"):
+        value = value.tolist()  # of an array, or a number of NumPy
     factor = unit_of_rates() ** power
     if factor == 1.0 or value is None or isinstance(value, (str, bytes, bool)):
         return value
