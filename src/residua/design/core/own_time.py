@@ -185,7 +185,8 @@ def _numbers(value: Any) -> Any:
         numbers = np.asarray(value, dtype=complex)[()]
     except (TypeError, ValueError, OverflowError):
         return None
-    return numbers if np.any(np.imag(numbers)) or np.iscomplexobj(value) else np.real(numbers)
+    numbers = numbers if np.any(np.imag(numbers)) or np.iscomplexobj(value) else np.real(numbers)
+    return numbers.item() if np.ndim(numbers) == 0 else numbers
 
 
 def system_with(system: StateSpace, factor: float) -> StateSpace:
