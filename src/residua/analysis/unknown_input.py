@@ -22,7 +22,7 @@ from residua.linear.subspaces.rank import (
 )
 from residua.linear.systems.balancing import descriptor_units, evened, without_rounding
 from residua.plant import OperatingPoint, Plant
-from residua.plant.comparable_units import EvenPlant, even_plant, unit_of_rates_of, with_rates_times
+from residua.plant.comparable_units import EvenPlant, even_plant, in_unit_of_rates
 from residua.plant.disturbances import factor_disturbance
 from residua.tolerances import RESIDUE, TINY, above_rounding
 from residua.words import rates_in
@@ -159,11 +159,11 @@ def unknown_input_observer_existence(plant: Plant, *, rtol: float = DEFAULT_RTOL
     >>> print(rs.analysis.unknown_input_observer_existence(plant.with_disturbances({"gust": [0, 1]})))
     no unknown input observer: rank(CE)=0 < rank(E)=1: no exact unknown input observer; ...
     """
-    unit = unit_of_rates_of(plant)
-    if unit in (0.0, 1.0):
-        return decomposed_existence(plant, rtol=rtol)
+    own, unit = in_unit_of_rates(plant)
     with rates_in(unit):
-        found = decomposed_existence(with_rates_times(plant, 1 / unit), rtol=rtol)
+        found = decomposed_existence(own, rtol=rtol)
+    if own is plant:
+        return found
     return replace(found, fixed_poles=unit * found.fixed_poles, decomposition=None)
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from residua.errors import ModelError
 from residua.linear.subspaces.rank import decide_rank, equilibrated
 from residua.plant import Plant
-from residua.plant.comparable_units import canonical_units, unit_of_rates_of, with_rates_times
+from residua.plant.comparable_units import canonical_units, in_unit_of_rates
 from residua.tolerances import TINY
 
 #: Vectors of unit length that begin with less than this begin with nothing.
@@ -53,9 +53,7 @@ def in_canonical_units(plant: Plant) -> Plant:
 
     What is visible stays so.
     """
-    unit = unit_of_rates_of(plant)
-    if unit not in (0.0, 1.0):
-        plant = with_rates_times(plant, 1 / unit)
+    plant, _ = in_unit_of_rates(plant)
     return canonical_units(plant, controls=False).applied(plant)
 
 

@@ -40,8 +40,12 @@ class StreamState:
     runs: AlarmRuns
 
     def arrays(self) -> tuple[NDArray | None, ...]:
-        """Return what the fused loop reads and writes, in its order: window, past and sums, runs."""
-        return None, None, None, self.past.samples, self.past.usable, self.sums, *self.runs.arrays()
+        """Return what the fused loop reads and writes, in its order: window, past and sums, runs.
+
+        How long the statistic has been below the threshold is not counted, whatever became of its broadcast zeros.
+        """
+        up, _, alarm = self.runs.arrays()
+        return None, None, None, self.past.samples, self.past.usable, self.sums, up, None, alarm
 
 
 @dataclass(frozen=True, eq=False)

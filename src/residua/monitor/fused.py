@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from residua.decide.compiled import STATISTICS, CompiledCodes, CompiledIsolation, CompiledTest
 from residua.decide.isolation import Scores
-from residua.decide.stream_test import StreamState
 from residua.decide.test import Block, Tested
 from residua.kernels import kernel
 from residua.linear.systems.recursion import best_path, compiled
@@ -149,12 +148,7 @@ def state_arrays(spec: Specification, state: State) -> tuple[NDArray | None, ...
         naming = state.isolation.arrays()
     elif named is not None and named.bases:
         naming = (*state.isolation.arrays(), None, None)
-    # tests whose alarm a level ends do not count the samples after it, whatever became of their zeros
-    uncounted = state.test.runs.down if isinstance(state.test, StreamState) else None
-    remembered = (
-        one if one is None or (one.flags.writeable and one is not uncounted) else None
-        for one in (*state.test.arrays(), *naming)
-    )
+    remembered = (one if one is None or one.flags.writeable else None for one in (*state.test.arrays(), *naming))
     resets, broken, sums, moved, spread = (
         one if _has_room(one) else None for one in (f.resets, f.broken, f.start_sums, f.moved, f.spread)
     )
@@ -194,7 +188,7 @@ def _there(values: NDArray | None) -> NDArray:
 def copied(whole: Any) -> Any:
     """Return a dataclass of arrays with arrays of its own; those that are broadcast from one number stay so."""
     if isinstance(whole, np.ndarray):
-        return whole if whole.size and not any(whole.strides) else whole.copy()
+        return whole if takes_no_memory(whole) else whole.copy()
     if not is_dataclass(whole):
         return whole
     return type(whole)(**{one.name: copied(getattr(whole, one.name)) for one in fields(whole)})  # pyright: ignore

@@ -151,6 +151,12 @@ def with_rates_times(plant: Plant, factor: float) -> Plant:
     return plant._with(**{name: frozen(factor * getattr(plant, name)) for name in ("A", "Bu", "Bd", "Bf", "Bw")})
 
 
+def in_unit_of_rates(plant: Plant) -> tuple[Plant, float]:
+    """Return a plant in the unit of time in which its rates are near one, and that unit; itself where it has none."""
+    unit = unit_of_rates_of(plant) or 1.0
+    return (plant if unit == 1.0 else with_rates_times(plant, 1 / unit)), unit
+
+
 def own_units(plant: Plant) -> EvenPlant:
     """Return a plant in its own units, for a design that is asked for as its equations say."""
     ones = [np.ones(k) for k in (plant.n_states, plant.n_states, plant.n_outputs)]

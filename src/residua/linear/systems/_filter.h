@@ -37,7 +37,7 @@
 #define BLOCK 8     /* rows per block for larger filters */
 #define SMALLEST 0x1p-500
 #define SPAN 256      /* samples, or plants, that go through the sections of a filter one after the other, at most */
-#define AHEAD 256     /* samples from which on signals are asked for while others are run: a piece of the fused loop */
+#define AHEAD 256     /* samples from which on signals are asked for while others are run */
 #define NEAR_BY 16384 /* numbers of their signals and outputs, which are to stay in the cache; fewer samples cost more */
 
 #if defined(__GNUC__)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from residua.errors import AccuracyError, SettingError
 from residua.linear.norms.peak_norm import peak_norm
+from residua.linear.subspaces.rank import spectral_norm
 from residua.robust.bounds.centred import centred_bound
 from residua.robust.bounds.inequalities import METHODS, Certificate, Inequalities
 from residua.robust.bounds.scaled_problem import scaled_problem
@@ -60,7 +61,7 @@ def check_method(method: str | None) -> None:
 def box_bound(system: UncertainSystem, task: Task) -> BoxBound:
     """Bound the output of all members of one box; infinite where the method has no certificate."""
     if not np.any(system.Bw) or not (np.any(system.Cz) or np.any(system.Dzp)):
-        direct = float(np.linalg.norm(system.Dzw, 2)) if system.Dzw.size else 0.0
+        direct = spectral_norm(system.Dzw)
         return BoxBound(system, bound=direct, method=task.method)
     if task.method == "centred":
         centred = _tried(_by_expansion, system)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.linear.subspaces.rank import spectral_norm
 from residua.robust.bounds.scaled_problem import ScaledProblem
 from residua.robust.bounds.weighted_star import CommonEllipsoid
 from residua.robust.sets.uncertain_system import UncertainSystem
@@ -67,7 +68,7 @@ def _parts(system: UncertainSystem) -> tuple[list[Matrix], list[Matrix], Matrix,
         C = half[i] * system.Cq[own == i]
         terms.append(system.Bp[:, own == i] @ C)
         outputs.append(system.Dzp[:, own == i] @ C)
-    return terms, outputs, middle.B, float(np.linalg.norm(middle.D, 2)) if middle.D.size else 0.0
+    return terms, outputs, middle.B, spectral_norm(middle.D)
 
 
 def _least(Q: Matrix, terms: list[Matrix], B: Matrix, shares: NDArray[np.float64]) -> float:

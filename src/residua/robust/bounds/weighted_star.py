@@ -20,6 +20,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from residua.linear.poles.spectrum import spectral_radius
+from residua.linear.subspaces.rank import spectral_norm
 from residua.robust.bounds.scaled_problem import ScaledProblem
 
 Matrix = NDArray[np.float64]
@@ -53,7 +54,7 @@ class _Sums:
         middle = s.A + 0.5 * s.B @ s.C
         self.n = len(s.A)
         self.outputs = [s.Cz + 0.5 * s.Dzp @ s.C, *(0.5 * s.Dzp[:, list(g)] @ s.C[list(g)] for g in s.groups)]
-        self.direct = float(np.linalg.norm(s.Dzw, 2)) if s.Dzw.size else 0.0
+        self.direct = spectral_norm(s.Dzw)
         rows, columns = np.triu_indices(self.n)
         self._rows, self._columns = rows, columns
         self._weight = np.where(rows == columns, 1.0, np.sqrt(2.0))
