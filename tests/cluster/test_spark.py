@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,8 @@ from residua.errors import DataError, FileFormatError
 SCHEMA = "plant BIGINT, start BIGINT, samples BIGINT, `values` ARRAY<DOUBLE>"
 #: Where the recordings are cut into files.
 CUTS = (0, 50, 64, SAMPLES)
+#: When the first file says that it was written; each further one a second later.
+WRITTEN = 1_700_000_000
 #: Generations from a Python worker up to its executor.
 EXECUTOR = 2
 
@@ -34,7 +37,10 @@ def write(folder: Path, *numbers: int, extra: pa.Table | None = None) -> None:
         table = packed_table(monitor(), part(start, stop), samples=9, start=start)
         rows = np.random.default_rng(number).permutation(len(table))
         table = table.take(rows)
-        pq.write_table(table if extra is None else pa.concat_tables([table, extra]), folder / f"{number}.parquet")
+        path = folder / f"{number}.parquet"
+        pq.write_table(table if extra is None else pa.concat_tables([table, extra]), path)
+        # Spark takes files by the time of their last change, and two that are written at once may have the same.
+        os.utime(path, (WRITTEN + number, WRITTEN + number))
 
 
 def bad_rows() -> pa.Table:
