@@ -182,11 +182,11 @@ def _numbers(value: Any) -> Any:
     if value is None or isinstance(value, (Mapping, bool)):
         return None
     try:
-        numbers = np.asarray(value, dtype=complex)[()]
+        numbers = np.asarray(value, dtype=complex)
     except (TypeError, ValueError, OverflowError):
         return None
     numbers = numbers if np.any(np.imag(numbers)) or np.iscomplexobj(value) else np.real(numbers)
-    return numbers.item() if np.ndim(numbers) == 0 else numbers
+    return numbers if numbers.ndim else numbers.item()
 
 
 def system_with(system: StateSpace, factor: float) -> StateSpace:
