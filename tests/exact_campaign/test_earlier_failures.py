@@ -139,6 +139,8 @@ _EARLIER = [
     ("stiff", 703, designs._observers),
     # unknown inputs were compared by the largest entries of rows and columns, which three rounds do not even out
     ("stiff", 7002, designs._estimators),
+    # what rounding left of nothing when E was diagonalised was a coupling, in which a zero was lost
+    ("singular E", 21039, None),
     # four fixed poles at 0 were scattered
     ("delays", 7061, None),
     # zeros and ranks of plants that integrate were computed in the caller's unit of time

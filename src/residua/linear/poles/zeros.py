@@ -12,8 +12,9 @@ from residua import arrays
 from residua.errors import AccuracyError
 from residua.linear.poles.matrix_poles import is_rounding_of_zero
 from residua.linear.poles.zero_structure import without_zero_eigenvalues
+from residua.linear.subspaces.parts import part_numbers
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, decide_rank, spectral_norm
-from residua.linear.systems.balancing import balance_system, descriptor_units, power_of_two
+from residua.linear.systems.balancing import balance_system, descriptor_units, power_of_two, without_rounding
 from residua.linear.systems.units import system_rate
 
 
@@ -66,18 +67,41 @@ def _equilibrated(M: Matrices, E: NDArray[np.float64]) -> tuple[Matrices, NDArra
 def _standard(M: Matrices, E: NDArray[np.float64], rtol: float, decisions: list[RankDecision]) -> Matrices:
     """Turn the algebraic part of a descriptor system into inputs and outputs, and ``E`` into the identity."""
     A, B, C, D = M
-    U, s, Vh = np.linalg.svd(E)
-    tolerance = rtol * (float(s[0]) if s.size else 0.0)
+    U, s, V = _singular_vectors(E)
+    tolerance = rtol * float(s.max(initial=0.0))
     k = int(np.count_nonzero(s > tolerance))
     decisions.append(RankDecision(k, s, tolerance))
-    left, right = U.T, Vh.T.copy()
     # Both sides share the division, so that an ill-conditioned E costs only the root of its condition.
     root = np.sqrt(s[:k])
-    A, B, C = left @ A @ right, left @ B, C @ right
+    A, B, C = without_rounding(U.T, A, V), without_rounding(U.T, B), without_rounding(C, V)
     A11 = A[:k, :k] / root[:, None] / root
     B1 = np.hstack([A[:k, k:], B[:k]]) / root[:, None]
     C1 = np.vstack([A[k:, :k], C[:, :k]]) / root
     return A11, B1, C1, np.block([[A[k:, k:], B[k:]], [C[:, k:], D]])
+
+
+def _singular_vectors(E: NDArray[np.float64]) -> tuple[NDArray, NDArray, NDArray]:
+    """Return the singular vectors and values of a square matrix, largest first, those of each part by themselves.
+
+    Rounding that mixes parts would couple states that nothing couples, and balancing would make it a coupling.
+    """
+    of_rows, of_columns = part_numbers(E != 0)
+    n = len(E)
+    U, V, values = np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
+    first, last_row, last_column = 0, n, n  # pairs are filled in from the left, what is left on one side from the right
+    for part in range(int(max(of_rows.max(initial=-1), of_columns.max(initial=-1))) + 1):
+        rows, columns = np.flatnonzero(of_rows == part), np.flatnonzero(of_columns == part)
+        left, s, right = np.linalg.svd(E[np.ix_(rows, columns)])
+        pairs = len(s)
+        over, beyond = len(rows) - pairs, len(columns) - pairs
+        U[rows, first : first + pairs] = left[:, :pairs]
+        V[columns, first : first + pairs] = right[:pairs].T
+        U[rows, last_row - over : last_row] = left[:, pairs:]
+        V[columns, last_column - beyond : last_column] = right[pairs:].T
+        values[first : first + pairs] = s
+        first, last_row, last_column = first + pairs, last_row - over, last_column - beyond
+    order = np.argsort(-values, kind="stable")
+    return U[:, order], values[order], V[:, order]
 
 
 def _balanced(M: Matrices) -> tuple[Matrices, float]:
