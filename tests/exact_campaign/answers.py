@@ -91,11 +91,12 @@ class Subject:
         A = plant_of(self.case).A
         return float(np.abs(A).max(initial=0.0)) or 1.0
 
-    def ask(self, function: str, call: Callable[[], Any]) -> Record:
-        """Ask, and keep the record."""
-        if function not in self.known:
-            self.known[function] = answered(call)
-        record = Record(function, self.known[function])
+    def ask(self, function: str, call: Callable[[], Any], about: str = "") -> Record:
+        """Ask, and keep the record; ``about`` is what the question depends on besides the plant, if anything."""
+        question = f"{function} {about}"
+        if question not in self.known:
+            self.known[question] = answered(call)
+        record = Record(function, self.known[question])
         if record.answer.crash:
             record.problem("crash", "crash", record.answer.crash)
         self.records[function] = record
