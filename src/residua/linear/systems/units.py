@@ -92,22 +92,41 @@ def system_rate(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> float:
     product of entries around a loop. Of chains of integrators nothing is left, and there is no rate: they are the same
     plant in all units of time, but for those of their signals.
     """
-    W = np.abs(bordered(A, B, C, D))
-    n, q = len(A), W.shape[1] - len(A)
-    row_node = np.concatenate([np.arange(n), n + q + np.arange(len(C))])
-    rate: float | None = None
+    _, rate = _rated_potentials(np.abs(bordered(A, B, C, D)), len(A))
+    return 0.0 if rate is None else float(powers_of_two(np.array(rate)))
+
+
+def state_units_and_rate(A: NDArray) -> tuple[NDArray[np.float64], float]:
+    """Return the units of the states, and the rate, by which ``T^-1 A T / rate`` has entries nearest to one.
+
+    Powers of two, the same for all units of states and of time; the rate is one of a matrix without loops.
+    """
+    W, n = np.abs(A), len(A)
+    v, rate = _rated_potentials(W, n)
+    T = powers_of_two(v)
+    if _is_far(W, 1 / T, T):
+        v, rate = _rated_potentials(_without_wide_residue(W), n)
+        T = powers_of_two(v)
+    return T, float(powers_of_two(np.array(rate or 0.0)))
+
+
+def _rated_potentials(W: NDArray[np.float64], n: int) -> tuple[NDArray[np.float64], float | None]:
+    """Return the potentials for the sizes of the entries of ``[A B; C D]`` and the logarithm of its rate, if any."""
+    q, p = W.shape[1] - n, W.shape[0] - n
+    row_node = np.concatenate([np.arange(n), n + q + np.arange(p)])
+    v, rate = np.zeros(n + q + p), None
     for _ in range(_ROUNDS):
         i, j = np.nonzero(W)
-        v, rate = _with_rate(row_node[i], j, np.log2(W[i, j]), i < n, n + q + len(C))
+        v, rate = _with_rate(row_node[i], j, np.log2(W[i, j]), i < n, n + q + p)
         if rate is None:
-            return 0.0
+            break
         scaled = W * np.exp2(v[: n + q] - v[row_node][:, None])
         scaled[:n] /= 2.0**rate
         keep = _real(scaled, scaled)
         if np.array_equal(keep, W > 0):
             break
         W = np.where(keep, W, 0.0)
-    return 0.0 if rate is None else float(powers_of_two(np.array(rate)))
+    return v, rate
 
 
 def output_weights(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> NDArray[np.float64]:
@@ -304,7 +323,7 @@ def _with_rate(
     free = np.ones(count, dtype=bool)
     free[_origins(row, column, count)] = False
     L, b = _normal_equations(row, column, logarithms, count)
-    _, c = _normal_equations(row, column, shared, count)
+    c = _divergence(row, column, shared, count)
     v, through = np.zeros(count), np.zeros(count)
     if free.any():
         v[free], through[free] = np.linalg.solve(L[free][:, free], np.column_stack([b, c])[free]).T
@@ -321,11 +340,15 @@ def _normal_equations(
     row: NDArray, column: NDArray, logarithms: NDArray[np.float64], count: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the Laplacian of the graph and the right-hand side of its least squares problem."""
-    ends = np.concatenate([row, column])
     edges = np.bincount(row * count + column, minlength=count * count).reshape(count, count)
-    L = np.diag(np.bincount(ends, minlength=count)) - edges - edges.T
-    b = np.bincount(ends, weights=np.concatenate([logarithms, -logarithms]), minlength=count)
-    return L.astype(float), np.asarray(b, dtype=float)
+    L = np.diag(np.bincount(np.concatenate([row, column]), minlength=count)) - edges - edges.T
+    return L.astype(float), _divergence(row, column, logarithms, count)
+
+
+def _divergence(row: NDArray, column: NDArray, values: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    """Return the sum of what leaves each node less what enters it, as the right-hand side for those values."""
+    ends, both = np.concatenate([row, column]), np.concatenate([values, -values])
+    return np.asarray(np.bincount(ends, weights=both, minlength=count), dtype=float)
 
 
 def _origins(row: NDArray, column: NDArray, count: int) -> NDArray[np.int_]:
