@@ -14,6 +14,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 import residua as rs
+from residua.errors import DesignError
 from residua.linear import StateSpace
 from residua.linear.poles.matrix_poles import _kept_poles, explicit_poles
 from residua.linear.poles.placement import kept_observer_margin
@@ -21,6 +22,7 @@ from residua.linear.systems import array_cache
 from residua.linear.systems.array_cache import UnkeyedError, cached_by_contents, cached_by_entries, contents, forget
 from residua.linear.systems.balancing import balance_system
 from residua.linear.systems.units import _origins, matrix_units, pencil_units
+from residua.words import rates_in, unit_of_rates
 
 
 def counting():
@@ -166,6 +168,54 @@ def test_results_are_kept_by_what_arguments_hold_and_forgotten_when_asked():
     assert len(calls) == 5
     forget()
     assert function(np.ones((2, 2)), 1.0) is not kept
+
+
+def test_a_result_is_kept_in_all_units_of_time_unless_a_text_in_it_has_a_rate():
+    calls = []
+
+    @cached_by_contents
+    def inner(rate, worded):
+        calls.append("inner")
+        return f"{unit_of_rates() * rate:g} per second" if worded else "a rate"
+
+    @cached_by_contents
+    def outer(rate, worded):
+        calls.append("outer")
+        return (inner(rate, worded),)
+
+    for worded, again in ((False, []), (True, ["outer", "inner"])):
+        inner(1.0, worded)
+        calls.clear()
+        assert outer(1.0, worded)[0] == ("1 per second" if worded else "a rate")
+        assert calls == ["outer"]
+        calls.clear()
+        with rates_in(4.0):
+            assert outer(1.0, worded)[0] == ("4 per second" if worded else "a rate")
+        assert calls == again
+        calls.clear()
+        assert outer(1.0, worded)[0] == ("1 per second" if worded else "a rate")
+        assert calls == []
+
+
+def test_refusals_are_kept_each_raised_as_its_own():
+    calls = []
+
+    @cached_by_contents
+    def refusing(A):
+        calls.append(A)
+        raise (DesignError("no such thing") if len(A) else ValueError("crash"))
+
+    refusals = []
+    for _ in range(3):
+        with pytest.raises(DesignError, match="no such thing") as refused:
+            refusing(np.ones(1))
+        refusals.append(refused.value)
+    assert len(calls) == 1
+    assert len({id(error) for error in refusals}) == 3
+    for _ in range(2):
+        with pytest.raises(ValueError, match="crash"):
+            refusing(np.ones(0))
+    assert len(calls) == 3  # what is none of the package's own is no answer
 
 
 def test_all_functions_have_one_limit_and_what_was_used_least_recently_goes_first(monkeypatch):

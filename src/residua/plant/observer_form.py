@@ -183,8 +183,6 @@ def reachable_part(system: StateSpace, rtol: float) -> ReachablePart:
     """Return the part of a system that its inputs reach, in balanced units; its transfer matrix is unchanged."""
     At, Bt = np.ascontiguousarray(system.A.T), np.ascontiguousarray(system.B.T)
     form = staircase(At, Bt, rtol=rtol)
-    if not form.has_units:
-        form = staircase(At, Bt, rtol=rtol, units="even")
     k = form.n_observable
     removed, uncertainty = modes_with_uncertainty(form.Q[:, k:].T @ form.A @ form.Q[:, k:], form.rounding)
     if k < system.n_states:
