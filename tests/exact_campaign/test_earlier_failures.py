@@ -143,6 +143,10 @@ _EARLIER = [
     ("integrators", 7020, designs._observers),
     # of parts that act on outputs only, one ran away in the sweeps, until the others were rounding beside it
     ("oscillators", 8014, None),
+    # the units of a state that only one output reads, and nothing moves, were without end
+    ("stiff", 13064, designs.designs),
+    # a reason of the inverse form depended on units
+    ("repeated poles", 7140, designs._estimators),
 ]
 
 
