@@ -147,6 +147,8 @@ _EARLIER = [
     ("stiff", 13064, designs.designs),
     # a reason of the inverse form depended on units
     ("repeated poles", 7140, designs._estimators),
+    # what rounding left of couplings that cancel was a state that a residual needs
+    ("repeated poles", 7040, designs._decoupled),
 ]
 
 
