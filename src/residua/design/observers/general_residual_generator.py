@@ -15,7 +15,7 @@ from residua.design.core.evidence import Evidence, measured_from
 from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.design.core.internal_form import leak_frequencies, leakage
 from residua.design.core.method import method
-from residua.design.core.own_time import in_own_time
+from residua.design.core.own_time import has_rates, in_own_time
 from residua.design.core.signals import signal_names
 from residua.design.observers.general_conditions import (
     CONDITIONS,
@@ -39,6 +39,7 @@ from residua.tolerances import LEAKAGE
 REFERENCE = "Gertler (1991), Automatica 27(4), eqs. (3-11), (3-13), (4-8) and (4-15) to (4-20)"
 
 
+@has_rates(M=1, J=1, N=1, V=-1, first_response=1)
 @dataclass(frozen=True, eq=False)
 class GeneralForm(GeneralMatrices):
     r"""A residual generator in the general form, with the conditions that make it one.
@@ -100,6 +101,7 @@ class GeneralForm(GeneralMatrices):
         return "\n".join([*lines, f"  rank(T F) = {self.rank_TF.rank}, rank(F) = {self.rank_F.rank}"])
 
 
+@in_own_time()
 def general_form(generator: ResidualGenerator) -> GeneralForm:
     """Return a generator in the general form ``T, M, J, N, Ls, Lu, Ly``, with its conditions as numbers.
 
