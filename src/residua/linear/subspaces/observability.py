@@ -15,7 +15,6 @@ from residua.linear.poles.stability import dies_out, modes_with_uncertainty
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, spectral_norm
 from residua.linear.systems.array_cache import cached_by_contents, copied
 from residua.linear.systems.balancing import balance_system
-from residua.linear.systems.units import system_units
 from residua.tolerances import RESIDUE, above_rounding
 
 _EPS = float(np.finfo(float).eps)
@@ -92,7 +91,6 @@ class Staircase:
     states: NDArray[np.float64]
     outputs: NDArray[np.float64]
     dropped: float
-    has_units: bool
 
     @property
     def rounding(self) -> float:
@@ -132,9 +130,8 @@ def staircase(
     C : ndarray, shape (p, n)
     rtol : float
         Relative to the norm of ``A`` (without its multiple of the identity) or of ``C``.
-    units : {"balanced", "even", "given"}
-        Even out the norms of rows and columns, or only their logarithms (where a part of the system is hidden, its
-        balanced units may mean nothing), or take the caller's units, which are comparable already.
+    units : {"balanced", "given"}
+        Even out the norms of rows and columns, or take the caller's units, which are comparable already.
 
     Returns
     -------
@@ -142,15 +139,10 @@ def staircase(
         ``Q' A Q = [[A11, 0], [A21, A22]]`` up to what was dropped, which is not set to zero here.
     """
     n, p = A.shape[0], C.shape[0]
-    T, Y, has_units = np.ones(n), np.ones(p), True
-    none = np.zeros((n, 0)), C, np.zeros((p, 0))
+    T, Y = np.ones(n), np.ones(p)
     if units == "balanced":
-        scaled = balance_system(A, *none)
-        T, Y, has_units = scaled.states, scaled.outputs, scaled.has_units
-    elif units == "even":
-        u = system_units(A, *none)
-        T, Y = u.states, u.outputs
-    A, C = A / T[:, None] * T, Y[:, None] * C * T
+        scaled = balance_system(A, np.zeros((n, 0)), C, np.zeros((p, 0)))
+        A, C, T, Y = scaled.A, scaled.C, scaled.states, scaled.outputs
     scale_A, scale_C = _scales(A, C, rtol)
     Q, seen, first = np.eye(n), 0, 0
     block, scale = C, scale_C
@@ -168,7 +160,7 @@ def staircase(
         first = first or rank
         before, seen = seen, seen + rank
         block, scale = Q[:, before:seen].T @ A @ Q[:, seen:], scale_A
-    return Staircase(A, C, Q, seen, first, tuple(decisions), T, Y, dropped * scale_A, has_units)
+    return Staircase(A, C, Q, seen, first, tuple(decisions), T, Y, dropped * scale_A)
 
 
 def _orthogonal(form: Staircase, noise: float) -> NDArray[np.float64]:
