@@ -143,6 +143,14 @@ _EARLIER = [
     ("integrators", 7020, designs._observers),
     # of parts that act on outputs only, one ran away in the sweeps, until the others were rounding beside it
     ("oscillators", 8014, None),
+    # what rounding left of nothing when E was diagonalised was a coupling, in which a zero was lost
+    ("singular E", 21039, None),
+    # four fixed poles at 0 were scattered
+    ("delays", 7061, None),
+    # zeros and ranks of plants that integrate were computed in the caller's unit of time
+    ("integrators", 7119, None),
+    ("integrators", 13019, None),
+    ("integrators", 13021, None),
     # the units of a state that only one output reads, and nothing moves, were without end
     ("stiff", 13064, designs.designs),
     # a reason of the inverse form depended on units
