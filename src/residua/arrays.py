@@ -16,6 +16,14 @@ from residua.visible import echo, listed
 LARGEST = 1e100
 
 
+def aligned(array: NDArray) -> NDArray:
+    """Return an array whose numbers begin where C may read them: itself, or a copy.
+
+    A view into the middle of some bytes, such as ``np.frombuffer(content, offset=1)``, need not be so.
+    """
+    return array if array.flags.aligned else array.copy()
+
+
 def frozen(M: NDArray) -> NDArray[np.float64]:
     """Return a read-only C-ordered float64 copy of ``M``."""
     out = np.array(M, dtype=np.float64, order="C")

@@ -364,3 +364,32 @@ def test_sampled_chains_of_integrators_have_relations() -> None:
     made = rs.design.parity_relations(plant.with_actuator_faults().with_sensor_faults())
     assert leak_frequencies(made.system, plant)[0] == 1e-3 / plant.dt
     assert made.evidence.decoupling["control"] < 1e-6
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.5])
+def test_evidence_says_from_which_frequency_leaks_were_measured(dt: float) -> None:
+    chain = np.diag(np.ones(2), 1)
+    for scale in (1.0, 2.0**-20, 2.0**20):
+        unit = 1.0 if dt else scale
+        A = np.eye(3) + chain if dt else unit * (chain - np.diag([0, 0, 2.0]))
+        plant = rs.Plant(A, unit * np.eye(3)[:, -1:], np.eye(3)[:2], dt=dt).with_sensor_faults()
+        for made in (rs.design.decoupled_residual(plant), rs.design.structured_bank(plant, ["11"]).generator):
+            name = "leaks measured from, in " + ("rad per sample" if dt else "rad/s")
+            w = leak_frequencies(made.system, plant)[0]
+            assert made.evidence.leaks_measured_from(dt) == pytest.approx(w, rel=1e-6)
+            assert made.evidence.conditions[name] == pytest.approx(w * (dt or 1), rel=1e-6)
+            assert f"{name}: {w * (dt or 1):.3g}" in str(made.evidence)
+
+
+def test_a_sampled_design_says_where_leaks_were_measured_before_and_after() -> None:
+    made = rs.design.unknown_input_observer(rs.library.jet_engine()).residual_generator()
+    sampled = made.discretize(0.01)
+    w = leak_frequencies(sampled.system, sampled.plant)[0]
+    assert sampled.evidence.leaks_measured_from(0) == made.evidence.leaks_measured_from(0)
+    assert sampled.evidence.leaks_measured_from(0.01) == pytest.approx(w, rel=1e-12)
+    assert made.evidence.leaks_measured_from(0.01) is None
+
+
+def test_where_nothing_can_leak_nothing_is_said() -> None:
+    plant = rs.Plant([[-1.0]], np.zeros((1, 0)), [[1.0]]).with_sensor_faults()
+    assert rs.design.decoupled_residual(plant).evidence.leaks_measured_from(0) is None

@@ -385,9 +385,9 @@ take(PyObject *object, Py_buffer *view, const char *format, Py_ssize_t items, in
     if (PyObject_GetBuffer(object, view, PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | (writable ? PyBUF_WRITABLE : 0)) < 0)
         return -1;
     if (view->format != NULL && strchr(format, view->format[0]) && view->format[1] == 0
-        && view->len == items * view->itemsize)
+        && view->len == items * view->itemsize && is_aligned(view))
         return 0;
-    PyErr_Format(PyExc_ValueError, "array %d of the %s has another type or size", which, what);
+    PyErr_Format(PyExc_ValueError, "array %d of the %s has another type or size, or is not aligned", which, what);
     PyBuffer_Release(view);
     return -1;
 }
@@ -407,12 +407,12 @@ take_rows(Runner *self, PyObject *object, int which, const char *format, Py_ssiz
         expected *= view->shape[d];
         items *= view->shape[d];
     }
-    if (fits && items == width) {
+    if (fits && items == width && is_aligned(view)) {
         self->base[which] = view->buf;
         self->stride[which] = view->strides[0];
         return 0;
     }
-    PyErr_Format(PyExc_ValueError, "array %d of the state has another type or size", which);
+    PyErr_Format(PyExc_ValueError, "array %d of the state has another type or size, or is not aligned", which);
     PyBuffer_Release(view);
     return -1;
 }
@@ -937,11 +937,11 @@ get_signals(PyObject *object, Py_buffer *view, Py_ssize_t plants, Py_ssize_t *ti
     if (PyObject_GetBuffer(object, view, PyBUF_STRIDES | PyBUF_FORMAT) < 0)
         return -1;
     if (view->ndim == 3 && view->format != NULL && strcmp(view->format, "d") == 0 && view->shape[0] == plants
-        && (*time < 0 || view->shape[1] == *time) && view->shape[2] == channels) {
+        && (*time < 0 || view->shape[1] == *time) && view->shape[2] == channels && is_aligned(view)) {
         *time = view->shape[1];
         return 0;
     }
-    PyErr_SetString(PyExc_ValueError, "u and y must be float64 of (plants, time, channels)");
+    PyErr_SetString(PyExc_ValueError, "u and y must be aligned float64 of (plants, time, channels)");
     PyBuffer_Release(view);
     return -1;
 }
@@ -959,7 +959,7 @@ get_output(PyObject *object, Py_buffer *view, Py_ssize_t plants, Py_ssize_t time
         fits = fits && view->shape[2] == width && (view->strides[2] == size || width <= 1);
     else
         fits = fits && width == 1;
-    if (fits && (time <= 1 || view->strides[1] == expected)) {
+    if (fits && (time <= 1 || view->strides[1] == expected) && is_aligned(view)) {
         *out = (output){view->buf, view->strides[0], expected};
         return 0;
     }
@@ -1120,12 +1120,13 @@ get_sample(PyObject *object, Py_buffer *view, Py_ssize_t channels, const char **
         return 0;
     if (PyObject_GetBuffer(object, view, PyBUF_STRIDES | PyBUF_FORMAT) < 0)
         return -1;
-    if (view->ndim == 1 && view->format != NULL && strcmp(view->format, "d") == 0 && view->shape[0] == channels) {
+    if (view->ndim == 1 && view->format != NULL && strcmp(view->format, "d") == 0 && view->shape[0] == channels
+        && is_aligned(view)) {
         *at = view->buf;
         *stride = view->strides[0];
         return 1;
     }
-    PyErr_SetString(PyExc_ValueError, "a sample must be float64 of as many channels as there are");
+    PyErr_SetString(PyExc_ValueError, "a sample must be aligned float64 of as many channels as there are");
     PyBuffer_Release(view);
     return -1;
 }

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from residua.arrays import aligned
 from residua.decide.checks import check_samples
 from residua.errors import DataError, NotFittedError, SettingError
 from residua.monitor.decision import Decision
@@ -422,7 +423,7 @@ def _numbers(name: str, values: Any, channels: tuple[str, ...], shape: tuple[int
     if values is None and not channels:
         return np.zeros((*shape, 0))
     try:
-        array = np.asarray(values, dtype=np.float64)
+        array = aligned(np.asarray(values, dtype=np.float64))
     except (TypeError, ValueError) as error:
         raise DataError(f"{name} must be an array of numbers: {error}") from error
     if array.shape != (*shape, len(channels)):

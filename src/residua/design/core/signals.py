@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from residua.arrays import aligned
 from residua.errors import DataError, ModelError
 from residua.linear import StateSpace
 from residua.linear.systems.recursion import run_side_by_side
@@ -107,12 +108,12 @@ def checked_signals(
 
 
 def _numbers(value: ArrayLike, name: str) -> NDArray[np.float64]:
-    """Return data as floats; masked entries are missing ones."""
+    """Return data as floats that C can read; masked entries are missing ones."""
     try:
         if isinstance(value, np.ma.MaskedArray):
             value = np.ma.filled(value.astype(float), np.nan)
         if np.iscomplexobj(value):
             raise TypeError("complex numbers")
-        return np.asarray(value, dtype=float)
+        return aligned(np.asarray(value, dtype=float))
     except (TypeError, ValueError) as error:
         raise DataError(f"{name} must be an array of numbers: {error}") from error

@@ -19,9 +19,9 @@ get_array(PyObject *object, Py_buffer *view, int index)
     const int writable = index == X_NEXT || index == R_ ? PyBUF_WRITABLE : 0;
     if (PyObject_GetBuffer(object, view, PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | writable) < 0)
         return -1;
-    if (view->ndim == dimensions[index] && view->format != NULL && strcmp(view->format, "d") == 0)
+    if (view->ndim == dimensions[index] && view->format != NULL && strcmp(view->format, "d") == 0 && is_aligned(view))
         return 0;
-    PyErr_Format(PyExc_TypeError, "%s must be a C-contiguous array of float64 with %d dimensions", names[index],
+    PyErr_Format(PyExc_TypeError, "%s must be an aligned C-contiguous array of float64 with %d dimensions", names[index],
                  dimensions[index]);
     PyBuffer_Release(view);
     return -1;

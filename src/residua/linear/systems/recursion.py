@@ -11,6 +11,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from residua.arrays import aligned
 from residua.errors import DataError, ModelError
 from residua.kernels import kernel
 
@@ -169,7 +170,7 @@ def _as_array(name: str, value: ArrayLike) -> NDArray[np.float64]:
     array = np.asarray(value)
     if array.dtype.kind not in "fiub":
         raise DataError(f"{name} must be real numbers, got an array of {array.dtype}")
-    return array.astype(np.float64, order="C", copy=False)
+    return aligned(array.astype(np.float64, order="C", copy=False))
 
 
 def _check_shapes(matrices: Matrices, x: NDArray, v: NDArray) -> None:
