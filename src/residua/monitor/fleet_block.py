@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Hashable, Iterable, Sequence
+from copy import copy
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -232,8 +233,8 @@ class FleetBlock:
         standing: StandingAlarms | None = None,
         skipped: SkippedSamples | None = None,
     ) -> None:
-        self.monitor, self.ids = monitor, list(ids)
-        self.spec, self.generator = monitor._specification(), monitor.generator
+        self.spec, self.generator, self.ids = monitor._specification(), monitor.generator, list(ids)
+        self.monitor = copy(monitor)  # as it is now: it may be fitted anew while the plants run
         self.rows = {plant: row for row, plant in enumerate(self.ids)}
         if len(self.rows) < len(self.ids):
             twice = next(plant for row, plant in enumerate(self.ids) if self.rows[plant] != row)
