@@ -96,11 +96,12 @@ class Subject:
         """The longest chain of integrators, of the case: decimal units may move them off by rounding."""
         return integrators(exact_plant(plant_of(self.case)))
 
-    def ask(self, function: str, call: Callable[[], Any]) -> Record:
-        """Ask, and keep the record."""
-        if function not in self.known:
-            self.known[function] = answered(call)
-        record = Record(function, self.known[function])
+    def ask(self, function: str, call: Callable[[], Any], about: str = "") -> Record:
+        """Ask, and keep the record; ``about`` is what the question depends on besides the plant, if anything."""
+        question = f"{function} {about}"
+        if question not in self.known:
+            self.known[question] = answered(call)
+        record = Record(function, self.known[question])
         if record.answer.crash:
             record.problem("crash", "crash", record.answer.crash)
         self.records[function] = record

@@ -6,7 +6,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from residua.linear.poles.zero_structure import rounding_of, without_zero_eigenvalues
+from residua.linear.poles.zero_structure import rounding_of, scatter_of, without_zero_eigenvalues
 from residua.linear.systems.array_cache import cached_by_entries
 from residua.linear.systems.units import state_units_and_rate
 
@@ -34,14 +34,26 @@ def _poles_of_part(A: NDArray[np.float64]) -> NDArray[np.complex128]:
     balanced = scipy.linalg.matrix_balance(A / rate / T[:, None] * T)[0]
     size = float(np.linalg.norm(balanced))
     rest, _, count, regular = without_zero_eigenvalues(balanced, None, size)
-    poles = np.concatenate([np.zeros(count, dtype=complex), _other_poles(rest, size, regular)])
+    poles = _poles(balanced, rest, count, size) if regular else _poles_of_large(balanced, size)
     return np.asarray(rate * poles, dtype=complex)
 
 
-def _other_poles(A: NDArray[np.float64], size: float, regular: bool) -> NDArray[np.complex128]:
-    """Return the eigenvalues of a matrix; where it may not be regular, those that may be rounding of zero as zero."""
-    if regular:
-        return np.linalg.eigvals(A).astype(complex)
+def _poles(A: NDArray[np.float64], rest: NDArray[np.float64], count: int, size: float) -> NDArray[np.complex128]:
+    """Return the eigenvalues of a matrix, of which ranks count some at zero and leave the rest.
+
+    Ranks alone are no proof: far from normal, a matrix with poles of size one may be near to a singular one.
+    """
+    poles = np.linalg.eigvals(A).astype(complex)
+    near = np.abs(poles) <= scatter_of(count, len(A), size)
+    if np.count_nonzero(near) == count:
+        return np.where(near, 0.0, poles)
+    if np.count_nonzero(near) < count:
+        return poles
+    return np.concatenate([np.zeros(count, dtype=complex), np.linalg.eigvals(rest)])
+
+
+def _poles_of_large(A: NDArray[np.float64], size: float) -> NDArray[np.complex128]:
+    """Return the eigenvalues of a matrix that may have more at zero than were counted."""
     poles, left, right = scipy.linalg.eig(A, left=True, right=True)
     overlap = np.abs(np.sum(left.conj() * right, axis=0))
     return np.where(is_rounding_of_zero(poles, overlap, size), 0.0, poles).astype(complex)

@@ -7,7 +7,7 @@ import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
 from residua.linear.poles.matrix_poles import is_rounding_of_zero
-from residua.linear.poles.zero_structure import rounding_of, without_zero_eigenvalues
+from residua.linear.poles.zero_structure import rounding_of, scatter_of, without_zero_eigenvalues
 from residua.tolerances import TINY
 
 _EPS = float(np.finfo(float).eps)
@@ -112,12 +112,11 @@ def _modes_at_zero(
 
     Ranks alone are no proof: a chain of slow modes in turned coordinates is near to a singular matrix, too.
     """
-    n, distance = len(A), np.abs(modes)
-    rounding = rounding_of(n) + perturbation / max(size, TINY)
-    if distance.min() > size * rounding ** (1 / n):  # further than those of any number are scattered
+    n, distance, more = len(A), np.abs(modes), perturbation / max(size, TINY)
+    if distance.min() > scatter_of(n, n, size, more):
         return np.zeros(0, dtype=int)
     balanced = scipy.linalg.matrix_balance(A)[0]
     known = float(np.linalg.norm(balanced)) + perturbation / rounding_of(n)
     count = without_zero_eigenvalues(balanced, None, known)[2]
     nearest = np.argsort(distance, kind="stable")[:count]
-    return nearest if np.all(distance[nearest] <= size * rounding ** (1 / max(count, 1))) else nearest[:0]
+    return nearest if np.all(distance[nearest] <= scatter_of(count, n, size, more)) else nearest[:0]

@@ -23,12 +23,17 @@ Matrix = NDArray[np.float64]
 #: What the levels may take together, as a multiple of the cube of the size: each is a singular value decomposition.
 _WORK = 3e7
 #: So many levels are looked at however large a matrix is.
-_LEAST = 4
+_LEAST = 3
 
 
 def rounding_of(count: int) -> float:
     """Return what orthogonal steps leave of a zero in a matrix of this size, relative to its norm."""
     return 10 * count * float(np.finfo(float).eps)
+
+
+def scatter_of(multiplicity: int, count: int, size: float, rounding: float = 0.0) -> float:
+    """Return how far rounding, and more of it, scatters so many of ``count`` eigenvalues of a matrix from zero."""
+    return size * (rounding_of(count) + rounding) ** (1 / multiplicity) if multiplicity else 0.0
 
 
 def without_zero_eigenvalues(A: Matrix, E: Matrix | None, size: float) -> tuple[Matrix, Matrix | None, int, bool]:

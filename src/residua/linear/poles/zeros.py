@@ -11,11 +11,14 @@ from numpy.typing import ArrayLike, NDArray
 from residua import arrays
 from residua.errors import AccuracyError
 from residua.linear.poles.matrix_poles import is_rounding_of_zero
-from residua.linear.poles.zero_structure import without_zero_eigenvalues
+from residua.linear.poles.zero_structure import rounding_of, without_zero_eigenvalues
 from residua.linear.subspaces.parts import part_numbers
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, decide_rank, spectral_norm
 from residua.linear.systems.balancing import balance_system, descriptor_units, power_of_two, without_rounding
-from residua.linear.systems.units import system_rate
+from residua.linear.systems.units import bordered, system_rate
+
+#: What rounding leaves of the next zeros, as a multiple of what it left of those that were dropped.
+_BEYOND_DROPPED = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,7 +205,8 @@ def invariant_zeros(
     algebraic = n - M[0].shape[0]
     M, second = _balanced(M)
     unit *= second
-    scale = float(np.linalg.norm(np.block([[M[0], M[1]], [M[2], M[3]]]), 2)) if sum(x.size for x in M) else 1.0
+    whole = bordered(*M)
+    scale = spectral_norm(whole) if whole.size else 1.0
     M = _deflate(M, rtol, scale, decisions)
     A, B, C, D = (x.T for x in M)
     A, B, C, D = _deflate((A, C, B, D), rtol, scale, decisions)
@@ -212,11 +216,14 @@ def invariant_zeros(
             f"the compressed pencil is not square (D is {D.shape[0]} x {D.shape[1]}): a rank decision "
             f"with rtol={rtol:.3g} was not clear; see pencil_rank_at, or choose another rtol"
         )
-    return InvariantZeros(_finite_zeros((A, B, C, D), scale) * unit, rank - algebraic, tuple(decisions))
+    # What was dropped tells how much rounding there is, where couplings are weak more than of the steps themselves.
+    dropped = max((decision.largest_dropped for decision in decisions), default=0.0)
+    rounding = max(rounding_of(len(whole)) * scale, _BEYOND_DROPPED * dropped)
+    return InvariantZeros(_finite_zeros((A, B, C, D), rounding) * unit, rank - algebraic, tuple(decisions))
 
 
-def _finite_zeros(M: Matrices, scale: float) -> NDArray[np.complex128]:
-    """Return the zeros of a square system with invertible ``D``, without inverting it; rounding is of ``scale``."""
+def _finite_zeros(M: Matrices, rounding: float) -> NDArray[np.complex128]:
+    """Return the zeros of a square system with invertible ``D``, without inverting it, known to ``rounding``."""
     A, B, C, D = M
     k, r = A.shape[0], D.shape[0]
     if not k:
@@ -225,6 +232,7 @@ def _finite_zeros(M: Matrices, scale: float) -> NDArray[np.complex128]:
     if r:
         W = np.linalg.qr(np.hstack([C, D]).T, mode="complete")[0][:, r:]  # what the outputs do not see
         A, E = np.hstack([A, B]) @ W, W[:k]
+    scale = rounding / rounding_of(k)
     A, E, count, regular = without_zero_eigenvalues(A, E, scale)
     found = [np.zeros(count, dtype=complex), _eigenvalues(A, E, scale, regular)]
     zeros: NDArray[np.complex128] = np.concatenate(found)
