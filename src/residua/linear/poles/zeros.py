@@ -107,17 +107,18 @@ def _singular_vectors(E: NDArray[np.float64]) -> tuple[NDArray, NDArray, NDArray
     return U[:, order], values[order], V[:, order]
 
 
-def _balanced(M: Matrices) -> tuple[Matrices, float]:
+def _balanced(M: Matrices, s: complex = 0.0) -> tuple[Matrices, float]:
     """Balance a standard system and choose the unit of ``s``, which outputs take too: all blocks stay comparable.
 
-    In the unit of time in which its rates are near one, so that it comes out the same in whatever unit it was written.
+    In the unit of time in which its rates are near one, so that it comes out the same in whatever unit it was written;
+    of a system that has no rate the point at which it is looked at is one.
     """
     A, B, C, D = M
-    rate = system_rate(A, B, C, D) or 1.0
-    s = balance_system(A / rate, B / rate, C, D)
-    size = spectral_norm(s.A)
+    rate = system_rate(A, B, C, D) or float(power_of_two(np.array(abs(s))))
+    b = balance_system(A / rate, B / rate, C, D)
+    size = spectral_norm(b.A)
     unit = float(power_of_two(np.array(size))) if size else 1.0
-    return (s.A / unit, s.B / unit, s.C / unit, s.D / unit), rate * unit
+    return (b.A / unit, b.B / unit, b.C / unit, b.D / unit), rate * unit
 
 
 def _deflate(M: Matrices, rtol: float, scale: float, decisions: list[RankDecision]) -> Matrices:
@@ -372,7 +373,7 @@ def pencil_rank_at(
     if descriptor is not None:
         M, descriptor, unit = _equilibrated(M, descriptor)
     else:
-        M, unit = _balanced(M)
+        M, unit = _balanced(M, s)
         descriptor = np.eye(M[0].shape[0])
     P = np.block([[s / unit * descriptor - M[0], -M[1]], [M[2], M[3]]])
     # Far out, the columns of the states grow with s; the rank does not change when they are divided by it.
