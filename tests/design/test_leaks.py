@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 import residua as rs
 from exact_arithmetic import exact_leak, normal_rank, reaches
+from guards import trips
 from refusals import Refused
 from residua.design.core.internal_form import frequency_grid, leak_frequencies, leakage, leakage_of_inputs
 from residua.design.core.signatures import checked_responses, fault_responses
@@ -393,3 +394,19 @@ def test_a_sampled_design_says_where_leaks_were_measured_before_and_after() -> N
 def test_where_nothing_can_leak_nothing_is_said() -> None:
     plant = rs.Plant([[-1.0]], np.zeros((1, 0)), [[1.0]]).with_sensor_faults()
     assert rs.design.decoupled_residual(plant).evidence.leaks_measured_from(0) is None
+
+
+@trips("design.core.internal_form:_check_digits")
+def test_a_leak_that_no_digits_tell_is_not_told() -> None:
+    """A chain of eight: its filter has zeros at 0 exactly, and at 1e-5 rad/s 1e-40 of its terms are left."""
+    n = 8
+    plant = rs.Plant(np.diag(np.ones(n - 1), 1), np.eye(n)[:, -1:], np.eye(n)[:1]).with_sensor_faults()
+    made = rs.design.decoupled_residual(plant)
+    slowest = made.evidence.leaks_measured_from(0)
+    assert slowest is not None
+    assert leakage(made.system, plant, np.geomspace(slowest / 10, 100 * slowest, 20))["control"] < 1e-9
+    slow = np.array([1e-6, 1e-5, slowest])
+    with pytest.raises(AccuracyError, match="1e-05 rad/s and below cannot be told from rounding"):
+        leakage(made.system, plant, slow)
+    wrong = made.system.replaced(B=made.system.B * [1, 1 + 1e-12])  # no zero at 0 any more
+    assert leakage(wrong, plant, slow)["control"] == pytest.approx(1.0)

@@ -26,11 +26,30 @@ def difference(C: list[list[float]]) -> np.ndarray:
 _LONG = chain(0, 1, 1, 2, 1, 2, 1, 1)
 _LONG[0, -1] = -128
 _WITH_A_LAG = chain(192, 64, 64, 128) + np.diag([0, 0, 0, 0, 0.5])
+_SLOW = 2.0**-7
+_HIDDEN_FAST = [
+    [0, _SLOW, 0, 0, 0, _SLOW],
+    [-_SLOW, -_SLOW, 0, 0, 512, -_SLOW],
+    [0, -_SLOW, 0, 256, 0, -_SLOW],
+    [-256, 0, -256, 0, 0, 0],
+    [-512, 0, 0, 0, 0, 512],
+    [0, _SLOW, 0, 0, -512, _SLOW],
+]
+_EQUAL_FAST = [
+    [0, 512, 512, -512 - _SLOW, 0, -512],
+    [-512, 0, -512, 0, -512, 0],
+    [0, 0, 0, _SLOW, 0, 0],
+    [0, 0, -_SLOW, 0, 0, 0],
+    [0, 0, -512, 512, 0, 512],
+    [0, 0, _SLOW, _SLOW, -512, 0],
+]
 #: A pair with the number of its hidden states and whether all of these die out, in exact arithmetic.
 PAIRS = {
     "two integrators behind seven": (_LONG / 64, [[0, 0, -2, 2, 0, 0, 0, 0, 0]], 2, False),
     "a chain read at its end": (chain(64, 128, 192, 64, 64, 128, 192), [[1, 3, 3, -2, 0, 0, 0, 0]], 0, True),
     "two chains and a lag": (twice(_WITH_A_LAG), difference([[2, -2, 0, 0, 0], [2, -3, 0, 0, 1]]), 5, False),
+    "a hidden fast oscillator": (_HIDDEN_FAST, [[3, 0, 3, 1, 0, 0], [-1, 2, 1, -1, 0, 2]], 2, False),
+    "two equal fast oscillators": (_EQUAL_FAST, [[0, -1, -2, 1, 0, 2]], 2, False),
 }
 
 
@@ -50,3 +69,22 @@ def test_hidden_states_in_all_units(name: str, rate: float, seed: int) -> None:
     x, y = units_of(seed, len(A), len(C), 2.0 if seed % 2 else 10.0)
     found = rs.linear.detectability(rate * A / x[:, None] * x, C * x / y[:, None])
     assert (len(found.unobservable_modes), found.detectable) == (hidden, die_out)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("name", ["a hidden fast oscillator", "two equal fast oscillators"])
+def test_hidden_oscillators_in_other_coordinates(name: str, seed: int) -> None:
+    """Where every entry is rounded."""
+    A, C, hidden, _ = PAIRS[name]
+    Q = np.linalg.qr(np.random.default_rng(seed).standard_normal((len(A), len(A))))[0]
+    assert len(rs.linear.detectability(Q.T @ A @ Q, C @ Q).unobservable_modes) == hidden
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_weak_couplings_are_real_where_nothing_is_rounded_to_their_size(seed: int) -> None:
+    """A cascade of oscillators that slow ones couple: all of it is seen."""
+    rng = np.random.default_rng(seed)
+    rates = 2.0 ** rng.integers(-10, 11, 4)
+    A = np.kron(np.diag(rates), [[0, 1], [-1, 0]]) + np.kron(np.diag(rates[1:] / 4, 1), [[0, 0], [1, 0]])
+    C = np.eye(1, 8)
+    assert rs.linear.observability_form(A, C).n_observable == 8

@@ -108,7 +108,7 @@ def unknown_input_quotient(parts: ExplicitParts, rtol: float) -> Quotient:
     direct = decide_rank(parts.D, rtol=rtol, scale=1.0)
     k = direct.rank
     G = parts.B @ (Vh[:k].T / s[:k]) @ U[:, :k].T
-    W = U[:, k:].T
+    W = _left_null_rows(parts.D, rtol, 1.0)
     A = without_rounding(np.hstack([np.eye(len(parts.A)), -G]), np.vstack([parts.A, parts.C]))
     C = without_rounding(W, parts.C)
     L, _ = range_basis(parts.B @ Vh[k:].T, rtol=rtol, scale=1.0)

@@ -275,7 +275,7 @@ def _potentials(W: NDArray[np.float64], row_node: NDArray, column_node: NDArray,
     v = np.zeros(count)
     for _ in range(_ROUNDS):
         i, j = np.nonzero(W)
-        v = _least_squares(row_node[i], column_node[j], np.log2(W[i, j]), count)
+        v = _least_squares(row_node[i], column_node[j], np.log2(W[i, j])[:, None], count)[:, 0]
         scaled = W * np.exp2(v[column_node][None, :] - v[row_node][:, None])
         keep = _real(scaled, scaled)
         if np.array_equal(keep, W > 0):
@@ -284,18 +284,21 @@ def _potentials(W: NDArray[np.float64], row_node: NDArray, column_node: NDArray,
     return v
 
 
-def _least_squares(row: NDArray, column: NDArray, logarithms: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """Minimise the sum of squares of ``logarithms + v[column] - v[row]``, the first node of each part at zero.
+def _least_squares(row: NDArray, column: NDArray, values: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    """Minimise the sum of squares of ``values + v[column] - v[row]``, the first node of each part at zero.
 
     Of each connected part only the differences of ``v`` matter; with the first at zero they are whole numbers apart
-    for units that are powers of two.
+    for units that are powers of two. For each column of ``values`` there is one of ``v``.
     """
-    L, b = _normal_equations(row, column, logarithms, count)
     free = np.ones(count, dtype=bool)
     free[_origins(row, column, count)] = False
-    v = np.zeros(count)
+    v = np.zeros((count, values.shape[1]))
     if free.any():
-        v[free] = np.linalg.solve(L[free][:, free], b[free])
+        edges = np.bincount(row * count + column, minlength=count * count).reshape(count, count)
+        ends = np.concatenate([row, column])
+        L = (np.diag(np.bincount(ends, minlength=count)) - edges - edges.T).astype(float)  # the Laplacian of the graph
+        b = [np.bincount(ends, weights=np.concatenate([one, -one]), minlength=count) for one in values.T]
+        v[free] = np.linalg.solve(L[free][:, free], np.column_stack(b)[free])
     return v
 
 
@@ -304,13 +307,7 @@ def _with_rate(
 ) -> tuple[NDArray[np.float64], float | None]:
     """Minimise the same with one unknown more, by which the logarithms of dynamic entries are larger; if it matters."""
     shared = dynamic.astype(float)
-    free = np.ones(count, dtype=bool)
-    free[_origins(row, column, count)] = False
-    L, b = _normal_equations(row, column, logarithms, count)
-    c = _divergence(row, column, shared, count)
-    v, through = np.zeros(count), np.zeros(count)
-    if free.any():
-        v[free], through[free] = np.linalg.solve(L[free][:, free], np.column_stack([b, c])[free]).T
+    v, through = _least_squares(row, column, np.column_stack([logarithms, shared]), count).T
     # minus what the potentials make of either
     left = shared + through[column] - through[row]
     own = float(left @ left)
@@ -318,21 +315,6 @@ def _with_rate(
         return v, None
     rate = float(left @ (logarithms + v[column] - v[row])) / own
     return v - rate * through, rate
-
-
-def _normal_equations(
-    row: NDArray, column: NDArray, logarithms: NDArray[np.float64], count: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the Laplacian of the graph and the right-hand side of its least squares problem."""
-    edges = np.bincount(row * count + column, minlength=count * count).reshape(count, count)
-    L = np.diag(np.bincount(np.concatenate([row, column]), minlength=count)) - edges - edges.T
-    return L.astype(float), _divergence(row, column, logarithms, count)
-
-
-def _divergence(row: NDArray, column: NDArray, values: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """Return the sum of what leaves each node less what enters it, as the right-hand side for those values."""
-    ends, both = np.concatenate([row, column]), np.concatenate([values, -values])
-    return np.asarray(np.bincount(ends, weights=both, minlength=count), dtype=float)
 
 
 def _origins(row: NDArray, column: NDArray, count: int) -> NDArray[np.int_]:
@@ -349,20 +331,6 @@ def _pencil_potentials(a: NDArray[np.float64], e: NDArray[np.float64]) -> tuple[
     row = np.concatenate([at[0] for at in places])
     column = p + np.concatenate([at[1] for at in places])
     logarithms = np.log2(np.concatenate([M[at] for M, at in zip((a, e), places, strict=True)]))
-    dynamic = np.r_[np.zeros(len(places[0][0])), np.ones(len(places[1][0]))]
-    fixed = _origins(row, column, p + q)
-    free = np.setdiff1d(np.arange(p + q), fixed)
-    L, b = _normal_equations(row, column, logarithms, p + q)
-    # The unit of s is one more unknown, which all entries of E share; c is its column.
-    c = np.zeros(p + q)
-    np.add.at(c, row, -dynamic)
-    np.add.at(c, column, dynamic)
-    v, through = np.zeros(p + q), np.zeros(p + q)
-    if free.size:
-        v[free], through[free] = np.linalg.solve(L[np.ix_(free, free)], np.column_stack([b, c])[free]).T
-    # What of the unit no units of rows and columns can imitate; where there is nothing it stays one.
-    own = float(dynamic.sum() - c @ through)
-    if own <= _NO_RATE * max(dynamic.sum(), 1.0):
-        return v, None
-    unit = float(-(dynamic @ logarithms + c @ v) / own)
-    return v - unit * through, unit
+    dynamic = np.arange(len(row)) >= len(places[0][0])
+    v, rate = _with_rate(row, column, logarithms, dynamic, p + q)
+    return v, None if rate is None else -rate
