@@ -362,6 +362,7 @@ class FusedRun:
         rows: NDArray[np.int64] | None = None,
         *,
         threads: int = 1,
+        joined: NDArray[np.float64] | None = None,
     ) -> None:
         """Go on with a block.
 
@@ -374,12 +375,15 @@ class FusedRun:
             Whose data they are: each row of the state once. All rows in order when omitted.
         threads : int
             The plants are shared among so many.
+        joined : ndarray, shape (plants, time, channels), optional
+            Where to put u and y side by side.
 
         An error leaves all plants as they were, or a block of which :meth:`finish`, or whatever looks at the state
         next, does the rest.
         """
         self.finish()
         job = self.job(u, y, outputs, rows, threads=threads)
+        job.joined = joined
         self._do(job)
 
     def job(
