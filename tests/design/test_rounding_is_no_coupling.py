@@ -183,3 +183,23 @@ def test_a_dead_output_gets_no_gain() -> None:
             assert not np.any(observer.K[:, dead]), (seed, design.__name__)
             assert not np.any(observer.H[:, dead]), (seed, design.__name__)
     assert made > 300
+
+
+@pytest.mark.parametrize("unit", [2.0**-20, 1.0, 2.0**20])
+def test_an_output_is_not_mixed_with_others_because_a_disturbance_enters_these(unit: float) -> None:
+    """Nothing says how large it is beside them: the mixture would depend on its unit."""
+    plant = rs.Plant(np.zeros((0, 0)), np.zeros((0, 0)), np.zeros((3, 0)), dt=0.5)
+    plant = plant.with_disturbances({"d": ([], [0, -2, 2])}).with_sensor_faults([1, 2])
+    plant = with_output_units(plant, np.array([unit, 1, 1]))
+    read = rs.design.decoupled_residual(plant).system.D
+    assert (read != 0).tolist() == [[True, False, False], [False, True, True]]
+    dynamic = rs.Plant([[-1.0]], [[1.0]], [[unit], [0], [0]]).with_disturbances({"d": ([0], [0, -2, 2])})
+    made = rs.design.decoupled_residual(dynamic.with_sensor_faults([1, 2]))
+    apart = np.any(made.system.D[:, 1:2], axis=1), np.any(made.system.D[:, 2:], axis=1)
+    assert not np.any(np.logical_and(*apart))
+
+
+def with_output_units(plant: rs.Plant, units: np.ndarray) -> rs.Plant:
+    """Return a plant with its outputs in other units, so that the faults of its sensors are in these too."""
+    scaled = {name: units[:, None] * getattr(plant, name) for name in ("C", "Du", "Dd", "Df")}
+    return plant._with(**scaled)

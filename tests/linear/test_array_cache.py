@@ -262,6 +262,41 @@ def test_keys_and_properties_that_are_kept_later_count_too():
     assert latest.bytes == 0
 
 
+def test_what_a_result_grows_by_counts_when_another_is_asked_for_again():
+    forget()
+    latest = array_cache.Latest()
+    first, second = (StateSpace(-np.eye(2), np.ones((2, 1)), np.ones((1, 2))) for _ in range(2))
+    for name, system in (("first", first), ("second", second)):
+        latest.of(name, lambda system=system: system)
+    before = latest.bytes
+    latest.of("first", lambda: first)
+    vars(first)["_poles"] = np.zeros(1000)
+    latest.of("second", lambda: second)  # a hit, after which the first is no more the last that was used
+    latest.of("another", lambda: 1.0)
+    assert latest.bytes - before > 8000
+    latest.forget()
+
+
+def test_matrices_that_products_round_otherwise_are_told_apart():
+    """In parts of arguments; arguments that are matrices themselves are brought to one order first."""
+    seen = []
+
+    @cached_by_contents
+    def function(A, parts=()):
+        seen.append((A.flags.c_contiguous, [M.flags.c_contiguous for M in parts]))
+        return A
+
+    M = np.arange(6.0).reshape(2, 3)
+    turned, part = np.asfortranarray(M), np.repeat(M, 2, axis=1)[:, ::2]
+    assert function(M) is function(turned) is function(part) is function(M)
+    function(M, (M,))
+    function(turned, (M,))
+    function(M, (turned,))
+    function(M, (part,))
+    assert seen == [(True, []), (True, [True]), (True, [False]), (True, [False])]
+    assert contents(np.ones(3)) == contents(np.ones(6)[::2])  # of one dimension nothing is summed in another order
+
+
 def test_threads_share_the_limit(monkeypatch):
     forget()
     monkeypatch.setattr(array_cache, "_MOST_BYTES", 50_000)

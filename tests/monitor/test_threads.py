@@ -5,14 +5,18 @@ from __future__ import annotations
 import copy
 import pickle
 import sys
+import threading
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
+from typing import Any
 
 import numpy as np
 import pytest
 
 import residua as rs
 from residua.library import three_tank
+from residua.monitor import monitor as monitor_module
+from residua.monitor.fitting import fitted_test
 from running_examples import plant, recording
 
 
@@ -80,3 +84,57 @@ def test_a_copy_has_a_state_of_its_own() -> None:
         )
     assert monitor._state is not None
     assert monitor._state.count == 100
+
+
+def test_no_sample_is_taken_in_the_middle_of_a_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A step went on with the old thresholds, and left its state to the new ones."""
+    monitor = rs.Monitor(rs.design.kalman_filter(plant()), test=rs.decide.NormThreshold(window=3))
+    inside, on = threading.Event(), threading.Event()
+
+    def fitted(*arguments: Any, **settings: Any) -> Any:
+        made = fitted_test(*arguments, **settings)
+        inside.set()
+        assert on.wait(60)
+        return made
+
+    monkeypatch.setattr(monitor_module, "fitted_test", fitted)
+    u, y = recording(600)
+    with ThreadPoolExecutor(2) as pool:
+        fit = pool.submit(monitor.fit, u, y)
+        assert inside.wait(60)
+        step = pool.submit(monitor.step, u[0], y[0])
+        assert not wait([step], timeout=0.2).done
+        on.set()
+        fit.result()
+        step.result()
+    assert monitor._state is not None
+    assert monitor._state.count == 1
+
+
+def test_a_stream_does_not_follow_a_recording_that_ran_with_other_thresholds() -> None:
+    monitor = rs.Monitor(rs.design.kalman_filter(plant()))
+    u, y = recording(600)
+    expected = monitor.run(u, y)
+    assert monitor._state is not None
+
+    def fit(done: int, samples: int) -> None:
+        monitor.fit(u, y, false_alarm_rate=0.1)
+
+    found = monitor.run(u, y, progress=fit)
+    assert monitor._state is None
+    assert (found.threshold, found.notes) == (expected.threshold, expected.notes)  # type: ignore[union-attr]
+    assert monitor.run(u, y).threshold < found.threshold  # type: ignore[union-attr]
+
+
+def test_a_fleet_goes_on_as_it_was_made_when_its_monitor_is_fitted_anew() -> None:
+    """Its snapshots were of the new monitor then, and plants that came changed the thresholds of those before."""
+    monitor = rs.Monitor(rs.design.kalman_filter(plant()))
+    before, (u, y) = copy.deepcopy(monitor), recording(600)
+    fleet, expected = (rs.Fleet(one, plants=["north"]) for one in (monitor, before))
+    monitor.fit(u, y, false_alarm_rate=0.1)
+    for one in (fleet, expected):
+        one.run(u[None], y[None])
+        one.add(["south"])
+        one.tick(None, u[:2], y[:2])
+    assert fleet.snapshot() == expected.snapshot()
+    rs.Fleet.restore(fleet.snapshot(), before)

@@ -880,9 +880,9 @@ make_scratch(const Runner *self, scratch *s, Py_ssize_t time)
     const Py_ssize_t parts = samples * t->parts, members = self->naming.kind == CODES ? parts : 0;
     const Py_ssize_t directions = self->naming.kind == DIRECTIONS ? samples * (k + 3) : 0;
     const Py_ssize_t columns = parts ? samples * (self->nr + 1) + parts : 0;
-    const Py_ssize_t seldom = self->m + (self->lacks_room ? NOTES * (NOTE_HEAD + self->n) : 0);
+    const Py_ssize_t notes = self->lacks_room ? NOTES * (NOTE_HEAD + self->n) : 0;
     const Py_ssize_t doubles = samples * (self->m + self->nr + 3 * k + 2) + states + small_size(self) + room_e + history
-                               + parts + 2 * members + columns + directions + 3 * t->parts + t->sums + seldom + 12;
+                               + parts + 2 * members + columns + directions + 3 * t->parts + t->sums + self->m + notes + 12;
     double *room = malloc((size_t)doubles * sizeof(double) + (size_t)(3 * samples + parts + members + 1));
     memset(&s->gains, 0, sizeof s->gains);
     if (room == NULL || (self->has_gains && !make_gain_store(&s->gains, &self->some))) {
@@ -907,7 +907,7 @@ make_scratch(const Runner *self, scratch *s, Py_ssize_t time)
     s->columns = s->parts.columns + columns;
     s->sample = s->columns + directions;
     s->notes = s->sample + self->m;
-    s->stream = s->sample + seldom;
+    s->stream = s->notes + notes;
     s->runs = (whole *)(s->stream + t->sums);
     s->n_notes = 0;
     s->wants_gains = 0;
@@ -1022,66 +1022,94 @@ run_all(const Runner *self, const block *b, const whole *rows, whole *left, int 
     return open;
 }
 
-PyDoc_STRVAR(run_doc, "run(u, y, outputs, rows, left, fresh, first, stop)\n--\n\n"
-                      "Run the last `left` samples of plants first to stop of a block, all of them if it is fresh, and "
-                      "return how many plants stopped on the way, whether one did for want of what a Kalman filter with "
-                      "missing values needs, and notes of what there was no room for. `left` is then what is left of "
-                      "each; it must be zeros if the block is fresh.");
+/* Where a run writes down what it has done: that it has run, how many plants stopped for want of room, whether one did
+ * for want of gains, and how many notes there are; and these. */
+enum { RAN, STOPPED, WANTS_GAINS, NOTED, RECEIPT };
+
+PyDoc_STRVAR(run_doc, "run(u, y, outputs, rows, left, fresh, first, stop, receipt, notes)\n--\n\n"
+                      "Run the last `left` samples of plants first to stop of a block, all of them if it is fresh. `left` "
+                      "is then what is left of each; it must be zeros if the block is fresh. In the receipt: 1, how many "
+                      "plants stopped on the way, whether one did for want of what a Kalman filter with missing values "
+                      "needs, and how many notes there are of what there was no room for. An error leaves all as it was.");
+
+/* The arrays of a run; 0 if they do not fit, with an error set. */
+static int
+get_run(const Runner *self, PyObject *const *given, int fresh, Py_ssize_t first, Py_ssize_t stop, block *b, views *all)
+{
+    enum { U_, Y_, OUTPUTS_, ROWS_, LEFT_, RECEIPT_, NOTES_ };
+    Py_buffer *const view = all->views;
+    const Py_ssize_t note = NOTES * (NOTE_HEAD + self->n);
+    if (PyObject_GetBuffer(given[LEFT_], &view[0], PyBUF_C_CONTIGUOUS | PyBUF_WRITABLE | PyBUF_FORMAT) < 0)
+        return 0;
+    all->held = 1;
+    const Py_ssize_t plants = view[0].len / 8;
+    if (view[0].itemsize != 8 || first < 0 || stop < first || stop > plants) {
+        PyErr_SetString(PyExc_ValueError, "no such plants");
+        return 0;
+    }
+    if (take(given[RECEIPT_], &view[1], "lq", RECEIPT, 1, "run", 0) < 0)
+        return 0;
+    all->held = 2;
+    if (take(given[NOTES_], &view[2], "d", note, 1, "run", 1) < 0)
+        return 0;
+    all->held = 3;
+    if (get_signals(given[Y_], &view[3], plants, &b->time, self->n_y) < 0)
+        return 0;
+    all->held = 4;
+    if (get_signals(given[U_], &view[4], plants, &b->time, self->n_u) < 0)
+        return 0;
+    all->held = 5;
+    if (given[ROWS_] != Py_None) {
+        if (take(given[ROWS_], &view[5], "lq", plants, 0, "rows", 0) < 0)
+            return 0;
+        all->held = 6;
+    }
+    b->y = view[3].buf;
+    b->u = view[4].buf;
+    memcpy(b->y_strides, view[3].strides, sizeof b->y_strides);
+    memcpy(b->u_strides, view[4].strides, sizeof b->u_strides);
+    b->is_dense = b->u_strides[2] == sizeof(double) && b->y_strides[2] == sizeof(double);
+    const whole *const rows = given[ROWS_] == Py_None ? NULL : view[5].buf;
+    return get_outputs(self, given[OUTPUTS_], plants, b, all) == 0
+           && check_rows(self, rows, view[0].buf, fresh, plants, b->time) == 0;
+}
 
 static PyObject *
 runner_run(PyObject *object, PyObject *args)
 {
     const Runner *self = (Runner *)object;
-    PyObject *u, *y, *outputs, *rows, *left, *made = NULL;
-    Py_ssize_t first, stop, open = 0;
-    int fresh;
-    if (!PyArg_ParseTuple(args, "OOO!OOpnn:run", &u, &y, &PyTuple_Type, &outputs, &rows, &left, &fresh, &first, &stop))
+    PyObject *given[7];
+    Py_ssize_t first, stop;
+    int fresh, has_run = 0;
+    if (!PyArg_ParseTuple(args, "OOO!OOpnnOO:run", &given[0], &given[1], &PyTuple_Type, &given[2], &given[3], &given[4],
+                          &fresh, &first, &stop, &given[5], &given[6]))
         return NULL;
     views all = {.held = 0};
     block b = {.time = -1};
-    Py_buffer *const view = all.views;
-    if (PyObject_GetBuffer(left, &view[0], PyBUF_C_CONTIGUOUS | PyBUF_WRITABLE | PyBUF_FORMAT) < 0)
-        return NULL;
-    all.held = 1;
-    const Py_ssize_t plants = view[0].len / 8;
-    if (view[0].itemsize != 8 || first < 0 || stop < first || stop > plants)
-        PyErr_SetString(PyExc_ValueError, "no such plants");
-    else if (get_signals(y, &view[1], plants, &b.time, self->n_y) == 0) {
-        all.held = 2;
-        if (get_signals(u, &view[2], plants, &b.time, self->n_u) == 0) {
-            all.held = 3;
-            const whole *places = NULL;
-            if (rows == Py_None || take(rows, &view[3], "lq", plants, 0, "rows", 0) == 0) {
-                if (rows != Py_None) {
-                    places = view[3].buf;
-                    all.held = 4;
-                }
-                b.y = view[1].buf;
-                b.u = view[2].buf;
-                memcpy(b.y_strides, view[1].strides, sizeof b.y_strides);
-                memcpy(b.u_strides, view[2].strides, sizeof b.u_strides);
-                b.is_dense = b.u_strides[2] == sizeof(double) && b.y_strides[2] == sizeof(double);
-                if (get_outputs(self, outputs, plants, &b, &all) == 0
-                    && check_rows(self, places, view[0].buf, fresh, plants, b.time) == 0) {
-                    scratch s;
-                    void *room = make_scratch(self, &s, b.time);
-                    if (room == NULL)
-                        PyErr_NoMemory();
-                    else {
-                        Py_BEGIN_ALLOW_THREADS
-                        open = run_all(self, &b, places, view[0].buf, fresh, first, stop, &s);
-                        Py_END_ALLOW_THREADS
-                        made = Py_BuildValue("nNy#", open, PyBool_FromLong(s.wants_gains), (const char *)s.notes,
-                                             s.n_notes * (NOTE_HEAD + self->n) * (Py_ssize_t)sizeof(double));
-                        free_scratch(room, &s);
-                    }
-                }
-            }
+    if (get_run(self, given, fresh, first, stop, &b, &all)) {
+        scratch s;
+        void *room = make_scratch(self, &s, b.time);
+        if (room == NULL)
+            PyErr_NoMemory();
+        else {
+            const whole *const rows = given[3] == Py_None ? NULL : all.views[5].buf;
+            whole *const receipt = all.views[1].buf;
+            Py_BEGIN_ALLOW_THREADS
+            receipt[STOPPED] = run_all(self, &b, rows, all.views[0].buf, fresh, first, stop, &s);
+            receipt[WANTS_GAINS] = s.wants_gains;
+            receipt[NOTED] = s.n_notes;
+            memcpy(all.views[2].buf, s.notes, (size_t)(s.n_notes * (NOTE_HEAD + self->n)) * sizeof(double));
+            receipt[RAN] = 1;
+            Py_END_ALLOW_THREADS
+            free_scratch(room, &s);
+            has_run = 1;
         }
     }
     while (all.held > 0)
         PyBuffer_Release(&all.views[--all.held]);
-    return made;
+    if (!has_run)
+        return NULL;
+    Py_RETURN_NONE;
 }
 
 PyDoc_STRVAR(bind_doc, "bind(outputs)\n--\n\nName the arrays that steps write, of one plant and one sample.");

@@ -94,7 +94,7 @@ typedef struct {
 } block;
 
 typedef struct {
-    Py_buffer views[OUTPUTS + 4];
+    Py_buffer views[OUTPUTS + 6];
     int held;
 } views;
 

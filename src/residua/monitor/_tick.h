@@ -118,16 +118,18 @@ mark_odd(const Runner *self, const tick *t, chunk *c, const source *in, int all)
     c->is_fresh = is_fresh;
 }
 
-/* Mark those whose filters start, where there is no room for what their residuals say of it. */
+/* Mark those whose filters start or have just started, where there is no room for what their residuals say of it. */
 static void
 mark_starts(const Runner *self, const tick *t, chunk *c)
 {
     if (!c->has_odd)
         memset(c->is_odd, 0, sizeof c->is_odd);
-    for (Py_ssize_t i = 0; i < c->count; i++)
-        c->is_odd[i] |= !*B1(self, RUNNING, row_in_tick(t, c->first + i));
+    for (Py_ssize_t i = 0; i < c->count; i++) {
+        const Py_ssize_t row = row_in_tick(t, c->first + i);
+        c->is_odd[i] |= !*B1(self, RUNNING, row) || *B1(self, STARTING, row);
+    }
     c->has_odd = 1;
-    c->is_fresh = 0;
+    c->is_fresh = c->is_early = 0;
 }
 
 /* The first plant from one on that is another case; the number of plants if there is none. */
@@ -320,7 +322,7 @@ together(const Runner *self, tick *t, chunk *c, scratch *s)
     c->has_odd = 0;
     if (!all || c->has_apart)
         mark_odd(self, t, c, &s->in, all);
-    if (c->is_fresh && self->first && !self->has_starts)
+    if ((c->is_fresh || c->is_early) && self->first && !self->has_starts)
         mark_starts(self, t, c);
     if (c->is_fresh)
         start_together(self, t, c, s, x);

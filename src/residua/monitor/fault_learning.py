@@ -172,6 +172,26 @@ def whitening_of(test: ResidualTest, normal: NDArray[np.float64] | None) -> NDAr
     return whitening_matrix(normal)
 
 
+def learnt_from_blocks(
+    name: str,
+    clocks: Sequence[NDArray[np.float64] | None],
+    blocks: Sequence[NDArray[np.float64]],
+    interval: Any,
+    step: float,
+    spec: Specification,
+    isolate: IsolationSettings,
+    normal: NDArray[np.float64] | None,
+) -> LearntFault:
+    """Return what blocks of (1, time, channels) show of a fault; those without a clock have times by their step."""
+    runs = [
+        LabelledRun(step * np.arange(data.shape[1]) if clock is None else clock, data)
+        for clock, data in zip(clocks, blocks, strict=True)
+    ]
+    window = judging_window(isolate, spec.isolation)
+    space = None if spec.isolation.coding is not None else whitening_of(spec.test, normal)
+    return learnt_from(name, runs, intervals_of(interval, len(runs)), spec, space, window)
+
+
 def learnt_from(
     name: str,
     runs: Sequence[LabelledRun],

@@ -16,6 +16,7 @@ from residua.monitor.fleet_block import AlarmEvent, FleetAlarm, FleetBlock, Tick
 from residua.monitor.monitor import Monitor
 from residua.monitor.running import Decisions
 from residua.monitor.snapshot import restored_blocks, snapshot_of
+from residua.monitor.whole_blocks import Work, Worker
 from residua.visible import echo, listed
 from residua.words import counted
 
@@ -47,7 +48,8 @@ class Fleet:
 
     Notes
     -----
-    A fleet belongs to one thread of the caller at a time.
+    A fleet belongs to one thread of the caller at a time. A tick, or a block, that is interrupted (by Ctrl-C, or for
+    want of memory) happens whole or not at all: what is left of it is done before the fleet does, or says, anything.
 
     See Also
     --------
@@ -87,26 +89,31 @@ class Fleet:
             parts = {"": (_checked_monitor(monitors), list(plants))}
         if not parts:
             raise SettingError("a fleet needs at least one monitor")
-        self._blocks = {name: FleetBlock(monitor, ids) for name, (monitor, ids) in parts.items()}
-        self._check_apart()
+        self._worker = Worker()
+        self._use({name: FleetBlock(monitor, ids) for name, (monitor, ids) in parts.items()})
 
     @classmethod
     def _of(cls, blocks: dict[str, FleetBlock], threads: int) -> Fleet:
         fleet = cls.__new__(cls)
-        fleet.threads, fleet._blocks = threads, blocks
-        fleet._check_apart()
+        fleet.threads, fleet._worker = threads, Worker()
+        fleet._use(blocks)
         return fleet
 
-    def _check_apart(self) -> None:
-        """Raise where two models have the same plant."""
-        self._model_of: dict[Hashable, str] = {}
-        if len(self._blocks) == 1:
-            return
-        for name, block in self._blocks.items():
+    def _use(self, blocks: dict[str, FleetBlock]) -> None:
+        """Go on with other blocks, by model; raise where two of them have the same plant."""
+        model_of: dict[Hashable, str] = {}
+        for name, block in blocks.items() if len(blocks) > 1 else ():
             for plant in block.ids:
-                if plant in self._model_of:
-                    raise DataError(f"the plant {echo(plant)} is in {self._model_of[plant]!r} and in {name!r}")
-                self._model_of[plant] = name
+                if plant in model_of:
+                    raise DataError(f"the plant {echo(plant)} is in {model_of[plant]!r} and in {name!r}")
+                model_of[plant] = name
+        self._models = blocks, model_of  # at once: nothing comes between
+
+    @property
+    def _blocks(self) -> dict[str, FleetBlock]:
+        """The plants by model, after all that was begun."""
+        self._worker.finish()
+        return self._models[0]
 
     # ------------------------------------------------------------------------ facts
 
@@ -182,22 +189,32 @@ class Fleet:
     def _tick_models(self, ids: Any, u: ArrayLike | None, y: ArrayLike) -> Tick:
         """Go on with records of several models, whose numbers of channels must agree."""
         keys = ids.tolist() if isinstance(ids, np.ndarray) else list(ids)
+        blocks, model_of = self._blocks, self._models[1]
         try:
-            names = np.array([self._model_of[plant] for plant in keys], dtype=object)
+            names = np.array([model_of[plant] for plant in keys], dtype=object)
         except KeyError as error:
             raise DataError(f"the fleet has no plant {echo(error.args[0])}: add([...]) it first") from error
         parts = []
-        for name, block in self._blocks.items():
+        for name, block in blocks.items():
             which = np.flatnonzero(names == name)
             if which.size:
                 u_, y_ = _samples(block, u, y, (len(keys),))
-                parts.append((block, block.places([keys[k] for k in which]), which, u_[which], y_[which]))
+                rows = block.places([keys[k] for k in which])
+                block.finish()
+                parts.append((block, which, *block.work_of_tick(rows, u_[which], y_[which], self.threads)))
         out = Tick(*(np.zeros(len(keys), dtype=kind) for kind in (bool, bool, bool, float)))
-        for block, rows, which, u_, y_ in parts:  # all are checked: from here on nothing is refused
-            made = block.tick(rows, u_, y_, self.threads)
+        self._do([(block, work) for block, _, work, _ in parts])  # all are checked: nothing is refused from here on
+        for _, which, _, made in parts:
+            tick = made()
             for one in ("alarm", "decided", "missing", "statistic"):
-                getattr(out, one)[which] = getattr(made, one)
+                getattr(out, one)[which] = getattr(tick, one)
         return out
+
+    def _do(self, works: Sequence[tuple[FleetBlock, Work]]) -> None:
+        """Do work on several blocks, all of it or none."""
+        steps = [lambda block=block, work=work: block.do(work) for block, work in works]
+        within = [work for _, work in works]
+        self._worker.do(Work(steps, [job for work in within for job in work.jobs], within))
 
     def run(self, u: Any, y: Any) -> Decisions | dict[str, Decisions]:
         """Go on with a block of samples of all plants.
@@ -222,7 +239,9 @@ class Fleet:
             if name not in self._blocks:
                 raise DataError(f"the fleet has no model {echo(name)}; it has {listed(list(self._blocks))}")
         data = {name: _stacked_block(self._blocks[name], (u or {}).get(name), one) for name, one in y.items()}
-        return {name: self._blocks[name].run(one, self.threads) for name, one in data.items()}
+        works = {name: self._blocks[name].work_of_run(one, self.threads) for name, one in data.items()}
+        self._do([(self._blocks[name], work) for name, (work, _) in works.items()])
+        return {name: made() for name, (_, made) in works.items()}
 
     def follow(self, plants: Sequence[Hashable], u: Any, y: Any) -> list[AlarmEvent]:
         """Go on with a block of samples of some plants of one model, and return what their alarms did.
@@ -292,19 +311,19 @@ class Fleet:
             if plant in self:
                 raise DataError(f"the plant {echo(plant)} is in the fleet already")
         block = self._blocks[name]
-        self._blocks[name] = FleetBlock.joined([block, FleetBlock(block.monitor, new)])
-        self._check_apart()
+        self._use(self._blocks | {name: FleetBlock.joined([block, FleetBlock(block.monitor, new)])})
 
     def remove(self, plants: Iterable[Hashable]) -> None:
         """Remove plants, with what is remembered of them."""
         gone = set(plants)
         for plant in gone:
             self._block_with(plant)
-        for name, block in self._blocks.items():
+        blocks = dict(self._blocks)
+        for name, block in blocks.items():
             rows = np.array([row for row, plant in enumerate(block.ids) if plant not in gone], dtype=np.int64)
             if len(rows) < len(block.ids):
-                self._blocks[name] = block.of(rows)
-        self._check_apart()
+                blocks[name] = block.of(rows)
+        self._use(blocks)
 
     def split(self, parts: int) -> list[Fleet]:
         """Return the plants as so many fleets of about the same size, each with what is remembered of them."""

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
+from copy import copy
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -15,12 +16,13 @@ from residua.decide.alarm import Candidate
 from residua.decide.persistence import AlarmRuns
 from residua.errors import DataError
 from residua.monitor.decision import Decision, decision_from
-from residua.monitor.fused import FusedRun, LastSample, decisions_of, plan_of, with_starts
+from residua.monitor.fused import OUTPUTS, FusedRun, LastSample, decisions_of, plan_of, with_starts
 from residua.monitor.monitor import Monitor
 from residua.monitor.plant_records import as_records, takes_no_memory
 from residua.monitor.running import Decisions, State, initial_state, rows_of, run_reference, written_rows
 from residua.monitor.saving import monitor_out
 from residua.monitor.skipped_samples import SkippedSamples
+from residua.monitor.whole_blocks import Job, Work, Worker
 from residua.visible import echo
 
 #: The version of files since which what runs is laid out as it is now; only states have changed since.
@@ -148,12 +150,32 @@ class StandingAlarms:
         )
         return whole
 
-    def changed(self, rows: NDArray[np.int64] | None, alarm: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """Note which plants are in alarm, and return the rows of those that were not before."""
+    def changed(
+        self, rows: NDArray[np.int64] | None, alarm: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return the rows of plants whose alarm has just begun, and of those whose alarm has ended."""
         which = np.flatnonzero(alarm != (self.stands if rows is None else self.stands[rows]))
-        who = which if rows is None else rows[which]
-        self.stands[who] = alarm[which]
-        return who[alarm[which]]
+        who, now = which if rows is None else rows[which], alarm[which]
+        return who[now], who[~now]
+
+    def change(self, begun: NDArray[np.int64], onset: NDArray, raised: NDArray, ended: NDArray[np.int64]) -> None:
+        """Note alarms that have begun and ended: that they stand comes last, so that it may be done again."""
+        self.onset[begun], self.raised[begun] = onset, raised
+        self.stands[ended] = False
+        self.stands[begun] = True
+
+
+@dataclass(frozen=True, eq=False)
+class _UnderWay:
+    """A block that is under way: what there is to do, and what was decided once it is done."""
+
+    steps: list[Callable[[], object]]
+    jobs: list[Job]
+    out: dict[str, Any]
+
+    def tick(self) -> Tick:
+        missing, decided, statistic, alarm = (self.out[name][:, 0] for name in _TOLD)
+        return Tick(alarm, decided, missing, statistic)
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,8 +233,8 @@ class FleetBlock:
         standing: StandingAlarms | None = None,
         skipped: SkippedSamples | None = None,
     ) -> None:
-        self.monitor, self.ids = monitor, list(ids)
-        self.spec, self.generator = monitor._specification(), monitor.generator
+        self.spec, self.generator, self.ids = monitor._specification(), monitor.generator, list(ids)
+        self.monitor = copy(monitor)  # as it is now: it may be fitted anew while the plants run
         self.rows = {plant: row for row, plant in enumerate(self.ids)}
         if len(self.rows) < len(self.ids):
             twice = next(plant for row, plant in enumerate(self.ids) if self.rows[plant] != row)
@@ -221,6 +243,7 @@ class FleetBlock:
         self.skipped = SkippedSamples() if skipped is None else skipped
         #: Of a new block, as long as no sample of any plant was judged: none can be over its threshold.
         self._is_settling = state is None
+        self._worker = Worker()
         self._place(initial_state(self.spec, len(self.ids)) if state is None else state)
 
     def _place(self, state: State) -> None:
@@ -250,7 +273,21 @@ class FleetBlock:
     @property
     def state(self) -> State:
         """Of all plants, in the order of their ids."""
+        self.finish()
+        return self._now
+
+    @property
+    def _now(self) -> State:
+        """The state within a block."""
         return self._state if self._run is None else self._run.state
+
+    def finish(self) -> None:
+        """Do what an interruption has left of a block, so that it happens whole."""
+        self._worker.finish()
+
+    def do(self, work: Work) -> None:
+        """Do all of some work on this block."""
+        self._worker.do(work)
 
     # ----------------------------------------------------------------------- running
 
@@ -274,15 +311,30 @@ class FleetBlock:
 
     def tick(self, rows: NDArray[np.int64] | None, u: NDArray, y: NDArray, threads: int) -> Tick:
         """Go on with one sample of some plants; (records, channels). Records of one plant are applied in order."""
+        self.finish()
+        work, made = self.work_of_tick(rows, u, y, threads)
+        self.do(work)
+        return made()
+
+    def work_of_tick(
+        self, rows: NDArray[np.int64] | None, u: NDArray, y: NDArray, threads: int
+    ) -> tuple[Work, Callable[[], Tick]]:
+        """Return what there is to do of a tick, and what returns its decisions once it is done."""
         passes = self._passes_over(rows)
         if not passes:
-            return self._pass(rows, u[:, None], y[:, None], threads)
+            one = self._go_on(rows, u[:, None], y[:, None], _TOLD, threads, self._follow_alarms)
+            return Work(one.steps, one.jobs), one.tick
         parts = []
         for which in passes:
             places = None if rows is None else rows[which]
-            parts.append(self._pass(places, u[which, None], y[which, None], threads))
+            parts.append(self._go_on(places, u[which, None], y[which, None], _TOLD, threads, self._follow_alarms))
         order = np.argsort(np.concatenate(passes), kind="stable")
-        return Tick(*(np.concatenate([getattr(part, one.name) for part in parts])[order] for one in fields(Tick)))
+
+        def made() -> Tick:
+            ticks = [part.tick() for part in parts]
+            return Tick(*(np.concatenate([getattr(one, field.name) for one in ticks])[order] for field in fields(Tick)))
+
+        return Work([step for part in parts for step in part.steps], [job for part in parts for job in part.jobs]), made
 
     def _passes_over(self, rows: NDArray[np.int64] | None) -> list[NDArray[np.int64]]:
         """Return which records to apply together, as :func:`_passes`; of ids that come again not looked for again."""
@@ -295,15 +347,9 @@ class FleetBlock:
         self._divided = (rows, passes) if rows is self._looked_up[1] else None
         return passes
 
-    def _pass(self, rows: NDArray[np.int64] | None, u: NDArray, y: NDArray, threads: int) -> Tick:
-        """Go on with one sample of plants, each once."""
-        out = self._go_on(rows, u, y, _TOLD, threads)
-        missing, decided, statistic, alarm = (out[name][:, 0] for name in _TOLD)
-        self._follow_alarms(rows, alarm, out["usable"])
-        return Tick(alarm, decided, missing, statistic)
-
     def replace_state(self, rows: NDArray[np.int64], state: State) -> None:
         """Let some plants go on from other states."""
+        self.finish()
         if self._run is not None:
             self._run.write(rows, state)
         else:
@@ -313,26 +359,55 @@ class FleetBlock:
         self, rows: NDArray[np.int64], data: NDArray[np.float64], names: Sequence[str], threads: int = 1
     ) -> dict[str, NDArray]:
         """Go on with a block of some plants, each once, (plants, time, channels); return of the decisions some."""
+        self.finish()
         inputs = len(self.generator.plant.inputs)
-        out = self._go_on(rows, data[..., :inputs], data[..., inputs:], names, threads)
-        return {name: out[name] for name in names}
+        under_way = self._go_on(rows, data[..., :inputs], data[..., inputs:], names, threads)
+        self.do(Work(under_way.steps, under_way.jobs))
+        return {name: under_way.out[name] for name in names}
 
     def _go_on(
-        self, rows: NDArray[np.int64] | None, u: NDArray, y: NDArray, keep: Sequence[str], threads: int
-    ) -> dict[str, Any]:
-        """Go on with a block of plants, each once, and return what is to be kept of the decisions."""
+        self,
+        rows: NDArray[np.int64] | None,
+        u: NDArray,
+        y: NDArray,
+        keep: Sequence[str],
+        threads: int,
+        follow: Callable[[NDArray[np.int64] | None, dict[str, Any]], object] | None = None,
+    ) -> _UnderWay:
+        """Return what there is to do of a block of plants, each once; ``follow`` takes what was decided."""
         run = self._run
+        steps: list[Callable[[], object]]
         if run is not None:
             out: dict[str, Any] = run.outputs(len(y), y.shape[1], keep)
-            run.run(u, y, out, rows, threads=threads)
-            self._after(y.shape[0] * y.shape[1])
-            return out
+            job = run.job(u, y, out, rows, threads=threads)
+            jobs = [job]
+            steps = [lambda: run.perform(job), lambda: self._after(y.shape[0] * y.shape[1])]
+        else:
+            out, jobs = {}, []
+            data = np.ascontiguousarray(np.concatenate([u, y], axis=2))
+            steps = self._in_numpy(rows, data, keep, out)
+        if follow is not None:
+            steps.append(lambda: follow(rows, out))
+        return _UnderWay(steps, jobs, out)
+
+    def _in_numpy(
+        self, rows: NDArray[np.int64] | None, data: NDArray[np.float64], keep: Sequence[str], out: dict[str, Any]
+    ) -> list[Callable[[], object]]:
+        """Return the steps of a block in NumPy, which leave in ``out`` what is to be kept."""
         places = np.arange(len(self.ids)) if rows is None else rows
-        data = np.ascontiguousarray(np.concatenate([u, y], axis=2))
-        after, made = run_reference(self.spec, rows_of(self.state, places), data)
-        self._state = written_rows(self.state, places, after)
-        self._remember(places, made)
-        return {name: getattr(made, name) for name in keep}
+        made: list[tuple[State, Decisions]] = []
+
+        def run() -> None:
+            made[:] = [run_reference(self.spec, rows_of(self._now, places), data)]
+
+        def keep_state() -> None:
+            after, decisions = made[0]
+            self._state = written_rows(self._state, places, after)
+            if data.shape[1]:
+                self._remember(places, decisions)
+            out.update({name: getattr(decisions, name) for name in keep}, decisions=decisions)
+
+        return [run, keep_state]
 
     def _after(self, samples: int) -> None:
         """Let the room for starts go when they are over, which is looked for ever less often."""
@@ -348,12 +423,28 @@ class FleetBlock:
         """Go on with a block, (plants, time, channels), of some plants, each once; return what their alarms did."""
         if not y.shape[1]:
             return []
-        before, last = self.state.count[rows], self.last.scores[rows]
-        standing = self.standing
-        stood = standing.stands[rows]
-        out = self._go_on(rows, u, y, ("alarm", "up", "scores", "usable"), threads)
-        alarm, usable = out["alarm"], out["usable"]
-        events = []
+        self.finish()
+        before, last, stood = self._now.count[rows], self.last.scores[rows], self.standing.stands[rows]
+        events: list[AlarmEvent] = []
+
+        def follow(_: Any, out: dict[str, Any]) -> None:
+            events[:] = self._events(rows, out, before, last, stood)
+            self._follow_skipped(rows, out["usable"])
+
+        under_way = self._go_on(rows, u, y, ("alarm", "up", "scores", "usable"), threads, follow)
+        self.do(Work(under_way.steps, under_way.jobs))
+        return events
+
+    def _events(
+        self,
+        rows: NDArray[np.int64],
+        out: dict[str, Any],
+        before: NDArray[np.int64],
+        last: NDArray[np.float64],
+        stood: NDArray[np.bool_],
+    ) -> list[AlarmEvent]:
+        """Note what the alarms of some plants did in a block, and return it; as these were before it."""
+        alarm, usable, standing, events = out["alarm"], out["usable"], self.standing, []
         for k, t in np.argwhere(alarm != np.concatenate([stood[:, None], alarm[:, :-1]], axis=1)).tolist():
             row, number = int(rows[k]), int(before[k]) + t
             if alarm[k, t]:
@@ -367,7 +458,6 @@ class FleetBlock:
                 standing.stands[row] = False
                 since = (int(standing.onset[row]), int(standing.raised[row]))
                 events.append(self._event(row, since, number, scores))
-        self._follow_skipped(rows, usable)
         return events
 
     def _event(self, row: int, when: tuple[int, int], ended: int | None, scores: NDArray[np.float64]) -> AlarmEvent:
@@ -390,7 +480,7 @@ class FleetBlock:
         who = which if rows is None else rows[which]
         over = self.over(who)
         if over.any():
-            self.skipped.note(who, self.state.count[who] - usable.shape[1], usable[which], over)
+            self.skipped.note(who, self._now.count[who] - usable.shape[1], usable[which], over)
 
     def over(self, rows: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return how many samples over the threshold plants have had in a row that no alarm stands for.
@@ -398,54 +488,56 @@ class FleetBlock:
         Of a bank, the largest number of a member. Of a test that does not count them in its state, what it says of the
         last sample.
         """
-        runs = getattr(self.state.test, "runs", None)
+        runs = getattr(self._now.test, "runs", None)
         if not isinstance(runs, AlarmRuns):
             return np.where(self.standing.stands[rows], 0, self.last.up[rows])
         over = np.where(runs.alarm[rows], 0, runs.up[rows])
         return over if over.ndim == 1 else over.max(axis=1, initial=0)
 
-    def _follow_alarms(
-        self, rows: NDArray[np.int64] | None, alarm: NDArray[np.bool_], usable: NDArray[np.bool_]
-    ) -> None:
+    def _follow_alarms(self, rows: NDArray[np.int64] | None, out: dict[str, Any]) -> None:
         """Note after a sample of plants which alarms were raised, and which have ended."""
-        new = self.standing.changed(rows, alarm)
-        if new.size:
-            before, judged = self.state.count[new] - 1, np.ones((len(new), 1), dtype=bool)
-            self.standing.onset[new] = self.skipped.onsets(new, before, judged, self.last.up[new])
-            self.standing.raised[new] = before
-        self._follow_skipped(rows, usable)
+        new, ended = self.standing.changed(rows, out["alarm"][:, 0])
+        if new.size or ended.size:
+            before, judged = self._now.count[new] - 1, np.ones((len(new), 1), dtype=bool)
+            onset = self.skipped.onsets(new, before, judged, self.last.up[new])
+            self.standing.change(new, onset, before, ended)
+        self._follow_skipped(rows, out["usable"])
 
     def run(self, data: NDArray[np.float64], threads: int) -> Decisions:
         """Go on with a block of all plants, (plants, time, channels)."""
-        run, before = self._run, self.state.count.copy()
-        if run is not None:
-            inputs = len(self.generator.plant.inputs)
-            outputs = run.outputs(data.shape[0], data.shape[1])
-            run.run(data[..., :inputs], data[..., inputs:], outputs, threads=threads)
-            self._after(data.shape[0] * data.shape[1])
-            decisions = decisions_of(outputs)
-        else:
-            after, decisions = run_reference(self.spec, self.state, data)
-            self._state = written_rows(self.state, np.arange(len(self.ids)), after)
-        if data.shape[1]:
-            if run is None:
-                self._remember(np.arange(len(self.ids)), decisions)
-            self._follow_block(decisions, before)
-        return decisions
+        work, made = self.work_of_run(data, threads)
+        self.do(work)
+        return made()
+
+    def work_of_run(self, data: NDArray[np.float64], threads: int) -> tuple[Work, Callable[[], Decisions]]:
+        """Return what there is to do of a block of all plants, and what returns its decisions once it is done."""
+        self.finish()
+        before, inputs, made = self._now.count.copy(), len(self.generator.plant.inputs), []
+
+        def follow(_: Any, out: dict[str, Any]) -> None:
+            made[:] = [decisions_of(out) if self._run is not None else out["decisions"]]
+            if data.shape[1]:
+                self._follow_block(made[0], before)
+
+        keep = () if self._run is None else OUTPUTS
+        under_way = self._go_on(None, data[..., :inputs], data[..., inputs:], keep, threads, follow)
+        return Work(under_way.steps, under_way.jobs), lambda: made[0]
 
     def _follow_block(self, decisions: Decisions, before: NDArray[np.int64]) -> None:
         """Note the alarms that stand after a block."""
         alarm, standing = decisions.alarm, self.standing
         standing.stands &= np.asarray(alarm.all(axis=1))  # what has stood all the time goes on standing
-        new = standing.changed(None, alarm[:, -1])
+        new, ended = standing.changed(None, alarm[:, -1])
         off = ~alarm[new, ::-1]
         raised = np.where(off.any(axis=1), alarm.shape[1] - off.argmax(axis=1), 0)
+        onset = np.zeros(len(new), dtype=np.int64)
         for t in np.unique(raised).tolist():
-            those = new[raised == t]
-            standing.onset[those] = self.skipped.onsets(
+            which = raised == t
+            those = new[which]
+            onset[which] = self.skipped.onsets(
                 those, before[those], decisions.usable[those, : t + 1], decisions.up[those, t]
             )
-            standing.raised[those] = before[those] + t
+        standing.change(new, onset, before[new] + raised, ended)
         self._follow_skipped(None, decisions.usable)
 
     # ----------------------------------------------------------------------- looking
@@ -480,6 +572,7 @@ class FleetBlock:
 
     def alarms(self) -> list[FleetAlarm]:
         """Return the alarms that stand, the oldest first."""
+        self.finish()
         dt, isolation, scores, table = self.generator.dt, self.spec.isolation, self.last.scores, self.standing.table()
         return [
             FleetAlarm(self.ids[row], onset * dt, raised * dt, isolation.candidates(scores[row]))
@@ -490,6 +583,7 @@ class FleetBlock:
 
     def of(self, rows: NDArray[np.int64]) -> FleetBlock:
         """Return a block of some of the plants, with a state of its own."""
+        self.finish()
         ids = [self.ids[row] for row in rows]
         part = FleetBlock(self.monitor, ids, rows_of(self.state, rows), self.standing.of(rows), self.skipped.of(rows))
         part.take_over(rows_of(self.last, rows), self._made[rows], self._place_in_made[rows])
@@ -504,6 +598,8 @@ class FleetBlock:
     @staticmethod
     def joined(parts: Sequence[FleetBlock]) -> FleetBlock:
         """Return blocks as one."""
+        for part in parts:
+            part.finish()
         first, standing = parts[0], StandingAlarms.joined([part.standing for part in parts])
         ids = [plant for part in parts for plant in part.ids]
         skipped = SkippedSamples.joined([(part.skipped, len(part.ids)) for part in parts])

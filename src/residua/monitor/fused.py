@@ -7,10 +7,8 @@ values are missing, its covariances and room for those of every plant, is brough
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -25,6 +23,7 @@ from residua.monitor.plant_records import SELDOM, takes_no_memory
 from residua.monitor.running import Decisions, State, run_reference, written_rows
 from residua.monitor.specification import Specification
 from residua.monitor.starting import MOVED_FROM
+from residua.monitor.whole_blocks import Job, Parts, Work, Worker
 
 _kernel = kernel("residua.monitor._fused")
 
@@ -267,18 +266,26 @@ class FusedRun:
             state = with_room(state, _OF_STARTS + _RESTARTS)
         elif state.filter.starting.any():
             state = with_room(state, _OF_STARTS)
-        self.spec, self.plan, self.state, self.last = spec, plan, state, last
-        self._one: dict[str, NDArray | None] | None = None
+        self.spec, self.plan, self.last = spec, plan, last
         integers = plan.integers.copy()
         self._inputs = int(integers[1]) if inputs is None else inputs
         integers[1:3] = self._inputs, integers[1] - self._inputs
         self._integers = integers
-        self._kernel = self._runner()
+        self._worker = Worker()
+        self._parts: Parts | None = None  # of the last block
+        #: The state, the kernel on its arrays, and what it writes of single samples: changed together, at once.
+        self._on: tuple[State, Any, dict[str, NDArray | None] | None] = (state, self._runner(state), None)
 
-    def _runner(self) -> Any:
-        """Return the kernel on the arrays of the state."""
+    @property
+    def state(self) -> State:
+        """After the last block, of all plants."""
+        self.finish()
+        return self._on[0]
+
+    def _runner(self, state: State) -> Any:
+        """Return the kernel on the arrays of a state."""
         assert _kernel is not None
-        plan, spec, state = self.plan, self.spec, self.state
+        plan, spec = self.plan, self.spec
         names = [one.name for one in fields(LastSample)]
         kept = [None if self.last is None else getattr(self.last, name) for name in names]
         if not plan.widths["scores"]:
@@ -288,50 +295,53 @@ class FusedRun:
         remembered = (*state_arrays(spec, state), *kept)
         return _kernel.Runner(self._integers, plan.numbers, arrays, remembered, self.plants, best_path())
 
+    def _use(self, state: State, one: dict[str, NDArray | None] | None = None) -> None:
+        """Go on with the arrays of another state; ``one``: what single samples are written to."""
+        runner = self._runner(state)
+        if one is not None:
+            runner.bind(tuple(one[name] for name in OUTPUTS))
+        self._on = (state, runner, one)
+
     def _make_room(self, names: Iterable[str]) -> None:
         """Make room for what is zero as a rule: where values are missing, a Kalman filter needs its covariance."""
-        self.state = with_room(self.state, names)
-        self._kernel = self._runner()
-        if self._one is not None:
-            self._kernel.bind(tuple(self._one[name] for name in OUTPUTS))
+        self._use(with_room(self._on[0], names), self._on[2])
 
     @property
     def has_room_for_starts(self) -> bool:
         """Whether there is room for what residuals say of starts."""
-        return _has_room(self.state.filter.start_sums)
+        return _has_room(self._on[0].filter.start_sums)
 
     def let_go_of_starts(self) -> None:
         """Let the room go that starts need, if no plant starts."""
-        filtered = self.state.filter
-        if filtered.starting.any():
+        state = self._on[0]
+        if state.filter.starting.any():
             return
-        room = {name: one for name in _OF_STARTS if not (one := getattr(filtered, name)).any()}
+        room = {name: one for name in _OF_STARTS if not (one := getattr(state.filter, name)).any()}
         gone = {name: np.broadcast_to(one.dtype.type(0), one.shape) for name, one in room.items()}
-        self.state = replace(self.state, filter=replace(filtered, **gone))
-        self._kernel, self._one = self._runner(), None
+        self._use(replace(state, filter=replace(state.filter, **gone)))
 
-    def _take_in(self, notes: bytes) -> None:
+    def _take_in(self, notes: NDArray[np.float64]) -> None:
         """Write what the kernel had no room for: restarts of plants, and starts that are under way."""
-        n = self.state.filter.x.shape[1]
+        state, n = self._on[0], self._on[0].filter.x.shape[1]
         kind = [("row", "i8"), ("resets", "i8"), ("broken", "i8"), ("starting", "i8"), ("moved", "f8")]
-        table = np.frombuffer(notes, dtype=np.dtype([*kind, ("start_sums", "f8", (n,))]))
+        table = np.ascontiguousarray(notes).view(np.dtype([*kind, ("start_sums", "f8", (n,))]))[:, 0]
         restarts = [name for name in _RESTARTS if table[name].any()]
         starts = _OF_STARTS if table["starting"].any() else _OF_STARTS[1:] if table["moved"].any() else ()
         wanted = [*restarts, *starts]
-        rows, before = table["row"], self.state
-        self._make_room(wanted)
+        roomy = with_room(state, wanted)
         for name in wanted:  # where there was room the kernel has written by itself
-            if takes_no_memory(getattr(before.filter, name)):
-                getattr(self.state.filter, name)[rows] = table[name]
+            if takes_no_memory(getattr(state.filter, name)):
+                getattr(roomy.filter, name)[table["row"]] = table[name]
+        self._use(roomy, self._on[2])
 
     def write(self, rows: NDArray[np.int64], state: State) -> None:
         """Let some plants go on from other states."""
-        before = self.state.filter
-        self.state = written_rows(self.state, rows, state)
+        before = self.state
+        after = written_rows(before, rows, state)
         if state.filter.starting.any():
-            self.state = with_room(self.state, _OF_STARTS)
-        if any(getattr(self.state.filter, name) is not getattr(before, name) for name in SELDOM):
-            self._kernel, self._one = self._runner(), None
+            after = with_room(after, _OF_STARTS)
+        if any(getattr(after.filter, name) is not getattr(before.filter, name) for name in SELDOM):
+            self._use(after)
 
     def outputs(self, plants: int, time: int, keep: Sequence[str] = OUTPUTS) -> dict[str, NDArray | None]:
         """Return arrays for what a block leaves: zeros, for much of it is written only where it is not zero."""
@@ -364,42 +374,72 @@ class FusedRun:
             Whose data they are: each row of the state once. All rows in order when omitted.
         threads : int
             The plants are shared among so many.
-        """
-        left = np.zeros(len(y), dtype=np.int64)  # samples; written, and read, only where it has to be
-        call = (u, y, tuple(outputs[name] for name in OUTPUTS), rows, left)
-        fresh = True
-        while self._shared((*call, fresh), len(y), threads):
-            fresh = False
 
-    def _shared(self, call: tuple[Any, ...], plants: int, threads: int) -> int:
-        """Run all plants, make the room that they lacked, and return how many of them stopped for want of it."""
-        if threads == 1 or plants < 2 * threads:
-            left, wants_gains, notes = self._kernel.run(*call, 0, plants)
-        else:
-            bounds = np.linspace(0, plants, threads + 1).astype(int).tolist()
-            with ThreadPoolExecutor(threads) as pool:
-                parts = [pool.submit(self._kernel.run, *call, *ends) for ends in pairwise(bounds)]
-                made = [part.result() for part in parts]
-            left, wants_gains = sum(one[0] for one in made), any(one[1] for one in made)
-            notes = b"".join(one[2] for one in made)
-        if notes:
-            self._take_in(notes)
-        if wants_gains:
-            self._make_room(("spread",))
-        return left
+        An error leaves all plants as they were, or a block of which :meth:`finish`, or whatever looks at the state
+        next, does the rest.
+        """
+        self.finish()
+        job = self.job(u, y, outputs, rows, threads=threads)
+        self._do(job)
+
+    def job(
+        self,
+        u: NDArray[np.float64],
+        y: NDArray[np.float64],
+        outputs: dict[str, NDArray | None],
+        rows: NDArray[np.int64] | None = None,
+        *,
+        threads: int = 1,
+        then: Callable[[], None] | None = None,
+    ) -> Job:
+        """Return a block to go on with, as :meth:`run`; ``then``: what comes after it."""
+        return Job(u, y, tuple(outputs[name] for name in OUTPUTS), rows, threads, then)
+
+    def _do(self, job: Job) -> None:
+        self._worker.do(Work([lambda: self.perform(job)], [job]))
+
+    def finish(self) -> None:
+        """Do what an interruption has left of a block."""
+        self._worker.finish()
+
+    def perform(self, job: Job) -> None:
+        """Run what has not been run of a block; it may be interrupted, and performed again."""
+        while not job.is_done:
+            parts = job.parts
+            if parts is None:
+                plants, parts = len(job.left), self._parts
+                if parts is None or job.threads > 1 or not parts.again(plants):
+                    parts = Parts(plants, job.threads, len(self.spec.A))
+                self._parts = job.parts = parts
+            kernel = self._on[1]
+            parts.run(lambda *part, kernel=kernel: job.run(kernel, *part))
+            stopped, wants_gains, noted = parts.told()
+            if noted:
+                self._take_in(parts.notes())
+            if wants_gains:
+                self._make_room(("spread",))
+            if stopped:
+                job.end_round()
+                continue
+            if job.then is not None:
+                job.then()
+            job.is_done = True
 
     def block(self, data: NDArray[np.float64], outputs: dict[str, NDArray | None]) -> Decisions:
         """Go on with a block of (plants, time, channels), and return what was decided, isolation included."""
         before = self.state
-        count = before.count.copy()
-        self.run(data[..., : self._inputs], data[..., self._inputs :], outputs)
-        decisions = decisions_of(outputs)
-        if self.plan.names:
-            return decisions
-        block = Block(decisions.residuals, _there(outputs["ready"]), count)
-        isolation, named = self.spec.isolation.run(before.isolation, block, decisions.tested)
-        self.state = replace(self.state, isolation=isolation)
-        return replace(decisions, named=named)
+        count, decisions, named = before.count.copy(), decisions_of(outputs), []
+
+        def name() -> None:
+            block = Block(decisions.residuals, _there(outputs["ready"]), count)
+            isolation, scores = self.spec.isolation.run(before.isolation, block, decisions.tested)
+            named.append(scores)
+            state, runner, one = self._on
+            self._on = (replace(state, isolation=isolation), runner, one)
+
+        u, y = data[..., : self._inputs], data[..., self._inputs :]
+        self._do(self.job(u, y, outputs, then=None if self.plan.names else name))
+        return replace(decisions, named=named[-1]) if named else decisions
 
     # ------------------------------------------------------------------------ one sample
 
@@ -408,25 +448,23 @@ class FusedRun:
 
         Raises an error of Python where u or y is no array of floats with as many numbers as there are channels.
         """
-        out = self._one
-        if out is None:
-            self._one = out = self.outputs(1, 1)
-            self._kernel.bind(tuple(out[name] for name in OUTPUTS))
-        flags, statistic = self._kernel.step(u, y)
+        if self._on[2] is None:
+            self._use(self._on[0], self.outputs(1, 1))
+        flags, statistic = self._on[1].step(u, y)
         if flags & _IS_LEFT:
             self._make_room(("spread",))
-            flags, statistic = self._kernel.step(u, y)
+            flags, statistic = self._on[1].step(u, y)
         return bool(flags & 1), bool(flags & 2), bool(flags & 4), statistic
 
     def last_residual(self) -> NDArray[np.float64]:
         """Return the residual of the last step."""
-        assert self._one is not None
-        return _there(self._one["residuals"])[0, 0].copy()
+        assert self._on[2] is not None
+        return _there(self._on[2]["residuals"])[0, 0].copy()
 
     def last_decisions(self) -> Decisions:
         """Return the decisions of the last step."""
-        assert self._one is not None
-        return decisions_of({name: None if values is None else values.copy() for name, values in self._one.items()})
+        assert self._on[2] is not None
+        return decisions_of({name: None if values is None else values.copy() for name, values in self._on[2].items()})
 
 
 def decisions_of(outputs: dict[str, Any]) -> Decisions:

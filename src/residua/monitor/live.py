@@ -36,40 +36,50 @@ class Live:
     inputs : int
         Channels of u; the others are of y.
 
-    Attributes
-    ----------
-    state : State or None
-        ``None`` before the first sample. Setting it makes the next block go on from there.
+    Notes
+    -----
+    The state is ``None`` before the first sample. Setting it makes the next block go on from there. A block happens
+    whole or not at all: see :mod:`residua.monitor.whole_blocks`.
     """
 
     def __init__(self, inputs: int) -> None:
         self.inputs = inputs
-        self.state: State | None = None
+        #: What to go on from: in the hands of the kernel if there is one, else the state.
         self._run: FusedRun | None = None
+        self._kept: State | None = None
+
+    @property
+    def state(self) -> State | None:
+        """What the next block goes on from."""
+        return self._kept if self._run is None else self._run.state
+
+    @state.setter
+    def state(self, state: State | None) -> None:
+        self._kept = state
+        self._run = None
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out the kernel, which belongs to the arrays of this very object."""
-        return {"inputs": self.inputs, "state": self.state, "_run": None}
+        return {"inputs": self.inputs, "_kept": self.state, "_run": None}
 
     def go_on(
         self, spec: Specification, data: NDArray[np.float64], keep: Sequence[str] | None = None
     ) -> tuple[Decisions, State]:
         """Return what was decided on a block of (plants, time, channels), and the state after it."""
-        if self.state is not None and len(self.state.count) != len(data):
-            raise DataError(
-                f"the monitor follows {len(self.state.count)} plants, the block has {len(data)}; reset() first"
-            )
+        before = self.state
+        if before is not None and len(before.count) != len(data):
+            raise DataError(f"the monitor follows {len(before.count)} plants, the block has {len(data)}; reset() first")
         run = self._fused(spec, len(data))
         if run is None:
-            state = initial_state(spec, len(data)) if self.state is None else self.state
-            self.state, decisions = run_reference(spec, state, data)
-            return (decisions if keep is None else _only(decisions, keep)), self.state
+            state = initial_state(spec, len(data)) if before is None else before
+            after, decisions = run_reference(spec, state, data)
+            self.state = after
+            return (decisions if keep is None else _only(decisions, keep)), after
         wanted = OUTPUTS if keep is None else (*keep, *_OF_MEMBERS)
         if keep is not None and not run.plan.names:
             wanted = (*wanted, "residuals", "ready", "usable")
         outputs = run.outputs(data.shape[0], data.shape[1], wanted)
         decisions = run.block(data, outputs)
-        self.state = run.state
         return (decisions if keep is None else _only(decisions, keep)), run.state
 
     def step(self, spec: Specification, generator: ResidualGenerator, u: Any, y: Any) -> Decision | None:
@@ -81,7 +91,6 @@ class Live:
             alarm, decided, missing, statistic = run.step(u, y)
         except (TypeError, ValueError, BufferError):
             return None  # what is wrong with them is said where they are checked
-        self.state = run.state
         if alarm:
             return decision_from(run.last_decisions(), spec, generator, run.state)
         return Decision.quiet(run.last_residual(), statistic, decided, missing, generator)
@@ -89,14 +98,14 @@ class Live:
     def _fused(self, spec: Specification, plants: int) -> FusedRun | None:
         """Return the kernel on the state; ``None`` where NumPy runs."""
         run = self._run
-        if run is not None and run.state is self.state and run.spec is spec:
+        if run is not None and run.spec is spec:
+            run.finish()
             return run
         plan = plan_of(spec)
         if plan is None:
             return None
-        state = initial_state(spec, plants) if self.state is None else self.state
-        self._run = FusedRun(spec, plan, copied(state), self.inputs)
-        self.state = self._run.state
+        before = self.state
+        self._run = FusedRun(spec, plan, copied(initial_state(spec, plants) if before is None else before), self.inputs)
         return self._run
 
 

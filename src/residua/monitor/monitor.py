@@ -22,14 +22,10 @@ from residua.monitor.decision import Decision, decision_from
 from residua.monitor.diagnosis import Diagnosis
 from residua.monitor.estimating import with_estimator
 from residua.monitor.fault_learning import (
-    LabelledRun,
     LearntFaults,
     checked_name,
-    intervals_of,
-    judging_window,
-    learnt_from,
+    learnt_from_blocks,
     learnt_table,
-    whitening_of,
     with_faults,
 )
 from residua.monitor.fit_check import FitCheck
@@ -126,7 +122,7 @@ class Monitor:
     threads; what :meth:`step` goes on from is then the end of the one that finished last. :meth:`update` and
     :meth:`step` belong to one stream of data: calls from several threads are done one after the other, each complete,
     but the order of samples is the caller's to keep. Give each stream a monitor of its own
-    (``copy.deepcopy(monitor)`` shares nothing that changes). Do not call :meth:`fit` while another thread runs.
+    (``copy.deepcopy(monitor)`` shares nothing that changes). :meth:`fit` waits for samples of a stream, they for it.
 
     Examples
     --------
@@ -313,27 +309,28 @@ class Monitor:
         """
         check_held_out(held_out, transient)
         parts = several_signals(u, y, time, dt, self.design.plant)
-        for one in parts:
-            self._learn_step(one.dt)
-        rate = self.false_alarm_rate if false_alarm_rate is None else float(false_alarm_rate)
-        check_rate(rate)
-        recordings = [self._block(one.u, one.y) for one in parts]
-        blank = blank_test(self.generator)
-        samples = np.concatenate([data.reshape(-1, data.shape[2]) for data in recordings])
-        ranges = fitted_ranges(self.plausible, samples, guarded_ranges(self.generator, blank))
-        self._test, self._check, self._normal = fitted_test(
-            self._settings,
-            self._watched(self.generator),
-            recordings,
-            rate,
-            settle=self.settle,
-            max_hold=self.max_hold,
-            plausible=self._limits(ranges, blank),
-            start=self.start,
-            held_out=float(held_out),
-            transient=transient,
-        )
-        self._ranges, self._spec, self._state = ranges, None, None
+        with self._lock:
+            for one in parts:
+                self._learn_step(one.dt)
+            rate = self.false_alarm_rate if false_alarm_rate is None else float(false_alarm_rate)
+            check_rate(rate)
+            recordings = [self._block(one.u, one.y) for one in parts]
+            blank = blank_test(self.generator)
+            samples = np.concatenate([data.reshape(-1, data.shape[2]) for data in recordings])
+            ranges = fitted_ranges(self.plausible, samples, guarded_ranges(self.generator, blank))
+            self._test, self._check, self._normal = fitted_test(
+                self._settings,
+                self._watched(self.generator),
+                recordings,
+                rate,
+                settle=self.settle,
+                max_hold=self.max_hold,
+                plausible=self._limits(ranges, blank),
+                start=self.start,
+                held_out=float(held_out),
+                transient=transient,
+            )
+            self._ranges, self._spec, self._state = ranges, None, None
         return self
 
     # ---------------------------------------------------------------- learning
@@ -421,21 +418,16 @@ class Monitor:
         """
         name = checked_name(name)
         parts = several_signals(u, y, time, dt, self.design.plant)
-        for one in parts:
-            self._learn_step(one.dt)
-        plain, step = self._plain_specification(), self.generator.dt
-        blocks = [self._block(one.u, one.y) for one in parts]
-        runs = [
-            LabelledRun(step * np.arange(data.shape[1]) if one.time is None else one.time, data)
-            for one, data in zip(parts, blocks, strict=True)
-        ]
-        window = judging_window(self._isolation, plain.isolation)
-        by_code = plain.isolation.coding is not None
-        space = None if by_code else whitening_of(plain.test, self._normal)
-        made = learnt_from(name, runs, intervals_of(interval, len(runs)), plain, space, window)
-        faults = (*(fault for fault in self._learnt if fault.name != name), made)
-        self._extended(plain, faults)  # raises where it does not go with the others
-        self._learnt, self._running, self._state = faults, None, None
+        with self._lock:
+            for one in parts:
+                self._learn_step(one.dt)
+            plain = self._plain_specification()
+            blocks = [self._block(one.u, one.y) for one in parts]
+            settings = self.generator.dt, plain, self._isolation, self._normal
+            made = learnt_from_blocks(name, [one.time for one in parts], blocks, interval, *settings)
+            faults = (*(fault for fault in self._learnt if fault.name != name), made)
+            self._extended(plain, faults)  # raises where it does not go with the others
+            self._learnt, self._running, self._state = faults, None, None
         return self
 
     @property
@@ -494,18 +486,19 @@ class Monitor:
         """Run over a recording; ``own``: the samples that are this monitor's to judge, where others have the rest."""
         self._learn_step(measured.dt)
         data = self._block(measured.u, measured.y)
-        generator, spec = self.generator, self._specification()
+        with self._lock:
+            generator, spec, check, notes = self.generator, self._specification(), self._check, self.notes
         state, decisions = run_whole(spec, data, progress)
-        self._state = state
+        self._go_on_from(state, spec)
         clock = np.arange(data.shape[1], dtype=float) if measured.time is None else measured.time
         if measured.time is None:
             clock *= generator.dt
         plant, compared = generator.plant, compared_outputs(self.design)
-        notes = (*self.notes, *(self._check.notes if self._check else ()), *measured.notes)
+        notes = (*notes, *(check.notes if check else ()), *measured.notes)
         whole = []
         for p in range(len(data)):
             recorded = Recorded(clock, data[p], measured.source, measured.origin, compared, own)
-            told = (*notes, *unlike_the_fit(self._check, plant, data[p], decisions.aside[p]))
+            told = (*notes, *unlike_the_fit(check, plant, data[p], decisions.aside[p]))
             diagnosis = diagnosis_from(decisions.of(p), recorded, spec, generator, state.filter, p, told, self._bounds)
             whole.append(diagnosis)
         return whole if np.ndim(measured.y) == 3 else whole[0]
@@ -550,9 +543,9 @@ class Monitor:
         DataError
             If the block does not fit the plant, or has another number of plants than the one before.
         """
-        names, data, spec = checked_keep(keep), self._block(u, y), self._specification()
+        names, data = checked_keep(keep), self._block(u, y)
         with self._lock:
-            return self._live.go_on(spec, data, names)[0]
+            return self._live.go_on(self._specification(), data, names)[0]
 
     def step(self, u: ArrayLike | None, y: ArrayLike) -> Decision:
         """Go on with one sample of one plant; the same answers as :meth:`run`, to the last bit.
@@ -595,7 +588,8 @@ class Monitor:
         """
         from residua.monitor.saving import save_monitor
 
-        save_monitor(self, path)
+        with self._lock:
+            save_monitor(self, path)
 
     @staticmethod
     def load(path: str | Path) -> Monitor:
@@ -629,6 +623,12 @@ class Monitor:
     @_state.setter
     def _state(self, state: State | None) -> None:
         self._live.state = state
+
+    def _go_on_from(self, state: State, spec: Specification) -> None:
+        """Let the next sample follow a recording, unless thresholds or faults have changed while it ran."""
+        with self._lock:
+            if self._specification() is spec:
+                self._state = state
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out the lock, which belongs to the object: a copy has one of its own."""

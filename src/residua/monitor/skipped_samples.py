@@ -76,12 +76,16 @@ class SkippedSamples:
         for k in np.flatnonzero(over > 0).tolist():
             row, begin = int(rows[k]), int(before[k])
             edges = np.flatnonzero(np.diff(usable[k], prepend=True, append=True))
-            spans = self._spans.get(row, [])
+            spans = self._before(row, begin)
             for start, stop in zip((begin + edges[::2]).tolist(), (begin + edges[1::2]).tolist(), strict=True):
                 if spans and spans[-1][1] == start:
                     start = spans.pop()[0]
                 spans.append((start, stop))
             self._spans[row] = _since_onset(spans, begin + usable.shape[1], int(over[k]))
+
+    def _before(self, row: int, begin: int) -> list[tuple[int, int]]:
+        """Return the spans of a plant before a block, which may have been noted already."""
+        return [(start, min(stop, begin)) for start, stop in self._spans.get(row, []) if start < begin]
 
     def onsets(
         self,
@@ -106,11 +110,11 @@ class SkippedSamples:
         if self._spans:
             there = np.fromiter((row in self._spans for row in rows.tolist()), dtype=bool, count=len(rows))
         for k in np.flatnonzero((there | ~usable.all(axis=1)) & (up > 0)).tolist():
-            judged, count = np.flatnonzero(usable[k]), int(up[k])
+            judged, count, begin = np.flatnonzero(usable[k]), int(up[k]), int(before[k])
             if len(judged) >= count:
-                out[k] = before[k] + judged[len(judged) - count]
+                out[k] = begin + judged[len(judged) - count]
             else:
-                out[k] = _counted_back(self._spans.get(int(rows[k]), []), int(before[k]), count - len(judged))
+                out[k] = _counted_back(self._before(int(rows[k]), begin), begin, count - len(judged))
         return out
 
 

@@ -134,6 +134,7 @@ def _padding(size: int) -> bytes:
 
 def _columns(block: FleetBlock) -> dict[str, NDArray]:
     """Return what a block remembers, by name."""
+    block.finish()
     out = {"ids": _ids_out(block.ids), "standing": block.standing.table()}
     rows = block.skipped.rows()
     out["skipped"] = block.skipped.table(block.state.count[rows], block.over(rows))

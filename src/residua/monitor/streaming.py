@@ -221,7 +221,7 @@ def _judged(
     if stream.clock is not None:
         settled = settled_step(_regular(time, options, stream), options, source)
         monitor._learn_step(settled)
-    monitor._state = state
+    monitor._go_on_from(state, spec)
     decisions, signals = spool.mapped(template, "decisions"), spool.mapped(np.zeros(0), "signals")
     told = (*monitor.notes, *(monitor._check.notes if monitor._check else ()))
     told = (*told, *unlike_the_fit(monitor._check, generator.plant, signals, decisions.aside))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.design.core.decoupling import Decoupled, Promise
+from residua.design.core.decoupling import Decoupled, Leaks, Promise
 from residua.design.core.evidence import Evidence
 from residua.design.core.internal_form import check_known_form, check_state_map, internal_form
 from residua.design.core.signatures import Signature, checked_responses, signatures_of
@@ -20,6 +20,8 @@ from residua.plant.comparable_units import PlantUnits, canonical_units
 
 Factors = NDArray[np.float64]
 
+_NONE = Leaks({}, {})
+
 
 @dataclass(frozen=True, eq=False)
 class Checked:
@@ -27,8 +29,8 @@ class Checked:
 
     Attributes
     ----------
-    leaks : dict of str to float
-        What reaches the residual that must not, by the entry of the evidence.
+    leaks : Leaks
+        What reaches the residual that must not, and how that was measured.
     identity : float
         How far its identities are missed.
     signatures : dict of str to Signature
@@ -39,7 +41,7 @@ class Checked:
         The factors that bring the residuals from the units of the signatures to those of the generator.
     """
 
-    leaks: dict[str, float]
+    leaks: Leaks
     identity: float
     signatures: dict[str, Signature]
     off: float
@@ -118,7 +120,7 @@ def checked(
     filters for the same plant in other units are checked once.
     """
     decoupled = promise if isinstance(promise, Decoupled) else None
-    leaks = {} if decoupled else promise.leaks(system, plant, evidence)
+    leaks = _NONE if decoupled else promise.leaks(system, plant, evidence)
     units = canonical_units(plant)
     one = _Filter(system, state_map, static_map).for_scaled(units)
     states = one.own_states(units)
@@ -139,7 +141,7 @@ def _measured(one: _Filter, plant: Plant, evidence: Evidence, promise: Decoupled
     """Return what is measured of a filter in its own units."""
     form = internal_form(one.system, plant, one.T, one.V)
     known = checked_responses(one.system, plant, form, one.T, one.V)
-    leaks = promise.leaks(one.system, plant, evidence, known) if promise else {}
+    leaks = promise.leaks(one.system, plant, evidence, known) if promise else _NONE
     identity = check_state_map(one.system, plant, one.T, one.V)
     signatures, off = signatures_of(one.system, plant, form, one.T, one.V, known)
     return Checked(leaks, identity, signatures, off, np.ones(one.system.n_outputs))

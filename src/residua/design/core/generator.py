@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.design.core.canonical_checks import checked, checked_by_form
 from residua.design.core.decoupling import Approximate, Decoupled, Promise
-from residua.design.core.evidence import Evidence, format_pole, of_sampling
+from residua.design.core.evidence import Evidence, format_pole, measured_from, of_sampling
 from residua.design.core.internal_form import (
     frequency_grid,
     internal_form,
@@ -293,13 +293,15 @@ class ResidualGenerator:
         """
         system = discretized_filter(self.system, self.plant, dt, hold_outputs)
         plant = self.plant.discretize(dt)
-        cost = of_sampling(leakage(system, plant))
+        w = leak_frequencies(system, plant)
+        cost = of_sampling(leakage(system, plant, w))
         note = (
             f"sampled at {system.dt:g} s: inputs held, outputs {hold_outputs} between samples; "
             "the gains marked 'sampled' are what that costs"
         )
         evidence = self.evidence.extended(
             decoupling=cost,
+            conditions=measured_from(w, plant.dt) if cost else {},
             notes=(note,),
             poles=system.poles(),
             requested_poles=np.exp(self.evidence.requested_poles * system.dt),
@@ -469,7 +471,7 @@ def make_generator(
         system,
         plant,
         method,
-        evidence.extended(decoupling=found.leaks, conditions=conditions),
+        evidence.extended(decoupling=found.leaks.gains, conditions=conditions | found.leaks.conditions),
         bases,
         observer=observer,
         members=members,

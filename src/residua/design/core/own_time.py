@@ -17,7 +17,7 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from residua.design.core.evidence import Evidence
+from residua.design.core.evidence import Evidence, measured_from
 from residua.linear import StateSpace
 from residua.linear.systems.units import powers_of_two
 from residua.plant import InputOutputModel, Plant
@@ -31,6 +31,7 @@ C = TypeVar("C", bound=type)
 _OPTIONS = {"poles": 1.0, "margin": 1.0, "bandwidth": 1.0, "correlation_time": -1.0}
 #: Numbers of the evidence, by how their names begin.
 _CONDITIONS = {"size of K": 1.0, "norm of the gain": 1.0, "bandwidth": 1.0, "lag of": -1.0, "noise of": 0.5}
+_CONDITIONS |= dict.fromkeys(measured_from(np.ones(1), 0.0), 1.0)
 #: Fields of results by the power of a rate in them, or how a result of that class is written in another unit of time.
 _FIELDS: dict[type, Mapping[str, float]] = {}
 _WRITTEN: dict[type, Callable[[Any, float], Any]] = {}

@@ -139,6 +139,7 @@ class Latest(Generic[R]):
         with _lock:
             known = self._results.get(key)
             if known is not None:
+                self._measure_again()
                 self._results.move_to_end(key)
                 known.used = next(_uses)
         return known
@@ -238,7 +239,8 @@ class UnkeyedError(TypeError):
 def contents(value: object) -> Hashable:
     """Return what tells a value from all others: arrays, numbers, words, and tuples, lists and dataclasses of these.
 
-    Of every part the type and every bit count, of large arrays a digest of these, as for :func:`entries`.
+    Of every part the type and every bit count, of large arrays a digest of these, as for :func:`entries`; of matrices
+    the order in memory too, by which products and factorisations round.
     """
     kind = type(value)
     if kind in _PLAIN:
@@ -246,7 +248,8 @@ def contents(value: object) -> Hashable:
     if isinstance(value, np.ndarray):
         if kind is not np.ndarray or value.dtype.hasobject:
             raise UnkeyedError
-        return value.dtype.str, entries(value)
+        ordered = value.flags.c_contiguous or value.ndim < 2
+        return value.dtype.str, entries(value), None if ordered else value.strides
     if isinstance(value, (float, np.generic)):
         return kind, np.asarray(value).tobytes()
     if isinstance(value, (tuple, list)):
@@ -269,15 +272,20 @@ def cached_by_contents(function: Callable[..., R]) -> Callable[..., R]:
 
     @wraps(function)
     def cached(*values: Any, **options: Any) -> R:
+        # one order of the entries in memory, whichever the caller has: rounding depends on it
+        own = [np.asarray(value, order="C") if type(value) is np.ndarray else value for value in values]
         try:
-            key = contents((values, tuple(options.items())))
+            key = contents((own, tuple(options.items())))
         except UnkeyedError:
             return function(*values, **options)
-        # one order of the entries in memory, whichever the caller has: rounding depends on it
-        own = [read_only(value.copy()) if isinstance(value, np.ndarray) else value for value in values]
-        return latest.of_texts(key, lambda: _apart_from(function(*own, **options), (values, options)))
+        return latest.of_texts(key, lambda: _apart_from(function(*map(_own, own), **options), (values, options)))
 
     return cached
+
+
+def _own(value: Any) -> Any:
+    """Return an argument that nobody else writes to, if it is an array."""
+    return read_only(value.copy()) if type(value) is np.ndarray else value
 
 
 def read_only(result: R) -> R:

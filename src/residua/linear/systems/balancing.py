@@ -16,7 +16,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.linear.poles.matrix_poles import explicit_poles
 from residua.linear.systems.array_cache import cached_by_entries
-from residua.linear.systems.units import Units, bordered, matrix_units, pencil_units, system_units, without_residue
+from residua.linear.systems.units import (
+    Units,
+    bordered,
+    matrix_units,
+    pencil_units,
+    system_rate,
+    system_units,
+    without_residue,
+)
 from residua.tolerances import RESIDUE, above_rounding
 
 #: Couplings this far below the largest may have been scaled away.
@@ -28,8 +36,6 @@ _WIDEST = 64
 _LARGEST = 2.0**200
 #: Ratios of scales that move by more than this power of two in the second half of the sweeps will not come to rest.
 _DRIFT = 4
-#: A spectral radius above this, relative to that of the sizes of the entries, is near enough to a level, real or not.
-_SURELY_REAL = 1e-2
 #: Ratios of a row to its column, and of a channel to its level, from here to the inverse surely round to a factor of
 #: one: those up to 1/2 and to the root of 1/2 do, and what is nearer to these than rounding is decided by logarithms.
 _EVEN, _NEAR = 0.501, 0.708
@@ -157,7 +163,9 @@ def balance_system(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> Ba
     W = without_residue(bordered(A, B, C, D))
     # Only couplings count in a sweep; the diagonal of A does not change with the units of the states.
     np.fill_diagonal(W[:n, :n], 0.0)
-    level = _level(A, float(np.abs(explicit_poles(A0)).max(initial=0.0)))
+    # The units of channels are free: a rate of the whole plant stands for what no units of states change.
+    radius = float(np.abs(explicit_poles(A0)).max(initial=0.0))
+    level = float(power_of_two(np.array(max(radius, system_rate(A0, B0, C0, D0)) or 1.0)))
     scaled = W.copy()
     left, right, settled = _factors(scaled, n, level, _length)
     if not settled or _vanished(scaled):
@@ -177,23 +185,6 @@ def _in_units(A: NDArray, B: NDArray, C: NDArray, D: NDArray, u: Units) -> tuple
     """Return a system in units of its states, inputs and outputs."""
     T, U, Y = u.states, u.inputs, u.outputs
     return A / T[:, None] * T, B / T[:, None] * U, Y[:, None] * C * T, Y[:, None] * D * U
-
-
-def _level(A: NDArray[np.float64], radius: float) -> float:
-    """Return the level for the channels, whose units are free: the spectral radius of ``A``, without units of states.
-
-    Of a nilpotent matrix it is rounding, which a chain of ``n`` states grows to the ``n``-th root of it, beside the
-    radius of the sizes of the entries; its norm is taken then, and the channels are not made nothing beside the states.
-    """
-    n = len(A)
-    if not n:
-        return 1.0
-    eps, size = float(np.finfo(float).eps), float(np.linalg.norm(A))
-    share = min((n * eps) ** (1 / n), _SURELY_REAL)
-    rounding = max(math.sqrt(eps), share) * size  # the radius of the sizes is at most the norm
-    if radius < rounding:
-        rounding = max(math.sqrt(eps) * size, share * float(np.abs(np.linalg.eigvals(np.abs(A))).max()))
-    return float(power_of_two(np.array((size if radius < rounding else radius) or 1.0)))
 
 
 def _vanished(W: NDArray[np.float64]) -> bool:

@@ -1,0 +1,265 @@
+"""Blocks of samples that happen whole or not at all, whatever interrupts them and whichever thread does not start.
+
+Signals, such as Ctrl-C, and a want of memory raise errors between any two steps of Python, but never within a call of
+the kernel. So the kernel itself writes down which plants it has run, and whatever follows can be done again from any
+point in it on. What an interruption leaves open is done before anything else is: see :class:`Work`.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.errors import DataError
+
+#: What the kernel writes down of a part: that it has run, how many of its plants stopped for want of room, whether one
+#: did for want of gains, and how many notes there are.
+RAN, STOPPED, WANTS_GAINS, NOTED = range(4)
+#: Plants of a part that are noted, and numbers of a note before the sums of a start, as in the kernel.
+_NOTES, _NOTE_HEAD = 64, 5
+
+
+class Parts:
+    """Plants of a block in parts, each of which runs once, in whichever thread.
+
+    Parameters
+    ----------
+    plants, threads : int
+    states : int
+        Of the filter.
+
+    Attributes
+    ----------
+    receipts : ndarray of int, shape (parts, 4)
+    """
+
+    def __init__(self, plants: int, threads: int, states: int) -> None:
+        count = 1 if plants < 2 * threads else threads
+        self._ends = list(pairwise([plants * k // count for k in range(count + 1)]))
+        self.receipts = np.zeros((count, 4), dtype=np.int64)
+        self._notes = np.empty((count, _NOTES, _NOTE_HEAD + states))
+        #: Who runs a part: a thread, or ``None``, the calling one. The first to write it here does.
+        self._claims: dict[int, _Helper | None] = {}
+
+    def again(self, plants: int) -> bool:
+        """Begin anew with so many plants, if no other thread knows of this."""
+        if len(self._ends) > 1 or self._ends[0][1] != plants:
+            return False
+        self.receipts[:] = 0
+        return True
+
+    def run(self, run: Callable[..., object]) -> None:
+        """Run the parts that have not run; where a thread does not start, the calling one does its part.
+
+        ``run`` takes the first plant of a part, the one after its last, a receipt and room for notes.
+        """
+        if len(self._ends) == 1:
+            self._run(run, 0)
+            return
+        for k in range(1, len(self._ends)):
+            try:
+                _Helper(self, run, k).start()
+            except (RuntimeError, MemoryError):
+                break
+        for k in range(len(self._ends)):
+            if self._claims.setdefault(k, None) is None:
+                self._run(run, k)
+        self.wait()
+        for k in range(len(self._ends)):  # what a thread did not do for an error, which is met again
+            self._run(run, k)
+
+    def help(self, helper: _Helper, run: Callable[..., object], k: int) -> None:
+        """Run a part in another thread, unless it is too late."""
+        if self._claims.setdefault(k, helper) is helper:
+            self._run(run, k)
+
+    def _run(self, run: Callable[..., object], k: int) -> None:
+        if not self.receipts[k, RAN]:
+            run(*self._ends[k], self.receipts[k], self._notes[k])
+
+    def wait(self) -> None:
+        """Wait for the threads that run a part, and let no other one begin."""
+        for k in range(len(self._ends)):
+            helper = self._claims.setdefault(k, None)
+            if helper is not None:
+                helper.wait()
+
+    def told(self) -> tuple[int, int, int]:
+        """Return how many plants stopped, how many parts want gains, and how many notes there are."""
+        first, *others = self.receipts.tolist()
+        _, stopped, wants_gains, noted = first if not others else map(sum, zip(first, *others, strict=True))
+        return stopped, wants_gains, noted
+
+    def notes(self) -> NDArray[np.float64]:
+        """Return the notes of all parts, a row each."""
+        return np.concatenate(
+            [notes[:count] for notes, count in zip(self._notes, self.receipts[:, NOTED], strict=True)]
+        )
+
+
+class _Helper:
+    """A thread that runs a part of a block, if it comes to it."""
+
+    def __init__(self, parts: Parts, run: Callable[..., object], k: int) -> None:
+        self._thread = threading.Thread(target=self._help, args=(parts, run, k))
+        self._is_over = False
+        self._latch = threading.Lock()
+        self._latch.acquire()
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def _help(self, parts: Parts, run: Callable[..., object], k: int) -> None:
+        try:
+            with suppress(Exception):
+                parts.help(self, run, k)
+        finally:
+            self._is_over = True
+            self._latch.release()
+
+    def wait(self) -> None:
+        """Wait for its end; an interruption takes nothing that others wait for."""
+        if not self._is_over:
+            self._latch.acquire()
+
+
+class Job:
+    """A block that the kernel runs in place, as far as it has come.
+
+    Parameters
+    ----------
+    u, y : ndarray, shape (plants, time, channels)
+    outputs : tuple of ndarray or None
+    rows : ndarray of int, or None
+    threads : int
+    then : callable, optional
+        What comes after the kernel; it may be done again.
+
+    Attributes
+    ----------
+    is_done : bool
+    is_borrowed : bool
+        Whether the signals are still those of the caller, who may change them once an error has reached him.
+    """
+
+    def __init__(
+        self,
+        u: NDArray,
+        y: NDArray,
+        outputs: tuple[NDArray | None, ...],
+        rows: NDArray[np.int64] | None,
+        threads: int,
+        then: Callable[[], None] | None = None,
+    ) -> None:
+        self.signals, self.outputs, self.rows, self.threads, self.then = (u, y), outputs, rows, threads, then
+        self.left = np.zeros(len(y), dtype=np.int64)  # samples; written, and read, only where it has to be
+        self.is_fresh, self.is_done, self.is_borrowed = True, False, True
+        self.parts: Parts | None = None
+
+    @property
+    def is_begun(self) -> bool:
+        """Whether a plant has been run."""
+        return self.is_done or not self.is_fresh or (self.parts is not None and bool(self.parts.receipts[:, RAN].any()))
+
+    def run(self, kernel: Any, first: int, stop: int, receipt: NDArray, notes: NDArray) -> None:
+        """Run some of the plants."""
+        kernel.run(*self.signals, self.outputs, self.rows, self.left, self.is_fresh, first, stop, receipt, notes)
+
+    def end_round(self) -> None:
+        """Let the next round run what is left."""
+        self.is_fresh = False
+        self.parts = None
+
+    def own(self) -> None:
+        """Go on with signals of its own, if it does."""
+        if self.is_borrowed and not self.is_done:
+            u, y = self.signals
+            self.signals = u.copy(), y.copy()
+        self.is_borrowed = False
+
+
+class Work:
+    """Steps of which all happen, or none.
+
+    Parameters
+    ----------
+    steps : sequence of callable
+        Each may be begun again where it was interrupted, and after its end: it then does the rest, or nothing.
+    jobs : sequence of Job
+        What the kernel runs in them.
+    within : sequence of Work
+        Work that these steps do.
+    """
+
+    def __init__(self, steps: Sequence[Callable[[], object]], jobs: Sequence[Job], within: Sequence[Work] = ()) -> None:
+        self.steps, self.jobs, self._within = steps, jobs, within
+        self._done = 0
+
+    @property
+    def is_begun(self) -> bool:
+        """Whether anything was changed."""
+        return self._done > 0 or any(one.is_begun for one in (*self.jobs, *self._within))
+
+    def go_on(self) -> None:
+        """Do what is left."""
+        while self._done < len(self.steps):
+            self.steps[self._done]()
+            self._done += 1
+
+    def own(self) -> None:
+        """Be ready to go on later, when the caller may have changed its signals."""
+        for job in self.jobs:
+            if job.parts is not None:
+                job.parts.wait()
+        if self.is_begun:
+            for job in self.jobs:
+                job.own()
+
+
+class Worker:
+    """Does one piece of work after the other; what an interruption leaves of one is done before anything else."""
+
+    def __init__(self) -> None:
+        self._work: Work | None = None
+
+    def do(self, work: Work) -> None:
+        """Do all of some work.
+
+        An error leaves nothing changed, or work of which :meth:`finish` does the rest.
+        """
+        try:
+            self._work = work
+            work.go_on()
+        except BaseException:
+            work.own()
+            raise
+        self._work = None
+
+    def finish(self) -> None:
+        """Do what an interruption has left, if anything was changed.
+
+        Raises
+        ------
+        DataError
+            If that was interrupted so often that the signals are not there any longer.
+        """
+        work = self._work
+        if work is None:
+            return
+        if work.is_begun:
+            if any(job.is_borrowed and not job.is_done for job in work.jobs):
+                raise DataError(
+                    "a block was interrupted, and again before the rest of its signals was saved: some of the plants "
+                    "have had it, and others have not. Go on from a snapshot, or from a saved monitor"
+                )
+            work.go_on()
+        self._work = None
+
+
+__all__ = ["Job", "Parts", "Work", "Worker"]
