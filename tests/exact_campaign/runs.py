@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import json
 import time
 import traceback
@@ -69,12 +68,6 @@ def run_chunk(chunk: Chunk) -> Outcome:
     return Outcome(chunk.key, chunk.kind, chunk.count, time.perf_counter() - start, dict(counts), failures)
 
 
-def _settled() -> None:
-    """Have what is imported looked through no more for what can be let go of."""
-    gc.collect()
-    gc.freeze()
-
-
 def done(path: Path) -> set[str]:
     """Return the names of the chunks that a record holds; a torn last line is left out."""
     return {entry["key"] for entry in entries(path)}
@@ -104,7 +97,7 @@ def run(plants: int, seed: int, workers: int, path: Path, *, seconds: float | No
     kept = done(path)
     missing = [chunk for chunk in chunks(plants, seed) if chunk.key not in kept]
     end = time.monotonic() + (float("inf") if seconds is None else seconds)
-    with ProcessPoolExecutor(workers, initializer=_settled) as pool, path.open("a", encoding="utf-8") as out:
+    with ProcessPoolExecutor(workers) as pool, path.open("a", encoding="utf-8") as out:
         todo = iter(missing)
         running = {pool.submit(run_chunk, chunk) for chunk in islice(todo, 2 * workers)}
         count = 0
