@@ -278,13 +278,17 @@ def leak_frequencies(
     """
     w, system = frequency_grid(generator, plant.system(())), plant.system(roles)
     form = _in_differences(system)
-    if not form.n_inputs or np.all(form.poles() != 0):
+    integrators = int(np.count_nonzero(form.poles() == 0))
+    if not form.n_inputs or not integrators:
         return w
     low = 1.0371 * _slowest_zero(form) / _BELOW_ZEROS
     if system.is_discrete:
         own = _in_differences(generator)
         slowest = float(np.concatenate([_pole_sizes(form), _pole_sizes(own)]).min(initial=np.inf))
-        low = min(low, 1.0371 * _slowest_zero(own) / _BELOW_ZEROS, 1.0371 * slowest / _BELOW_POLES, _SLOW) / system.dt
+        low = (
+            min(low, 1.0371 * _slowest_zero(own, integrators) / _BELOW_ZEROS, 1.0371 * slowest / _BELOW_POLES, _SLOW)
+            / system.dt
+        )
         w = w[w > low]
     if w[0] <= low:
         return w
@@ -302,18 +306,21 @@ def _in_differences(system: StateSpace) -> StateSpace:
 _slowest: Latest[float] = Latest()
 
 
-def _slowest_zero(system: StateSpace) -> float:
-    """Return the size of the smallest zero of the response of an output to an input that is not at 0."""
+def _slowest_zero(system: StateSpace, multiplicity: int = 2) -> float:
+    """Return the size of the smallest zero of the response of an output to an input that is not at 0.
+
+    Rounding scatters one at 0 of some multiplicity, as a filter has where its plant integrates, by that root.
+    """
     A, B, C, D, E = system.A, system.B, system.C, system.D, system.E
 
     def found() -> float:
-        least = _SMALL * _size(system)
+        least = float(np.finfo(float).eps) ** (1 / max(multiplicity, 2)) * _size(system)
         pairs = np.ndindex(system.D.shape)
         zeros = [np.abs(invariant_zeros(A, B[:, [j]], C[[i]], D[[i]][:, [j]], E).zeros) for i, j in pairs]
         sizes = np.concatenate([np.zeros(0), *zeros])
         return float(np.min(sizes, where=sizes > least, initial=np.inf))
 
-    return _slowest.of(entries(A, B, C, D, E), found)
+    return _slowest.of((entries(A, B, C, D, E), multiplicity), found)
 
 
 def leakage(generator: StateSpace, plant: Plant, w: NDArray | None = None) -> dict[str, float]:
