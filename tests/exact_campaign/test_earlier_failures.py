@@ -165,6 +165,9 @@ _EARLIER = [
     ("repeated poles", 7140, designs._estimators),
     # what rounding left of couplings that cancel was a state that a residual needs
     ("repeated poles", 7040, designs._decoupled),
+    # a rank at a point was decided in units of the system, in which rates over six decades are none
+    ("stiff", 14066, None),
+    ("hidden modes", 14046, None),
 ]
 
 

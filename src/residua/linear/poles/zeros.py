@@ -15,7 +15,8 @@ from residua.linear.poles.zero_structure import rounding_of, without_zero_eigenv
 from residua.linear.subspaces.parts import part_numbers, triangular_parts
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, decide_rank, spectral_norm
 from residua.linear.systems.balancing import balance_system, descriptor_units, power_of_two, without_rounding
-from residua.linear.systems.units import bordered, system_rate
+from residua.linear.systems.units import bordered, matrix_units, system_rate
+from residua.tolerances import RESIDUE
 
 #: What rounding leaves of the next zeros, as a multiple of what it left of those that were dropped.
 _BEYOND_DROPPED = 10.0
@@ -107,14 +108,13 @@ def _singular_vectors(E: NDArray[np.float64]) -> tuple[NDArray, NDArray, NDArray
     return U[:, order], values[order], V[:, order]
 
 
-def _balanced(M: Matrices, s: complex = 0.0) -> tuple[Matrices, float]:
+def _balanced(M: Matrices) -> tuple[Matrices, float]:
     """Balance a standard system and choose the unit of ``s``, which outputs take too: all blocks stay comparable.
 
-    In the unit of time in which its rates are near one, so that it comes out the same in whatever unit it was written;
-    of a system that has no rate the point at which it is looked at is one.
+    In the unit of time in which its rates are near one, so that it comes out the same in whatever unit it was written.
     """
     A, B, C, D = M
-    rate = system_rate(A, B, C, D) or float(power_of_two(np.array(abs(s))))
+    rate = system_rate(A, B, C, D) or 1.0
     b = balance_system(A / rate, B / rate, C, D)
     size = spectral_norm(b.A)
     unit = float(power_of_two(np.array(size))) if size else 1.0
@@ -347,7 +347,7 @@ def pencil_rank_at(
     *,
     rtol: float = DEFAULT_RTOL,
 ) -> RankDecision:
-    """Decide the rank of the system pencil at one ``s``, in balanced units.
+    """Decide the rank of the system pencil at one ``s``, in units of its rows and columns that even it out.
 
     Parameters
     ----------
@@ -356,7 +356,7 @@ def pencil_rank_at(
     s : complex
         Finite.
     rtol : float
-        Relative to the largest singular value of the balanced pencil at ``s``.
+        Relative to the largest singular value of the evened pencil at ``s``.
 
     Returns
     -------
@@ -368,14 +368,10 @@ def pencil_rank_at(
     >>> print(pencil_rank_at([[0, 1], [-2, -3]], [[0], [1]], [[4, 1]], s=-4).rank)
     2
     """
-    M, descriptor = _checked(A, B, C, D, E)
-    unit = 1.0
-    if descriptor is not None:
-        M, descriptor, unit = _equilibrated(M, descriptor)
-    else:
-        M, unit = _balanced(M, s)
-        descriptor = np.eye(M[0].shape[0])
-    P = np.block([[s / unit * descriptor - M[0], -M[1]], [M[2], M[3]]])
-    # Far out, the columns of the states grow with s; the rank does not change when they are divided by it.
-    P[:, : M[0].shape[0]] /= max(1.0, abs(s) / unit)
-    return decide_rank(P, rtol=rtol)
+    (A, B, C, D), descriptor = _checked(A, B, C, D, E)
+    dynamic = s * (np.eye(len(A)) if descriptor is None else descriptor)
+    pencil = dynamic - A
+    pencil[np.abs(pencil) <= RESIDUE * (np.abs(dynamic) + np.abs(A))] = 0.0  # what cancels is not scaled up
+    P = np.block([[pencil, -B], [C, D]])
+    rows, columns = matrix_units(np.abs(P))
+    return decide_rank(rows[:, None] * P * columns, rtol=rtol)
