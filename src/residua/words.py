@@ -6,9 +6,19 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
+from threading import local
 from typing import Any
 
 _unit_of_rates: ContextVar[float] = ContextVar("unit of rates", default=1.0)
+
+
+class _Asked(local):
+    """How many times a thread has asked for the unit of rates."""
+
+    times = 0
+
+
+_asked = _Asked()
 
 
 @contextmanager
@@ -23,6 +33,17 @@ def rates_in(unit: float) -> Iterator[None]:
 
 def unit_of_rates() -> float:
     """Return the unit in which rates are worked on here, in 1/s: what texts multiply them by."""
+    _asked.times += 1
+    return _unit_of_rates.get()
+
+
+def times_unit_was_asked() -> int:
+    """Return how often this thread has asked for that unit: what is made without asking has it in no text."""
+    return _asked.times
+
+
+def unit_of_rates_unasked() -> float:
+    """Return that unit to one who keeps results by it, and asks for it where a result has it in a text."""
     return _unit_of_rates.get()
 
 

@@ -21,6 +21,7 @@ from residua.design.core.evidence import Evidence
 from residua.design.core.generator import make_generator
 from residua.design.core.internal_form import check_state_map
 from residua.design.core.responses import state_covariance
+from residua.design.core.signatures import Signature
 from residua.design.observers.estimate_check import check_estimate
 from residua.design.observers.perfect_observer import perfect_observer
 from residua.design.parity.conversion import to_parity
@@ -344,33 +345,33 @@ def test_a_member_that_answers_to_what_it_ignores_is_refused() -> None:
 @trips("design.banks.decoupled_residual:_designed")
 def test_a_residual_that_lost_a_fault_it_can_see_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     ignoring()
-    changed(monkeypatch, "design.core.generator:signature_bases", _silent)
+    changed(monkeypatch, "design.core.canonical_checks:signatures_of", _silent)
     with pytest.raises(AccuracyError, match="lost in rounding"):
         ignoring()
 
 
-def _silent(found: tuple[dict[str, np.ndarray], float]) -> tuple[dict[str, np.ndarray], float]:
-    bases, off_them = found
-    return {name: basis[:, :0] for name, basis in bases.items()}, off_them
+def _silent(found: tuple[dict[str, Signature], float]) -> tuple[dict[str, Signature], float]:
+    signatures, off_them = found
+    return {name: replace(one, columns=one.columns[:, :0]) for name, one in signatures.items()}, off_them
 
 
 @trips("design.detection_filters.detection_filter:_check_directions")
 def test_a_fault_that_leaves_its_direction_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     D.detection_filter(gertler())
     D.detection_filter(without_dynamics())
-    changed(monkeypatch, "design.core.generator:signature_bases", lambda found: (_whole(found[0]), found[1]))
+    changed(monkeypatch, "design.core.canonical_checks:signatures_of", lambda found: (_whole(found[0]), found[1]))
     with pytest.raises(AccuracyError, match="leaves its direction"):
         D.detection_filter(gertler())
 
 
-def _whole(bases: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    return {name: np.eye(len(basis)) for name, basis in bases.items()}
+def _whole(signatures: dict[str, Signature]) -> dict[str, Signature]:
+    return {name: replace(one, columns=np.eye(len(one.columns))) for name, one in signatures.items()}
 
 
 @trips("design.parity.structured_parity:design")
 def test_a_relation_whose_response_is_lost_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     D.structured_parity(gertler(), {"r1": ["p1"]})
-    changed(monkeypatch, "design.core.generator:signature_bases", _silent)
+    changed(monkeypatch, "design.core.canonical_checks:signatures_of", _silent)
     with pytest.raises(AccuracyError, match="lost in the rounding"):
         D.structured_parity(gertler(), {"r1": ["p1"]})
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 import residua as rs
 from exact_arithmetic import exact_leak, normal_rank, reaches
+from guards import trips
 from refusals import Refused
 from residua.design.core.internal_form import frequency_grid, leak_frequencies, leakage, leakage_of_inputs
 from residua.design.core.signatures import checked_responses, fault_responses
@@ -364,3 +365,48 @@ def test_sampled_chains_of_integrators_have_relations() -> None:
     made = rs.design.parity_relations(plant.with_actuator_faults().with_sensor_faults())
     assert leak_frequencies(made.system, plant)[0] == 1e-3 / plant.dt
     assert made.evidence.decoupling["control"] < 1e-6
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.5])
+def test_evidence_says_from_which_frequency_leaks_were_measured(dt: float) -> None:
+    chain = np.diag(np.ones(2), 1)
+    for scale in (1.0, 2.0**-20, 2.0**20):
+        unit = 1.0 if dt else scale
+        A = np.eye(3) + chain if dt else unit * (chain - np.diag([0, 0, 2.0]))
+        plant = rs.Plant(A, unit * np.eye(3)[:, -1:], np.eye(3)[:2], dt=dt).with_sensor_faults()
+        for made in (rs.design.decoupled_residual(plant), rs.design.structured_bank(plant, ["11"]).generator):
+            name = "leaks measured from, in " + ("rad per sample" if dt else "rad/s")
+            w = leak_frequencies(made.system, plant)[0]
+            assert made.evidence.leaks_measured_from(dt) == pytest.approx(w, rel=1e-6)
+            assert made.evidence.conditions[name] == pytest.approx(w * (dt or 1), rel=1e-6)
+            assert f"{name}: {w * (dt or 1):.3g}" in str(made.evidence)
+
+
+def test_a_sampled_design_says_where_leaks_were_measured_before_and_after() -> None:
+    made = rs.design.unknown_input_observer(rs.library.jet_engine()).residual_generator()
+    sampled = made.discretize(0.01)
+    w = leak_frequencies(sampled.system, sampled.plant)[0]
+    assert sampled.evidence.leaks_measured_from(0) == made.evidence.leaks_measured_from(0)
+    assert sampled.evidence.leaks_measured_from(0.01) == pytest.approx(w, rel=1e-12)
+    assert made.evidence.leaks_measured_from(0.01) is None
+
+
+def test_where_nothing_can_leak_nothing_is_said() -> None:
+    plant = rs.Plant([[-1.0]], np.zeros((1, 0)), [[1.0]]).with_sensor_faults()
+    assert rs.design.decoupled_residual(plant).evidence.leaks_measured_from(0) is None
+
+
+@trips("design.core.internal_form:_check_digits")
+def test_a_leak_that_no_digits_tell_is_not_told() -> None:
+    """A chain of eight: its filter has zeros at 0 exactly, and at 1e-5 rad/s 1e-40 of its terms are left."""
+    n = 8
+    plant = rs.Plant(np.diag(np.ones(n - 1), 1), np.eye(n)[:, -1:], np.eye(n)[:1]).with_sensor_faults()
+    made = rs.design.decoupled_residual(plant)
+    slowest = made.evidence.leaks_measured_from(0)
+    assert slowest is not None
+    assert leakage(made.system, plant, np.geomspace(slowest / 10, 100 * slowest, 20))["control"] < 1e-9
+    slow = np.array([1e-6, 1e-5, slowest])
+    with pytest.raises(AccuracyError, match="1e-05 rad/s and below cannot be told from rounding"):
+        leakage(made.system, plant, slow)
+    wrong = made.system.replaced(B=made.system.B * [1, 1 + 1e-12])  # no zero at 0 any more
+    assert leakage(wrong, plant, slow)["control"] == pytest.approx(1.0)

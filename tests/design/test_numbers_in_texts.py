@@ -148,7 +148,7 @@ DESIGNS: dict[str, tuple[Callable[[], Plant], Callable[[Plant], Any]]] = {
     "parity": (_seen, D.parity_relations),
 }
 #: How the numbers of evidence begin that have rates in them, and their power.
-RATES = {"size of": 1, "norm of the gain": 1, "bandwidth": 1, "lag of": -1}
+RATES = {"size of": 1, "norm of the gain": 1, "bandwidth": 1, "lag of": -1, "leaks measured from": 1}
 
 
 @pytest.mark.parametrize("name", DESIGNS)

@@ -148,3 +148,58 @@ def test_a_kalman_filter_keeps_apart_what_nothing_connects() -> None:
     plant = rs.Plant(A, np.zeros((4, 0)), np.eye(4)[[1, 0]]).with_faults({"f1": [2, 0, 0, -1]})
     made = rs.design.kalman_filter(plant.with_sensor_faults().with_noise(process=1.0, measurement=1.0))
     np.testing.assert_array_equal(made.structure, [[False, True, False], [True, False, True]])
+
+
+def with_dead_output(seed: int) -> tuple[rs.Plant, int]:
+    """Return a plant, singular or not, with disturbances in states and outputs, of which one reads nothing."""
+    rng = np.random.default_rng([2, seed])
+    n, p, q = int(rng.integers(2, 6)), int(rng.integers(2, 5)), int(rng.integers(0, 3))
+    dead, units = int(rng.integers(p)), 2.0 ** rng.integers(-20, 20, p)[:, None]
+    E = np.diag((rng.random(n) < 0.7).astype(float)) if rng.random() < 0.3 else None
+    A, C = rng.integers(-3, 4, (n, n)).astype(float), units * rng.integers(-3, 4, (p, n))
+    Bd, Dd = rng.integers(-2, 3, (n, q)) + 10 * np.eye(n, q), units * rng.integers(-2, 3, (p, q)) * (rng.random() < 0.6)
+    C[dead], Dd[dead] = 0, 0
+    plant = rs.Plant(A, np.eye(n)[:, :1], C, E=E, dt=float(rng.choice([0, 0.5])))
+    return plant.with_disturbances({f"d{i}": (Bd[:, i], Dd[:, i]) for i in range(q)}), dead
+
+
+def test_a_dead_output_gets_no_gain() -> None:
+    made = 0
+    for seed in range(150):
+        plant, dead = with_dead_output(seed)
+        H0 = np.where(np.arange(plant.n_outputs) == dead, 0.0, np.ones((plant.n_states, 1)))
+        for design, options in (
+            (rs.design.luenberger_observer, {}),
+            (rs.design.unknown_input_observer, {}),
+            (rs.design.unknown_input_observer, {"H0": H0}),
+            (rs.design.reduced_order_observer, {}),
+            (rs.design.descriptor_observer, {}),
+        ):
+            try:
+                observer = design(plant, **options)
+            except (DesignError, AccuracyError):
+                continue
+            made += 1
+            assert not np.any(observer.K[:, dead]), (seed, design.__name__)
+            assert not np.any(observer.H[:, dead]), (seed, design.__name__)
+    assert made > 300
+
+
+@pytest.mark.parametrize("unit", [2.0**-20, 1.0, 2.0**20])
+def test_an_output_is_not_mixed_with_others_because_a_disturbance_enters_these(unit: float) -> None:
+    """Nothing says how large it is beside them: the mixture would depend on its unit."""
+    plant = rs.Plant(np.zeros((0, 0)), np.zeros((0, 0)), np.zeros((3, 0)), dt=0.5)
+    plant = plant.with_disturbances({"d": ([], [0, -2, 2])}).with_sensor_faults([1, 2])
+    plant = with_output_units(plant, np.array([unit, 1, 1]))
+    read = rs.design.decoupled_residual(plant).system.D
+    assert (read != 0).tolist() == [[True, False, False], [False, True, True]]
+    dynamic = rs.Plant([[-1.0]], [[1.0]], [[unit], [0], [0]]).with_disturbances({"d": ([0], [0, -2, 2])})
+    made = rs.design.decoupled_residual(dynamic.with_sensor_faults([1, 2]))
+    apart = np.any(made.system.D[:, 1:2], axis=1), np.any(made.system.D[:, 2:], axis=1)
+    assert not np.any(np.logical_and(*apart))
+
+
+def with_output_units(plant: rs.Plant, units: np.ndarray) -> rs.Plant:
+    """Return a plant with its outputs in other units, so that the faults of its sensors are in these too."""
+    scaled = {name: units[:, None] * getattr(plant, name) for name in ("C", "Du", "Dd", "Df")}
+    return plant._with(**scaled)

@@ -177,3 +177,22 @@ def test_a_fault_in_small_units_keeps_its_steady_direction() -> None:
     found = rs.design.luenberger_observer(scaled).residual_generator().steady_directions
     for name in plant.faults:
         assert ((plain[name] != 0) == (found[name] != 0)).all()
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_evidence_is_the_same_to_the_last_bit_in_units_of_powers_of_two(seed: int) -> None:
+    rng = np.random.default_rng(900 + seed)
+    plant = random_plant(rng, n=4, outputs=4, faults=3, dt=0.1 * (seed % 2))
+    T, Y = (2.0 ** np.round(rng.uniform(-20, 20, 4)) for _ in range(2))
+    other = in_units(plant, T)._with(
+        C=Y[:, None] * plant.C / T, Du=Y[:, None] * plant.Du, Dd=Y[:, None] * plant.Dd, Df=Y[:, None] * plant.Df
+    )
+    for design in (rs.design.luenberger_observer, rs.design.unknown_input_observer):
+        first, second = (design(p).residual_generator() for p in (plant, other))
+        assert first.n_residuals > 1
+        for name in ("identities", "response off the signatures"):
+            assert first.evidence.conditions[name] == second.evidence.conditions[name]
+        assert first.evidence.decoupling == second.evidence.decoupling
+        for fault in plant.faults:  # what spans them, in other units of the residuals
+            one, two = first.subspaces[fault], second.subspaces[fault]
+            assert one.shape == two.shape

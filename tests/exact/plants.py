@@ -8,7 +8,7 @@ from typing import Any
 
 from flint import fmpq, fmpq_mat
 
-from exact.matrices import block, exact, identity, part, zeros
+from exact.matrices import block, exact, identity, part, rank, zeros
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +104,23 @@ def _is_scaled(M: fmpq_mat, other: fmpq_mat, rows: list[fmpq], columns: list[fmp
     return shape == (other.nrows(), other.ncols()) == (len(rows), len(columns)) and all(
         M[i, j] == rows[i] * other[i, j] * columns[j] for i in range(shape[0]) for j in range(shape[1])
     )
+
+
+def integrators(plant: ExactPlant) -> int:
+    """Return the longest chain of integrators: the order of the pole at ``s = 0``, or ``z = 1``, of ``(sE - A)^-1``."""
+    A = plant.A - plant.E if plant.sampled else plant.A
+    n = plant.n
+    # a shift of a regular pencil that is no other pole leaves the chains of its pole at 0 those of one matrix
+    shifts = (A - c * plant.E for c in range(1, n + 2))
+    regular = next((M for M in shifts if rank(M) == n), None)
+    if regular is None:
+        raise ValueError("the pencil of the plant is not regular")
+    N = regular.solve(A) if n else A
+    power, ranks = identity(n), [n]
+    for _ in range(n + 1):
+        power = power * N
+        ranks.append(rank(power))
+    return next(k for k in range(n + 1) if ranks[k + 1] == ranks[k])
 
 
 def at(P: tuple[fmpq_mat, fmpq_mat], s: fmpq | int) -> fmpq_mat:

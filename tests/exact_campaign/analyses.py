@@ -87,6 +87,7 @@ def _ranks_at_points(subject: Subject) -> None:
         record = subject.ask(
             f"pencil_rank_at ({name})",
             lambda value=value: rs.linear.pencil_rank_at(plant.A, plant.Bd, plant.C, plant.Dd, plant.E, value),
+            about=str(s),  # the zeros of the floats may come in another order than those of the case
         )
         if record.answer.made is not None:
             wanted = rank(at(P, s))

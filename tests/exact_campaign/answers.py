@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 import residua as rs
-from exact.plants import ExactPlant, exact_plant, with_answers_of
+from exact.plants import ExactPlant, exact_plant, integrators, with_answers_of
 from exact_campaign.cases import Case, Units, base_units, plant_of
 from residua.errors import AccuracyError, ResiduaError
 
@@ -91,11 +91,17 @@ class Subject:
         A = plant_of(self.case).A
         return float(np.abs(A).max(initial=0.0)) or 1.0
 
-    def ask(self, function: str, call: Callable[[], Any]) -> Record:
-        """Ask, and keep the record."""
-        if function not in self.known:
-            self.known[function] = answered(call)
-        record = Record(function, self.known[function])
+    @cached_property
+    def integrators(self) -> int:
+        """The longest chain of integrators, of the case: decimal units may move them off by rounding."""
+        return integrators(exact_plant(plant_of(self.case)))
+
+    def ask(self, function: str, call: Callable[[], Any], about: str = "") -> Record:
+        """Ask, and keep the record; ``about`` is what the question depends on besides the plant, if anything."""
+        question = f"{function} {about}"
+        if question not in self.known:
+            self.known[question] = answered(call)
+        record = Record(function, self.known[question])
         if record.answer.crash:
             record.problem("crash", "crash", record.answer.crash)
         self.records[function] = record

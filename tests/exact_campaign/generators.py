@@ -34,11 +34,12 @@ _NOTHING = 1e-9
 def examine_generator(subject: Subject, record: Record, made: Any, plant: Any, prefix: str = "") -> Paths:
     """Check leak, structure and subspaces of a generator, and keep its facts."""
     y = _output_units(subject, plant)
-    found = paths(made.system, plant, y, _frequencies(subject, plant))
+    w = _frequencies(subject, plant)
+    found = paths(made.system, plant, y, w)
     decoupled = any(name in made.evidence.decoupling for name in ("disturbance", "everything ignored"))
     structure = np.asarray(made.structure)
     live = _live(found, structure)
-    _leak(record, found, made, decoupled, live)
+    _leak(record, found, made, decoupled, live, _growth(made, w, subject.integrators))
     _structure(record, found, structure, plant.faults, live)
     _subspaces(record, found, made, plant.faults, live)
     if not made.system.is_stable():
@@ -56,7 +57,10 @@ def examine_generator(subject: Subject, record: Record, made: Any, plant: Any, p
         f"{prefix}dimensions": {name: basis.shape[1] for name, basis in made.subspaces.items()},
         f"{prefix}fixed poles": len(made.evidence.fixed_poles),
     }
-    record.evidence |= {f"{prefix}{name}": value for name, value in (made.evidence.decoupling | sizes).items()}
+    slowest = {"leaks measured from": (made.evidence.leaks_measured_from(made.dt) or 0.0) / subject.by.t}
+    record.evidence |= {
+        f"{prefix}{name}": value for name, value in (made.evidence.decoupling | sizes | slowest).items()
+    }
     return found
 
 
@@ -83,10 +87,22 @@ def _live(found: Paths, structure: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return structure.any(axis=1) | more
 
 
-def _leak(record: Record, found: Paths, made: Any, decoupled: bool, live: NDArray[np.bool_]) -> None:
+def _growth(made: Any, w: Sequence[float], integrators: int) -> NDArray[np.float64]:
+    """Return by how much a leak at each frequency may be larger than where the evidence begins to measure it.
+
+    A plant that integrates ``k`` times answers by powers of one over the frequency up to the ``k``-th, and so does
+    what rounding leaves of its filter.
+    """
+    slowest = made.evidence.leaks_measured_from(made.dt)
+    return np.maximum(1.0, (slowest or 0.0) / np.array(w)) ** integrators
+
+
+def _leak(
+    record: Record, found: Paths, made: Any, decoupled: bool, live: NDArray[np.bool_], growth: NDArray[np.float64]
+) -> None:
     groups = [("control", found.to_controls)] + ([("disturbance", found.to_disturbances)] if decoupled else [])
     for name, columns in groups:
-        ratio = found.leak(columns)[:, live]
+        ratio = found.leak(columns)[:, live] / growth[:, None, None]
         if not ratio.size:
             continue
         worst = float(ratio.max())

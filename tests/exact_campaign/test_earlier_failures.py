@@ -139,6 +139,30 @@ _EARLIER = [
     ("stiff", 703, designs._observers),
     # unknown inputs were compared by the largest entries of rows and columns, which three rounds do not even out
     ("stiff", 7002, designs._estimators),
+    # a chain of integrators, which has no rate, was looked at near zero in another unit of time
+    ("integrators", 30015, None),
+    # rounding had grown by a weak coupling, and scattered two zeros at 0
+    ("repeated poles", 13062, None),
+    # the zeros of floats in decimal units came in another order than those of the case: a flaw of the campaign
+    ("repeated poles", 13017, None),
+    # leaks of a plant that integrates were looked for where nothing was measured: a flaw of the campaign
+    ("integrators", 7020, designs._observers),
+    # of parts that act on outputs only, one ran away in the sweeps, until the others were rounding beside it
+    ("oscillators", 8014, None),
+    # what rounding left of nothing when E was diagonalised was a coupling, in which a zero was lost
+    ("singular E", 21039, None),
+    # four fixed poles at 0 were scattered
+    ("delays", 7061, None),
+    # zeros and ranks of plants that integrate were computed in the caller's unit of time
+    ("integrators", 7119, None),
+    ("integrators", 13019, None),
+    ("integrators", 13021, None),
+    # the units of a state that only one output reads, and nothing moves, were without end
+    ("stiff", 13064, designs.designs),
+    # a reason of the inverse form depended on units
+    ("repeated poles", 7140, designs._estimators),
+    # what rounding left of couplings that cancel was a state that a residual needs
+    ("repeated poles", 7040, designs._decoupled),
 ]
 
 

@@ -14,6 +14,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 import residua as rs
+from residua.errors import DesignError
 from residua.linear import StateSpace
 from residua.linear.poles.matrix_poles import _kept_poles, explicit_poles
 from residua.linear.poles.placement import kept_observer_margin
@@ -21,6 +22,7 @@ from residua.linear.systems import array_cache
 from residua.linear.systems.array_cache import UnkeyedError, cached_by_contents, cached_by_entries, contents, forget
 from residua.linear.systems.balancing import balance_system
 from residua.linear.systems.units import _origins, matrix_units, pencil_units
+from residua.words import rates_in, unit_of_rates
 
 
 def counting():
@@ -168,6 +170,54 @@ def test_results_are_kept_by_what_arguments_hold_and_forgotten_when_asked():
     assert function(np.ones((2, 2)), 1.0) is not kept
 
 
+def test_a_result_is_kept_in_all_units_of_time_unless_a_text_in_it_has_a_rate():
+    calls = []
+
+    @cached_by_contents
+    def inner(rate, worded):
+        calls.append("inner")
+        return f"{unit_of_rates() * rate:g} per second" if worded else "a rate"
+
+    @cached_by_contents
+    def outer(rate, worded):
+        calls.append("outer")
+        return (inner(rate, worded),)
+
+    for worded, again in ((False, []), (True, ["outer", "inner"])):
+        inner(1.0, worded)
+        calls.clear()
+        assert outer(1.0, worded)[0] == ("1 per second" if worded else "a rate")
+        assert calls == ["outer"]
+        calls.clear()
+        with rates_in(4.0):
+            assert outer(1.0, worded)[0] == ("4 per second" if worded else "a rate")
+        assert calls == again
+        calls.clear()
+        assert outer(1.0, worded)[0] == ("1 per second" if worded else "a rate")
+        assert calls == []
+
+
+def test_refusals_are_kept_each_raised_as_its_own():
+    calls = []
+
+    @cached_by_contents
+    def refusing(A):
+        calls.append(A)
+        raise (DesignError("no such thing") if len(A) else ValueError("crash"))
+
+    refusals = []
+    for _ in range(3):
+        with pytest.raises(DesignError, match="no such thing") as refused:
+            refusing(np.ones(1))
+        refusals.append(refused.value)
+    assert len(calls) == 1
+    assert len({id(error) for error in refusals}) == 3
+    for _ in range(2):
+        with pytest.raises(ValueError, match="crash"):
+            refusing(np.ones(0))
+    assert len(calls) == 3  # what is none of the package's own is no answer
+
+
 def test_all_functions_have_one_limit_and_what_was_used_least_recently_goes_first(monkeypatch):
     forget()
     monkeypatch.setattr(array_cache, "_MOST_BYTES", 100_000)
@@ -210,6 +260,41 @@ def test_keys_and_properties_that_are_kept_later_count_too():
     assert latest.bytes - before > 8000
     latest.forget()
     assert latest.bytes == 0
+
+
+def test_what_a_result_grows_by_counts_when_another_is_asked_for_again():
+    forget()
+    latest = array_cache.Latest()
+    first, second = (StateSpace(-np.eye(2), np.ones((2, 1)), np.ones((1, 2))) for _ in range(2))
+    for name, system in (("first", first), ("second", second)):
+        latest.of(name, lambda system=system: system)
+    before = latest.bytes
+    latest.of("first", lambda: first)
+    vars(first)["_poles"] = np.zeros(1000)
+    latest.of("second", lambda: second)  # a hit, after which the first is no more the last that was used
+    latest.of("another", lambda: 1.0)
+    assert latest.bytes - before > 8000
+    latest.forget()
+
+
+def test_matrices_that_products_round_otherwise_are_told_apart():
+    """In parts of arguments; arguments that are matrices themselves are brought to one order first."""
+    seen = []
+
+    @cached_by_contents
+    def function(A, parts=()):
+        seen.append((A.flags.c_contiguous, [M.flags.c_contiguous for M in parts]))
+        return A
+
+    M = np.arange(6.0).reshape(2, 3)
+    turned, part = np.asfortranarray(M), np.repeat(M, 2, axis=1)[:, ::2]
+    assert function(M) is function(turned) is function(part) is function(M)
+    function(M, (M,))
+    function(turned, (M,))
+    function(M, (turned,))
+    function(M, (part,))
+    assert seen == [(True, []), (True, [True]), (True, [False]), (True, [False])]
+    assert contents(np.ones(3)) == contents(np.ones(6)[::2])  # of one dimension nothing is summed in another order
 
 
 def test_threads_share_the_limit(monkeypatch):

@@ -25,6 +25,7 @@ from residua.linear import (
     weierstrass_form,
 )
 from residua.linear.norms.impulse_terms import StableSystem, _by_triangle
+from residua.linear.poles.spectrum import match_poles
 
 #: By how much wrong results are off: small enough to look right, and far above every tolerance of the evidence.
 OFF = 1e-3
@@ -128,7 +129,7 @@ def test_a_margin_that_is_not_reached_is_refused(monkeypatch: pytest.MonkeyPatch
         place_observer_margin(A, C, 1.0)
 
 
-@trips("linear.poles.zeros:invariant_zeros")
+@trips("linear.poles.zeros:_zeros_of_whole")
 @pytest.mark.parametrize("cut", ["rows", "columns"])
 def test_a_pencil_that_is_not_square_is_refused(cut: str, monkeypatch: pytest.MonkeyPatch) -> None:
     invariant_zeros(A, B, C, np.eye(2))
@@ -145,7 +146,7 @@ def _fewer(M: Any, count: int, cut: str) -> Any:
 
 @trips("linear.poles.zeros:_finite_zeros")
 def test_an_infinite_zero_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    changed(monkeypatch, "linear.poles.zeros:scipy.linalg.eig", lambda found: (np.inf * found[0], *found[1:]))
+    changed(monkeypatch, "linear.poles.zeros:scipy.linalg.eigvals", lambda found: np.inf * found)
     with pytest.raises(AccuracyError, match="came out infinite"):
         invariant_zeros(A, B, C, np.eye(2))
 
@@ -206,3 +207,13 @@ def test_a_hidden_mode_that_is_no_pole_is_refused(monkeypatch: pytest.MonkeyPatc
     )
     with pytest.raises(AccuracyError, match="are not among the poles"):
         descriptor_observability(*hidden)
+
+
+@trips("linear.poles.spectrum:match_poles")
+@pytest.mark.parametrize("odd", [np.nan, np.inf, -np.inf, complex(0, np.inf), complex(np.nan, 1)])
+def test_a_pole_that_is_not_finite_is_matched_with_none(odd: complex) -> None:
+    fine, broken = np.array([-1, -2 + 1j, -2 - 1j]), np.array([-1, odd, -3])
+    assert sorted(match_poles(fine, fine[::-1])) == [0, 1, 2]
+    for wanted, achieved in ((fine, broken), (broken, fine), (broken, broken)):
+        with pytest.raises(AccuracyError, match="1 of 3 poles is no finite number"):
+            match_poles(wanted, achieved)

@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 
 import residua as rs
-from effort import cases
+from effort import cases, rounds
 from older_files import as_version
 from residua.decide import NormThreshold
 from residua.decide.matched_hold import HeldState
-from residua.errors import FileFormatError
+from residua.errors import AccuracyError, FileFormatError
 from residua.library import three_tank
 from residua.linear import RankDecision
 from residua.monitor.design_records import generator_in, generator_out
@@ -511,6 +511,31 @@ def test_a_design_that_leaks_is_not_loaded() -> None:
         wrong = replace(made, plant=made.plant.without_disturbances().with_disturbances({"gust": [0, 0, 1]}))
         with pytest.raises(FileFormatError, match="design: the disturbance inputs reach the residual"):
             generator_in(generator_out(wrong), "design")
+
+
+def integrating(seed: int) -> rs.Plant:
+    """Return a sampled chain of states, of which most integrate."""
+    rng = np.random.default_rng([12, seed])
+    n, p = int(rng.integers(2, 7)), int(rng.integers(1, 4))
+    A = np.triu(rng.integers(-3, 4, (n, n)), 1).astype(float)
+    A[np.arange(n - 1), np.arange(1, n)] = rng.integers(1, 4, n - 1)
+    A -= np.diag(np.where(rng.random(n) < 0.2, rng.integers(1, 3, n), 0))
+    C = np.eye(n)[np.r_[0, rng.integers(0, n, p - 1)]]
+    plant = rs.Plant(A, np.eye(n)[:, -1:], C).with_sensor_faults().with_actuator_faults()
+    return plant.discretize(float(rng.choice([0.02, 0.1, 0.5])))
+
+
+@pytest.mark.parametrize("count", rounds(36, 200))
+def test_designs_of_sampled_plants_that_integrate_come_back(count: int) -> None:
+    """Below the frequencies of its evidence what rounding leaves of a filter grows without end, as the plant does."""
+    for seed in range(count):
+        plant = integrating(seed)
+        for design in (rs.design.decoupled_residual, rs.design.parity_relations):
+            try:
+                made = design(plant)
+            except AccuracyError:
+                continue
+            assert generator_in(generator_out(made), "design").n_residuals == made.n_residuals, (seed, design.__name__)
 
 
 def test_a_rank_of_which_most_singular_values_were_not_computed_is_saved_and_shown() -> None:

@@ -62,11 +62,14 @@ def output_free_form(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> OutputFreeF
         return OutputFreeForm(plant.A, plant.C, E, np.zeros((n, p)), np.eye(p), decision)
     rows, columns = _units(np.vstack([plant.Bd, plant.Dd]), plant.n_states)
     Bd, Dd = plant.Bd * columns, rows[:, None] * plant.Dd * columns
-    U, s, Vh = np.linalg.svd(Dd)
+    live = np.any(plant.C, axis=1) | np.any(Dd, axis=1)  # a dead output stays by itself: no combination reads it
+    U, s, Vh = np.linalg.svd(Dd[live])
     U, Vh = without_noise(U), without_noise(Vh)  # no residual reads an output through what rounding left there
     r = int(np.count_nonzero(s > rtol * s[0]))
-    G = without_rounding(Bd, Vh[:r].T / s[:r], U[:, :r].T) * rows
-    W = without_noise(np.linalg.qr((U[:, r:].T * rows).T)[0].T)
+    whole = np.eye(p)
+    G = without_rounding(Bd, Vh[:r].T / s[:r], U[:, :r].T, whole[live]) * rows
+    W = without_noise(np.linalg.qr((U[:, r:].T * rows[live]).T)[0].T)
+    W = np.vstack([W @ whole[live], whole[~live]])
     rest = without_rounding(Bd, Vh[r:].T)
     scale = spectral_norm(Bd)
     E, decision = factor_disturbance(rest, rtol=rtol)
@@ -222,7 +225,7 @@ class OrdinaryDecoupling:
     form : OutputFreeForm
     basis, M : ndarray, shapes (n, q) and (n, n)
         ``Q``, and ``[Q N]``.
-    outputs : ndarray, shape (outputs left, outputs left)
+    outputs : ndarray, shape (outputs left that read a state, outputs left)
         ``[P; W2]``.
     A21, A22, C2 : ndarray
     T, H : ndarray, shapes (n, n) and (n, outputs)
@@ -252,9 +255,11 @@ def _ordinary_decoupling(even: EvenPlant, form: OutputFreeForm, Q: NDArray) -> O
     """Cut a plant along its disturbances; the rank condition must hold."""
     p, q = len(form.C), Q.shape[1]
     weights = even.output_weights(form.A, form.E, form.C)
-    CQ = weights[:, None] * without_rounding(form.C, Q)
-    U, s, Vh = np.linalg.svd(CQ) if CQ.size else (np.eye(p), np.zeros(0), np.eye(q))
+    live = np.any(form.C, axis=1)  # a dead output gets no gain, not by a combination with others either
+    CQ = weights[live, None] * without_rounding(form.C[live], Q)
+    U, s, Vh = np.linalg.svd(CQ) if CQ.size else (np.eye(len(CQ)), np.zeros(0), np.eye(q))
     U, Vh = without_noise(U), without_noise(Vh)  # of an output that a combination leaves out, rounding is no reading
+    U = np.eye(p)[:, live] @ U
     P, W2 = without_rounding(Vh.T / s, U[:, :q].T) * weights, U[:, q:].T * weights
     # P C Q = I entry by entry: weights far apart leave small entries with the rounding of large ones
     P = without_rounding(np.hstack([2 * np.eye(q), -P]), np.vstack([np.eye(q), without_rounding(form.C, Q)]), P)
@@ -302,7 +307,7 @@ class Decoupling:
     T : ndarray, shape (n, n)
     H : ndarray, shape (n, outputs left)
     N, M : ndarray, shapes (k, n) and (k, outputs left)
-        ``N E + M C = 0``, ``N E_d = 0``.
+        ``N E + M C = 0``, ``N E_d = 0``, dead outputs left out.
     rank, rank_D : RankDecision
         Of ``[E E_d; C 0]`` and of ``E_d``.
     """
@@ -333,8 +338,10 @@ def singular_decoupling(plant: Plant, form: OutputFreeForm, *, rtol: float = DEF
     inverse = np.linalg.pinv(whole, rcond=rtol)[:n]
     inverse = above_rounding(inverse, np.abs(inverse).max(initial=0.0), RESIDUE)  # rounding is no coupling
     inverse = inverse / np.where(level > 0, level, 1.0)[:, None]
+    read = np.append(np.ones(n, dtype=bool), np.any(form.C, axis=1))  # a dead output gets no gain
+    inverse = np.where(read, inverse, 0.0)
     T, H = S[:, None] * inverse[:, :n] * u.equations, S[:, None] * inverse[:, n:] * u.outputs
-    free = left_null_basis(whole, rtol=rtol, scale=1.0)[0].T
+    free = left_null_basis(whole[read], rtol=rtol, scale=1.0)[0].T @ np.eye(n + p)[read]
     N, M = free[:, :n] * u.equations, free[:, n:] * u.outputs
     return Decoupling(T, H, N, M, decide_rank(whole, rtol=rtol, scale=1.0), decide_rank(D, rtol=rtol, scale=1.0))
 

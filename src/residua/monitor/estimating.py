@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from residua.design import ResidualGenerator
-from residua.design.core.decoupling import Approximate, Decoupled, Promise
-from residua.design.core.evidence import of_sampling
+from residua.design.core.decoupling import Approximate, Decoupled, Leaks, Promise
+from residua.design.core.evidence import measured_from, of_sampling
 from residua.design.core.generator import make_generator
-from residua.design.core.internal_form import leakage
+from residua.design.core.internal_form import leak_frequencies, leakage
 from residua.design.detection_filters.detection_filter import stack_systems
 from residua.errors import ModelError
 from residua.linear import StateSpace
@@ -45,12 +45,14 @@ def with_estimator(bank: ResidualGenerator, estimator: ResidualGenerator) -> Res
     system = stack_systems([bank.system, estimator.system])
     form = stack_systems([bank.internal_form(), estimator.internal_form()])
     names = [*bank.residuals, *estimator.residuals]
-    sampled = _sampled_leaks(bank, estimator, system)
+    sampled, slowest = _sampled_leaks(bank, estimator, system)
     return make_generator(
         system.replaced(outputs=names),
         one,
         f"{bank.method}, with {estimator.method}",
-        bank.evidence.extended(decoupling=sampled, notes=(f"beside it, tested by no member: {estimator.method}",)),
+        bank.evidence.extended(
+            decoupling=sampled, conditions=slowest, notes=(f"beside it, tested by no member: {estimator.method}",)
+        ),
         decouples=_decouples(bank, sampled),
         known_form=form.replaced(outputs=names),
         members=bank.members,
@@ -59,11 +61,12 @@ def with_estimator(bank: ResidualGenerator, estimator: ResidualGenerator) -> Res
     )
 
 
-def _sampled_leaks(bank: ResidualGenerator, estimator: ResidualGenerator, system: StateSpace) -> dict[str, float]:
+def _sampled_leaks(bank: ResidualGenerator, estimator: ResidualGenerator, system: StateSpace) -> Leaks:
     """Return how far inputs reach the two together, where either was sampled: at the frequencies of both."""
     if not any(part.evidence.cost_of_sampling for part in (bank, estimator)):
-        return {}
-    return of_sampling(leakage(system, bank.plant))
+        return Leaks({}, {})
+    w = leak_frequencies(system, bank.plant)
+    return Leaks(of_sampling(leakage(system, bank.plant, w)), measured_from(w, system.dt))
 
 
 def _decouples(bank: ResidualGenerator, sampled: dict[str, float]) -> Promise:

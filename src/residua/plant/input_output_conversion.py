@@ -15,10 +15,12 @@ from residua.linear.polynomials.polynomial_matrix import PolynomialMatrix
 from residua.linear.subspaces.rank import DEFAULT_RTOL as RANK_RTOL
 from residua.linear.systems.balancing import descriptor_units
 from residua.plant.algebraic_equations import without_algebraic_equations
+from residua.plant.comparable_units import in_unit_of_rates
 from residua.plant.input_output_model import InputOutputModel
 from residua.plant.observer_form import check_proper, check_response, response_error, response_points, state_terms
 from residua.plant.plant import Plant
 from residua.tolerances import RESIDUE
+from residua.words import rates_in
 
 _ROLES = ("control", "disturbance", "fault")
 #: How many times better than another a row must fit the response to be the better one. Where poles crowd together,
@@ -92,6 +94,14 @@ def input_output_from_plant(
     (z^2 - 0.9 z + 0.2) y1 = (1.5 z - 0.65) u1 + (2 z - 0.9) p1 + (z - 0.4) p2
     (z^2 - 1.4 z + 0.45) y2 = (1.1 z - 0.95) u1 + (z - 0.9) p1 + (2 z - 1.4) p2
     """
+    own, unit = in_unit_of_rates(plant)
+    with rates_in(unit):
+        model = _equations(own, common_denominator, rtol, tolerance)
+    return model if own is plant else model._in_other_time(unit)
+
+
+def _equations(plant: Plant, common_denominator: bool, rtol: float, tolerance: float) -> InputOutputModel:
+    """Return the equations of a plant in the unit of time that it is written in."""
     others = max(rtol, RANK_RTOL)  # decisions on what has been computed before
     small = without_algebraic_equations(plant, rtol=others).explicit() if common_denominator else plant
     poles = small.system(()).poles()

@@ -114,6 +114,12 @@ def multiplied(P: PolynomialMatrix, powers: Sequence[int]) -> PolynomialMatrix:
     return PolynomialMatrix(out)
 
 
+def in_other_time(P: PolynomialMatrix, factor: float, degrees: Sequence[int]) -> PolynomialMatrix:
+    """Return a matrix in ``s``, of rows of some degrees, in a unit of time in which rates are ``factor`` as large."""
+    powers = factor ** (np.array(degrees) - np.arange(P.degree + 1.0)[:, None])
+    return PolynomialMatrix(P.coefficients * powers[:, :, None])
+
+
 def polynomial(entry: Any, where: str) -> NDArray[np.float64]:
     """Return the coefficients of one entry in the order in which they were given, or say what is wrong with it."""
     kind = "a polynomial must be a number or a list of coefficients"

@@ -20,6 +20,7 @@ from residua.plant.input_output_entries import (
     Column,
     checked_variable,
     columns,
+    in_other_time,
     in_z,
     input_polynomials,
     multiplied,
@@ -372,6 +373,14 @@ class InputOutputModel(FaultFacts):
         for key in self.__dataclass_fields__:
             object.__setattr__(new, key, changes.get(key, getattr(self, key)))
         return new
+
+    def _in_other_time(self, factor: float) -> InputOutputModel:
+        """Return a continuous model in a unit of time in which its rates are ``factor`` as large, a power of two.
+
+        An equation keeps the coefficient of its highest power.
+        """
+        degrees = self.H.row_degrees
+        return self._with(**{key: in_other_time(getattr(self, key), factor, degrees) for key in ("H", "G", "Gd", "Gf")})
 
     def _extended(self, extra: PolynomialMatrix, rtol: float) -> tuple[InputOutputModel, PolynomialMatrix]:
         """Return the model, its equations multiplied by what new columns in ``1/z`` need, and these in ``z``."""

@@ -14,6 +14,7 @@ from residua.linear.poles.spectrum import describe_modes
 from residua.linear.poles.stability import dies_out, modes_with_uncertainty
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, spectral_norm
 from residua.linear.systems.state_space import StateSpace
+from residua.plant.comparable_units import with_rates_times
 from residua.plant.observer_form import (
     ReachablePart,
     check_response,
@@ -22,8 +23,10 @@ from residua.plant.observer_form import (
     reachable_part,
     response_error,
     response_points,
+    unit_of_variable,
 )
 from residua.plant.plant import Plant
+from residua.words import rates_in
 
 if TYPE_CHECKING:
     from residua.plant.input_output_model import InputOutputModel
@@ -100,10 +103,21 @@ def realize_input_output(
     >>> found.plant.n_states, found.removed_modes.round(12), found.plant.A.round(12)
     (1, array([0.4+0.j]), array([[0.5]]))
     """
-    whole = observer_form(model.H, model.right_side(), model.outputs, model.dt, rtol)
-    part, error = _smallest_part(model, whole, rtol, tolerance)
-    _check_removed(part.removed, part.uncertainty, part.system, model.dt)
-    return Realization(_plant(model, part.system), part.removed, error, part.decisions)
+    own, unit = _in_own_time(model)
+    with rates_in(unit):
+        whole = observer_form(own.H, own.right_side(), own.outputs, own.dt, rtol)
+        part, error = _smallest_part(own, whole, rtol, tolerance)
+        _check_removed(part.removed, part.uncertainty, part.system, own.dt)
+    plant = _plant(model, part.system)
+    if unit != 1.0:
+        plant = with_rates_times(plant, unit)
+    return Realization(plant, unit * part.removed, error, part.decisions)
+
+
+def _in_own_time(model: InputOutputModel) -> tuple[InputOutputModel, float]:
+    """Return a continuous model in the unit of time in which its powers weigh about the same, and that unit."""
+    unit = 1.0 if model.is_discrete else unit_of_variable(model.H, model.right_side())
+    return (model if unit == 1.0 else model._in_other_time(1 / unit)), unit
 
 
 def _smallest_part(

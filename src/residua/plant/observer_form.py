@@ -44,16 +44,34 @@ class ReachablePart:
     decisions: tuple[RankDecision, ...]
 
 
-def unit_of_variable(H: PolynomialMatrix) -> float:
-    """Return the size of the variable, a power of two, at which the powers of a square matrix weigh about the same."""
-    logarithms, weights = 0.0, 0
-    for row in np.abs(H.coefficients).max(axis=2).T:
-        used = np.flatnonzero(row)
+def unit_of_variable(H: PolynomialMatrix, N: PolynomialMatrix | None = None) -> float:
+    """Return the size of the variable, a power of two, at which the powers of a square matrix weigh about the same.
+
+    Of one in which no row has two powers, as of integrators, the size at which those of its right side do, if it is
+    there. In another variable, a power of two times this one, it is exactly that many times as large; one if neither
+    has a size.
+    """
+    unit = _size_of_variable(np.abs(H.coefficients).max(axis=2))
+    if not unit and N is not None:  # inputs have units of their own: each entry for itself
+        unit = _size_of_variable(np.abs(N.coefficients).reshape(len(N.coefficients), -1))
+    return unit or 1.0
+
+
+def _size_of_variable(coefficients: NDArray[np.float64]) -> float:
+    """Return the size at which the first and the last power of polynomials, in columns, weigh the same; 0 without."""
+    parts, exponents, weights = 0.0, 0, 0
+    for one in coefficients.T:
+        used = np.flatnonzero(one)
         if len(used) > 1:
-            # A row with roots r_1 ... r_k has end coefficients in the ratio of their product.
-            logarithms += float(np.log2(row[used[0]]) - np.log2(row[used[-1]]))
+            # Roots r_1 ... r_k give end coefficients in the ratio of their product.
+            (first, last), powers = np.frexp(one[used[[0, -1]]])
+            parts += float(np.log2(first / last))
+            exponents += int(powers[0] - powers[1])
             weights += int(used[-1] - used[0])
-    return float(2.0 ** np.clip(np.round(logarithms / weights), -200, 200)) if weights else 1.0
+    if not weights:
+        return 0.0
+    whole, rest = divmod(exponents, weights)  # apart, so that a whole number more rounds nothing
+    return float(2.0 ** np.clip(whole + np.round((rest + parts) / weights), -200, 200))
 
 
 def check_regular(H: PolynomialMatrix, rtol: float) -> None:
@@ -183,8 +201,6 @@ def reachable_part(system: StateSpace, rtol: float) -> ReachablePart:
     """Return the part of a system that its inputs reach, in balanced units; its transfer matrix is unchanged."""
     At, Bt = np.ascontiguousarray(system.A.T), np.ascontiguousarray(system.B.T)
     form = staircase(At, Bt, rtol=rtol)
-    if not form.has_units:
-        form = staircase(At, Bt, rtol=rtol, units="even")
     k = form.n_observable
     removed, uncertainty = modes_with_uncertainty(form.Q[:, k:].T @ form.A @ form.Q[:, k:], form.rounding)
     if k < system.n_states:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -155,7 +156,7 @@ def _designed(
     visible = _visible(plant, ignored, rtol)
     for attempt, note in _attempts(quotient, poles, margin, gain, even_plant(plant).plant, rtol):
         try:
-            made = _assembled(plant, parts, quotient, attempt(), ignored, note)
+            made = _assembled(plant, parts, quotient, attempt(), ignored, note())
         except AccuracyError as error:
             failure = failure or error
             continue
@@ -230,7 +231,7 @@ def _attempts(
     kind: str | None,
     plant: Plant,
     rtol: float,
-) -> list[tuple[Callable[[], Placement], str]]:
+) -> list[tuple[Callable[[], Placement], Callable[[], str]]]:
     """Return the gains to try, each with what to say about it: what was asked for, or defaults of falling demands."""
     if kind not in (None, "kalman", "placement"):
         raise DesignError(f"gain must be 'kalman' or 'placement', got {kind!r}")
@@ -240,13 +241,12 @@ def _attempts(
     if kind == "kalman" and not plant.Bw.shape[1]:
         raise DesignError("a Kalman filter needs the noise of the plant: with_noise(process=..., measurement=...)")
     if not free:
-        return [(lambda: place(quotient.A, quotient.C, poles, margin, plant.dt, rtol), "")]
+        return [(lambda: place(quotient.A, quotient.C, poles, margin, plant.dt, rtol), str)]
     default = margin_from(quotient.A, plant)
-    told = unit_of_rates() * default
     placed = [
         (
             lambda part=part: place(quotient.A, quotient.C, None, default / part, plant.dt, rtol),
-            "" if part == 1 else f"the default margin was lowered to {told / part:.3g} per second, for less rounding",
+            partial(_lowered, default, part),
         )
         for part in (1, 4, 16, 64)
     ]
@@ -257,8 +257,16 @@ def _attempts(
     except (DesignError, AccuracyError) as error:
         if kind == "kalman":
             raise
-        return [(attempt, f"poles placed, for there is no Kalman filter: {error}") for attempt, _ in placed]
-    return [(lambda: best, "gain of the Kalman filter"), *([] if kind == "kalman" else placed)]
+        note = f"poles placed, for there is no Kalman filter: {error}"
+        return [(attempt, lambda: note) for attempt, _ in placed]
+    return [(lambda: best, lambda: "gain of the Kalman filter"), *([] if kind == "kalman" else placed)]
+
+
+def _lowered(default: float, part: int) -> str:
+    """Return what to say of a part of the default margin; of all of it nothing, so that no text has a rate in it."""
+    if part == 1:
+        return ""
+    return f"the default margin was lowered to {unit_of_rates() * default / part:.3g} per second, for less rounding"
 
 
 def _kalman_gain(quotient: Quotient, plant: Plant) -> Placement:

@@ -108,8 +108,9 @@ def unknown_input_quotient(parts: ExplicitParts, rtol: float) -> Quotient:
     direct = decide_rank(parts.D, rtol=rtol, scale=1.0)
     k = direct.rank
     G = parts.B @ (Vh[:k].T / s[:k]) @ U[:, :k].T
-    W = U[:, k:].T
-    A, C = parts.A - G @ parts.C, without_rounding(W, parts.C)
+    W = _left_null_rows(parts.D, rtol, 1.0)
+    A = without_rounding(np.hstack([np.eye(len(parts.A)), -G]), np.vstack([parts.A, parts.C]))
+    C = without_rounding(W, parts.C)
     L, _ = range_basis(parts.B @ Vh[k:].T, rtol=rtol, scale=1.0)
     S = detection_space(A, C, L, rtol=rtol).basis if L.shape[1] else _unobservable(A, C, rtol)
     if S.shape[1]:

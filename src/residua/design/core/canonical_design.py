@@ -12,7 +12,6 @@ from residua.linear import StateSpace
 from residua.linear.systems.array_cache import Latest, copied, entries
 from residua.plant import Plant
 from residua.plant.comparable_units import PlantUnits, canonical_units
-from residua.words import unit_of_rates
 
 _kept: Latest[ResidualGenerator] = Latest()
 
@@ -35,7 +34,7 @@ def designed_in_own_units(
         return in_units_of(plant, units, design(own))
     matrices = entries(own.A, own.E, own.C, own.Bu, own.Du, own.Bd, own.Dd, own.Bf, own.Df, own.Bw, own.Dw)
     names = (own.inputs, own.outputs, own.states, own.disturbances, own.faults)
-    return in_units_of(plant, units, _kept.of((asked, matrices, own.dt, unit_of_rates(), *names), lambda: design(own)))
+    return in_units_of(plant, units, _kept.of_texts((asked, matrices, own.dt, *names), lambda: design(own)))
 
 
 def in_units_of(plant: Plant, units: PlantUnits, made: ResidualGenerator) -> ResidualGenerator:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from residua.design.core.evidence import Evidence
-from residua.design.core.internal_form import JointResponses, leakage_of_inputs
+from residua.design.core.evidence import Evidence, measured_from
+from residua.design.core.internal_form import JointResponses, leak_frequencies, leakage_of_inputs
 from residua.errors import AccuracyError
 from residua.linear import StateSpace
 from residua.plant import Plant
@@ -16,6 +17,13 @@ from residua.tolerances import LEAKAGE
 
 #: The entry of the evidence for the disturbances and the faults that are ignored, together.
 IGNORED = "everything ignored"
+
+
+class Leaks(NamedTuple):
+    """Leaks by the entry of the evidence, and the conditions that say how they were measured, if they were."""
+
+    gains: dict[str, float]
+    conditions: dict[str, float]
 
 
 @dataclass(frozen=True)
@@ -39,19 +47,24 @@ class Decoupled:
     apart: bool = False
     limit: float = LEAKAGE
 
-    def leaks(
-        self, system: StateSpace, plant: Plant, evidence: Evidence, known: JointResponses | None = None
-    ) -> dict[str, float]:
-        """Return the measured leaks, by the entry of the evidence, or raise when one is too large."""
+    def leaks(self, system: StateSpace, plant: Plant, evidence: Evidence, known: JointResponses | None = None) -> Leaks:
+        """Return the measured leaks, or raise when one is too large."""
         del evidence
         watched = plant.faults_as_disturbances(self.faults) if self.faults else plant
-        leakage, n_u = leakage_of_inputs(system, watched, known=known), len(plant.inputs)
+        if not (plant.inputs or watched.disturbances):
+            return Leaks({}, {})
+        if known is None or known.plant is not watched:
+            known, w = None, leak_frequencies(system, watched)
+        else:
+            w = known.w
+        leakage, n_u = leakage_of_inputs(system, watched, w, known), len(plant.inputs)
         leaks = {"control": leakage[:n_u]}
         if self.disturbances and (self.apart or not self.faults):
             leaks |= {"disturbance": leakage[n_u : n_u + len(plant.disturbances)]}
         if self.faults:
             leaks |= {IGNORED: leakage[n_u:]}
-        return self._accepted({name: float(part.max()) for name, part in leaks.items() if len(part)})
+        gains = self._accepted({name: float(part.max()) for name, part in leaks.items() if len(part)})
+        return Leaks(gains, measured_from(w, plant.dt))
 
     def _accepted(self, leaks: dict[str, float]) -> dict[str, float]:
         for name, gain in leaks.items():
@@ -77,14 +90,12 @@ class Approximate:
 
     entry: str
 
-    def leaks(
-        self, system: StateSpace, plant: Plant, evidence: Evidence, known: JointResponses | None = None
-    ) -> dict[str, float]:
+    def leaks(self, system: StateSpace, plant: Plant, evidence: Evidence, known: JointResponses | None = None) -> Leaks:
         """Return nothing, after checking that the evidence has the number that the design is judged by."""
         del system, plant, known
         if self.entry not in {**evidence.conditions, **evidence.decoupling}:
             raise TypeError(f"an approximate design must say how far inputs reach its residual: no {self.entry!r}")
-        return {}
+        return Leaks({}, {})
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,16 +116,14 @@ class MeasuredBefore:
     plant: Plant
     measured: Mapping[str, float]
 
-    def leaks(
-        self, system: StateSpace, plant: Plant, evidence: Evidence, known: JointResponses | None = None
-    ) -> dict[str, float]:
+    def leaks(self, system: StateSpace, plant: Plant, evidence: Evidence, known: JointResponses | None = None) -> Leaks:
         """Return what was measured, after checking that filter and signals are those that it was measured of."""
         del evidence, known
         one, other = ([np.frexp(getattr(s, name))[0] for name in "ABCD"] for s in (system, self.system))
         signals = [sorted((*p.inputs, *p.disturbances, *p.faults)) for p in (plant, self.plant)]
         if signals[0] != signals[1] or not all(np.array_equal(a, b) for a, b in zip(one, other, strict=True)):
             raise TypeError("this is not the filter whose leaks were measured")
-        return dict(self.measured)
+        return Leaks(dict(self.measured), {})
 
 
 #: What a design says of the controls and disturbances of its plant.

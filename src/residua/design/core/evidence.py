@@ -20,6 +20,15 @@ def of_sampling(gains: Mapping[str, float]) -> dict[str, float]:
     return {f"{name}{_SAMPLED}": gain for name, gain in gains.items()}
 
 
+#: How the conditions of an evidence call the frequency from which leaks were measured, before its unit.
+_MEASURED_FROM = {False: "leaks measured from, in rad/s", True: "leaks measured from, in rad per sample"}
+
+
+def measured_from(w: NDArray[np.float64], dt: float) -> dict[str, float]:
+    """Return the first of the frequencies, in rad/s, at which leaks were measured, as an entry of the conditions."""
+    return {_MEASURED_FROM[dt > 0]: float(w[0] * (dt or 1.0))} if len(w) else {}
+
+
 def _empty() -> NDArray[np.complex128]:
     return np.zeros(0, dtype=complex)
 
@@ -44,6 +53,7 @@ class Evidence:
         filter on, and of a plant that integrates from a 25th of its slowest zero on; of a sampled one from the
         slower of these and of 1e-3 rad per sample, or from 1e-5 of the Nyquist frequency if it does not integrate.
         A plant that does answers to slower inputs by powers of 1/s more; what rounding leaves of the filter does too.
+        Where that was, ``conditions`` say, and :meth:`leaks_measured_from`.
     ranks : mapping of str to RankDecision
         Every rank decision with the singular values on both sides of its gap. It is made, and they are, in units that
         are chosen from the plant itself, of time too: they are the same whatever units the plant is written in.
@@ -70,6 +80,23 @@ class Evidence:
         """The entries of ``decoupling`` that sampling a continuous design cost, by group of inputs."""
         gains = self.decoupling.items()
         return {name.removesuffix(_SAMPLED): gain for name, gain in gains if name.endswith(_SAMPLED)}
+
+    def leaks_measured_from(self, dt: float) -> float | None:
+        """Return the frequency in rad/s from which leaks were measured, of the design or, with a step, as it runs.
+
+        Nothing of a design without controls and disturbances, or one that measured none.
+
+        Parameters
+        ----------
+        dt : float
+            0 for continuous time, otherwise the sample step in seconds.
+
+        Returns
+        -------
+        float or None
+        """
+        found = self.conditions.get(_MEASURED_FROM[dt > 0])
+        return None if found is None else found / (dt or 1.0)
 
     def extended(
         self,

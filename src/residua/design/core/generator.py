@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from residua.design.core.canonical_checks import checked, checked_by_form
 from residua.design.core.decoupling import Approximate, Decoupled, Promise
-from residua.design.core.evidence import Evidence, format_pole, of_sampling
+from residua.design.core.evidence import Evidence, format_pole, measured_from, of_sampling
 from residua.design.core.internal_form import (
-    check_known_form,
-    check_state_map,
     frequency_grid,
     internal_form,
     leak_frequencies,
@@ -24,7 +23,6 @@ from residua.design.core.internal_form import (
 from residua.design.core.own_time import has_rates
 from residua.design.core.responses import covariance_of_sums, steady_responses
 from residua.design.core.signals import discretized_filter, run_signals, sampled_filter
-from residua.design.core.signatures import checked_responses, signature_bases
 from residua.errors import AccuracyError
 from residua.linear import StateSpace, decide_rank
 from residua.linear.systems.response_terms import in_even_units
@@ -295,13 +293,15 @@ class ResidualGenerator:
         """
         system = discretized_filter(self.system, self.plant, dt, hold_outputs)
         plant = self.plant.discretize(dt)
-        cost = of_sampling(leakage(system, plant))
+        w = leak_frequencies(system, plant)
+        cost = of_sampling(leakage(system, plant, w))
         note = (
             f"sampled at {system.dt:g} s: inputs held, outputs {hold_outputs} between samples; "
             "the gains marked 'sampled' are what that costs"
         )
         evidence = self.evidence.extended(
             decoupling=cost,
+            conditions=measured_from(w, plant.dt) if cost else {},
             notes=(note,),
             poles=system.poles(),
             requested_poles=np.exp(self.evidence.requested_poles * system.dt),
@@ -452,30 +452,26 @@ def make_generator(
     """
     if not system.is_stable():
         raise AccuracyError(f"the filter is not stable: poles {', '.join(map(format_pole, system.poles()))}")
-    known = None
     if state_map is not None and known_form is None:
-        form = internal_form(system, plant, state_map, static_map)
-        known = checked_responses(system, plant, form, state_map, static_map)
-    leaks = decouples.leaks(system, plant, evidence, known)
-    if state_map is not None and known_form is None:
-        identity = check_state_map(system, plant, state_map, static_map)
+        found = checked(system, plant, evidence, decouples, state_map, static_map)
     else:
         if known_form is None and not isinstance(decouples, Approximate):
             raise TypeError("make_generator needs a state_map or a known_form of an exact design")
         # as known form of an approximate design the driven filter would say that control inputs do nothing
         form = internal_form(system, plant) if known_form is None else known_form
-        identity = check_known_form(system, plant, form)
-    bases, off = signature_bases(system, plant, form, state_map, static_map, known)
+        found = checked_by_form(system, plant, evidence, decouples, form, state_map, static_map)
+    bases = {name: signature.basis(found.residuals) for name, signature in found.signatures.items()}
     if isinstance(decouples, Decoupled):  # what is left of the faults that are ignored has passed the check
         bases |= {name: np.zeros((system.n_outputs, 0)) for name in decouples.faults}
-    conditions = {"identities": identity} | ({"response off the signatures": off} if plant.faults else {})
+    conditions = {"identities": found.identity}
+    conditions |= {"response off the signatures": found.off} if plant.faults else {}
     if not members:
         members = (Member(method, tuple(range(system.n_outputs)), plant.faults),)
     return ResidualGenerator(
         system,
         plant,
         method,
-        evidence.extended(decoupling=leaks, conditions=conditions),
+        evidence.extended(decoupling=found.leaks.gains, conditions=conditions | found.leaks.conditions),
         bases,
         observer=observer,
         members=members,

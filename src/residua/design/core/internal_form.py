@@ -23,6 +23,7 @@ from residua.linear.systems.response_terms import (
 from residua.linear.systems.units import system_units
 from residua.plant import Plant
 from residua.tolerances import IDENTITY, RESPONSE_ROUNDING, ROUNDING, TINY, above_rounding
+from residua.words import unit_of_rates
 
 #: Frequencies of a grid, if nothing else is asked for.
 POINTS = 60
@@ -30,10 +31,16 @@ POINTS = 60
 _MEASURED = 1e-15
 #: Rounding of the responses that could hide or feign a leak of this size is taken out by more digits.
 _UNSURE = 1e-10
+#: The same rounding with twice the digits.
+_MEASURED_TWICE = _MEASURED**2
 #: Poles and zeros this far below what they are made of are at 0: half the digits.
 _SMALL = float(np.sqrt(np.finfo(float).eps))
 #: Of the slowest zero, the part at which its response is the asymptote to a thousandth: ``sqrt(1 + 1 / 25**2)``.
 _BELOW_ZEROS = 25
+#: Where a response is looked at for a zero, as multiples of it.
+_AT_AND_BESIDE = np.array([1.0, 2.0, 0.5, 1.0 + 0.5j], dtype=complex)
+#: How far smaller it is at a zero than beside it.
+_FAR_SMALLER = 0.1
 #: Of the slowest pole, the part from which frequencies begin.
 _BELOW_POLES = 100
 #: Rad per sample from which leaks of a sampled plant are measured at least: a period of 6,000 samples.
@@ -300,15 +307,29 @@ _slowest: Latest[float] = Latest()
 
 
 def _slowest_zero(system: StateSpace) -> float:
-    """Return the size of the smallest zero of the response of an output to an input that is not at 0."""
+    """Return the size of the smallest zero of the response of an output to an input that is not at 0.
+
+    Rounding in a pencil moves the zeros of a response that is weak beside others: a zero counts where its own response
+    is far smaller than beside it.
+    """
     A, B, C, D, E = system.A, system.B, system.C, system.D, system.E
 
     def found() -> float:
         least = _SMALL * _size(system)
-        pairs = np.ndindex(system.D.shape)
-        zeros = [np.abs(invariant_zeros(A, B[:, [j]], C[[i]], D[[i]][:, [j]], E).zeros) for i, j in pairs]
-        sizes = np.concatenate([np.zeros(0), *zeros])
-        return float(np.min(sizes, where=sizes > least, initial=np.inf))
+        zeros = [
+            (zero, channel)
+            for channel in np.ndindex(system.D.shape)
+            for zero in invariant_zeros(
+                A, B[:, [channel[1]]], C[[channel[0]]], D[[channel[0]]][:, [channel[1]]], E
+            ).zeros
+            if np.abs(zero) > least and zero.imag >= 0
+        ]
+        even = in_even_units(system).system
+        for zero, channel in sorted(zeros, key=lambda one: float(np.abs(one[0]))):
+            there, *beside = np.abs(response_terms(even, zero * _AT_AND_BESIDE).values[:, *channel])
+            if there < _FAR_SMALLER * np.median(beside):
+                return float(np.abs(zero))
+        return float(np.inf)
 
     return _slowest.of(entries(A, B, C, D, E), found)
 
@@ -323,7 +344,8 @@ def leakage(generator: StateSpace, plant: Plant, w: NDArray | None = None) -> di
     with the responses ``Q`` of the filter and ``P`` of the plant; of these the largest. 1e-16 is exact, 1 is no
     decoupling. No number of it has a unit. A response that is rounding at all frequencies, of the terms it is itself
     made of, is no term: where there are only such, nothing can leak. Where the responses cancel so far inside filter
-    or plant that rounding would hide a leak, they are computed with twice the digits.
+    or plant that rounding would hide a leak, they are computed with twice the digits. Far below the frequencies of the
+    default even these tell nothing of a plant that integrates many times.
 
     Parameters
     ----------
@@ -337,6 +359,11 @@ def leakage(generator: StateSpace, plant: Plant, w: NDArray | None = None) -> di
     -------
     dict of str to float
         ``"control"`` and ``"disturbance"``, as far as the plant has any.
+
+    Raises
+    ------
+    AccuracyError
+        If a leak cannot be told from rounding at a frequency.
     """
     found, n_u = leakage_of_inputs(generator, plant, w), len(plant.inputs)
     groups = {"control": found[:n_u], "disturbance": found[n_u:]}
@@ -448,7 +475,21 @@ def leakage_of_inputs(
     )[1]
     # where the terms that are alive are the smaller ones, what gets through is of the others: all of it
     ratio = np.where(parts > 0, np.abs(total) / np.where(parts > 0, np.maximum(parts, np.abs(total)), 1.0), 0.0)
+    _check_digits(w, unsure, (ratio > _UNSURE) & (np.abs(total) <= _MEASURED_TWICE / _MEASURED * rounding))
     return ratio.max(axis=(0, 1), initial=0.0)
+
+
+def _check_digits(w: NDArray[np.float64], unsure: NDArray[np.int_], lost: NDArray[np.bool_]) -> None:
+    """Raise where twice the digits do not tell a leak from their own rounding, as far below all rates of integrators.
+
+    Of ten integrators a response cancels by so many digits there that of the filter's own zeros nothing is left.
+    """
+    where = unsure[lost[unsure].any(axis=(1, 2))]
+    if where.size:
+        raise AccuracyError(
+            f"leaks at {w[where].max() * unit_of_rates():.3g} rad/s and below cannot be told from rounding with twice "
+            "the digits: the plant integrates too often for inputs as slow as these"
+        )
 
 
 def _with_even_states(system: StateSpace) -> StateSpace:

@@ -162,7 +162,38 @@ def _largest(rows: NDArray, columns: NDArray) -> NDArray[np.float64]:
     return rows @ columns + _ELSEWHERE * anywhere
 
 
-def signature_bases(
+@dataclass(frozen=True, eq=False)
+class Signature:
+    """What spans the subspace of the responses of a residual to a fault, in given units of the residuals.
+
+    Attributes
+    ----------
+    columns : ndarray, shape (residuals, k)
+        They span it; the first one points where a positive fault moves the residual first.
+    reached : ndarray of bool, shape (residuals,)
+        The residuals that the fault reaches.
+    """
+
+    columns: NDArray[np.float64]
+    reached: NDArray[np.bool_]
+
+    def basis(self, residuals: NDArray[np.float64] | float = 1.0) -> NDArray[np.float64]:
+        """Return an orthonormal basis, with the residuals multiplied by factors; a single vector keeps its sign.
+
+        Rows of residuals that the fault does not reach are exactly zero, the others are not.
+        """
+        if not self.columns.shape[1]:
+            return np.zeros(self.columns.shape)
+        columns = np.reshape(residuals, (-1, 1)) * self.columns
+        if len(columns) == 1:
+            return np.sign(columns)
+        basis = np.linalg.qr(columns)[0]
+        if basis.shape[1] == 1 and basis[:, 0] @ columns[:, 0] < 0:
+            basis = -basis
+        return _marked(basis, self.reached)
+
+
+def signatures_of(
     generator: StateSpace,
     plant: Plant,
     form: StateSpace,
@@ -171,8 +202,8 @@ def signature_bases(
     known: CheckedResponses | None = None,
     *,
     rtol: float = 1e-6,
-) -> tuple[dict[str, NDArray[np.float64]], float]:
-    """Return for each fault an orthonormal basis of the subspace that its residual never leaves.
+) -> tuple[dict[str, Signature], float]:
+    """Return for each fault what spans the subspace that its residual never leaves.
 
     The subspace is spanned by the response to the fault at all frequencies; it follows from the singular
     values of the responses at many, each scaled to unit length. (Krylov spaces of the same would amplify
@@ -195,33 +226,34 @@ def signature_bases(
 
     Returns
     -------
-    bases : dict of str to ndarray, shape (residuals, k)
-        Rows of residuals that a fault does not reach are exactly zero, the others are not.
+    signatures : dict of str to Signature
     off : float
         The largest fraction of any response, at any frequency, that was taken for rounding and left out.
     """
     w = frequency_grid(form, generator) if known is None else known.w
     responses = fault_responses(generator, plant, form, state_map, static_map, w, known)
     units = residual_units(responses)
-    bases = {}
+    signatures = {}
     for i, name in enumerate(plant.faults):
         columns = _unit_columns(responses.values[:, :, i].T / units[:, None])
         if columns.shape[1] == 0:
-            bases[name] = np.zeros((form.n_outputs, 0))
-            continue
-        basis = _basis(columns, units / responses.residuals, rtol)
-        if basis.shape[1] == 1 and (responses.residuals * basis[:, 0]) @ first_response(responses.form, i) < 0:
-            basis = -basis
-        bases[name] = _marked(basis, responses.reached[:, i])
-    return bases, max(outside_subspaces(responses, bases, plant.faults).values(), default=0.0)
+            spanning = np.zeros((form.n_outputs, 0))
+        else:
+            spanning = (units / responses.residuals)[:, None] * _directions(columns, rtol)
+            first = responses.residuals * first_response(responses.form, i)
+            if spanning.shape[1] == 1 and spanning[:, 0] @ first < 0:
+                spanning = -spanning
+        signatures[name] = Signature(spanning, responses.reached[:, i])
+    spans = {name: signature.columns for name, signature in signatures.items()}
+    return signatures, max(outside_subspaces(responses, spans, plant.faults).values(), default=0.0)
 
 
-def _basis(columns: NDArray[np.complex128], units: NDArray[np.float64], rtol: float) -> NDArray[np.float64]:
-    """Return an orthonormal basis, in given units, of the directions that the columns of a response take."""
+def _directions(columns: NDArray[np.complex128], rtol: float) -> NDArray[np.float64]:
+    """Return the directions that the columns of a response take, as orthonormal columns."""
     if len(columns) == 1:
         return np.ones((1, 1))
     U, s, _ = np.linalg.svd(np.concatenate([columns.real, columns.imag], axis=1), full_matrices=False)
-    return np.linalg.qr(units[:, None] * U[:, : _dimension(s, rtol)])[0]
+    return U[:, : _dimension(s, rtol)]
 
 
 def _dimension(s: NDArray[np.float64], rtol: float) -> int:
@@ -253,17 +285,20 @@ def residual_units(responses: FaultResponses) -> NDArray[np.float64]:
 
 
 def outside_subspaces(
-    responses: FaultResponses, bases: dict[str, NDArray[np.float64]], faults: tuple[str, ...]
+    responses: FaultResponses, spans: dict[str, NDArray[np.float64]], faults: tuple[str, ...]
 ) -> dict[str, float]:
-    """Return for each fault the largest fraction of its response, at any frequency, that lies outside its subspace."""
+    """Return for each fault the largest fraction of its response, at any frequency, that lies outside a subspace.
+
+    What spans it need not be orthonormal: a basis in other units of the residuals has lost digits of small rows.
+    """
     units = residual_units(responses)
     out = {}
     for i, name in enumerate(faults):
-        if len(units) == 1 and bases[name].any():  # the whole of a line: nothing lies outside
+        if len(units) == 1 and spans[name].any():  # the whole of a line: nothing lies outside
             out[name] = 0.0
             continue
         columns = _unit_columns(responses.values[:, :, i].T / units[:, None])
-        basis = np.linalg.qr((responses.residuals / units)[:, None] * bases[name])[0]
+        basis = np.linalg.qr((responses.residuals / units)[:, None] * spans[name])[0]
         rest = columns - basis @ (basis.T @ columns)
         out[name] = float(np.linalg.norm(rest, axis=0).max(initial=0.0))
     return out

@@ -315,7 +315,7 @@ class _Units:
     def of(A: NDArray, C: NDArray, events: dict[str, NDArray], weights: NDArray) -> _Units:
         B = np.hstack([np.zeros((len(A), 0)), *events.values()])
         balanced = balance_system(A, B, C, np.zeros((len(C), B.shape[1])))
-        T = balanced.own_units
+        T = balanced.states
         scaled = balanced.outputs[:, None] * C * T
         outputs = balanced.outputs if decide_rank(scaled).rank == len(C) else weights
         unit = {name: _unit_columns(L / T[:, None]) for name, L in events.items()}

@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.arrays import matrix
 from residua.design.core.decoupling import Decoupled
-from residua.design.core.evidence import Evidence
+from residua.design.core.evidence import Evidence, measured_from
 from residua.design.core.generator import ResidualGenerator, make_generator
-from residua.design.core.internal_form import leakage
+from residua.design.core.internal_form import leak_frequencies, leakage
 from residua.design.core.method import method
-from residua.design.core.own_time import in_own_time
+from residua.design.core.own_time import has_rates, in_own_time
 from residua.design.core.signals import signal_names
 from residua.design.observers.general_conditions import (
     CONDITIONS,
@@ -39,6 +39,7 @@ from residua.tolerances import LEAKAGE
 REFERENCE = "Gertler (1991), Automatica 27(4), eqs. (3-11), (3-13), (4-8) and (4-15) to (4-20)"
 
 
+@has_rates(M=1, J=1, N=1, V=-1, first_response=1)
 @dataclass(frozen=True, eq=False)
 class GeneralForm(GeneralMatrices):
     r"""A residual generator in the general form, with the conditions that make it one.
@@ -100,6 +101,7 @@ class GeneralForm(GeneralMatrices):
         return "\n".join([*lines, f"  rank(T F) = {self.rank_TF.rank}, rank(F) = {self.rank_F.rank}"])
 
 
+@in_own_time()
 def general_form(generator: ResidualGenerator) -> GeneralForm:
     """Return a generator in the general form ``T, M, J, N, Ls, Lu, Ly``, with its conditions as numbers.
 
@@ -354,9 +356,10 @@ def _checked(plant: Plant, m: GeneralMatrices, decouples: bool, *, solved: bool)
 
 def _must_decouple(made: ResidualGenerator) -> ResidualGenerator:
     """Return a generator after checking that it ignores the disturbances."""
-    leaks = made.evidence.decoupling
+    leaks, conditions = made.evidence.decoupling, {}
     if "disturbance" not in leaks:  # the observer does not promise it
-        leaks = leakage(made.system, made.plant)
+        w = leak_frequencies(made.system, made.plant)
+        leaks, conditions = leakage(made.system, made.plant, w), measured_from(w, made.plant.dt)
     gain = leaks.get("disturbance", 0.0)
     if gain > LEAKAGE:
         raise DesignError(
@@ -365,7 +368,7 @@ def _must_decouple(made: ResidualGenerator) -> ResidualGenerator:
             "leave decouples out to take it as it is, or have one designed, as by unknown_input_observer or "
             "decoupled_residual"
         )
-    return replace(made, evidence=made.evidence.extended(decoupling=leaks))
+    return replace(made, evidence=made.evidence.extended(decoupling=leaks, conditions=conditions))
 
 
 def _require_stable(F: NDArray, dt: float, name: str) -> None:

@@ -68,8 +68,9 @@ def _reduced(
 ) -> Observer:
     """Return the observer that uses the numbered outputs."""
     n, p = plant.n_states, plant.n_outputs
-    free = np.zeros((p, 0))  # combinations of the used outputs that no disturbance enters
-    free = _embedded(left_null_basis(plant.Dd[used])[0], used, p) if np.any(plant.Dd) else np.eye(p)[:, used]
+    read = [i for i in used if np.any(plant.C[i]) or np.any(plant.Dd[i])]  # a dead output gets no gain
+    # combinations of the outputs that no disturbance enters
+    free = _embedded(left_null_basis(plant.Dd[read])[0], read, p) if np.any(plant.Dd) else np.eye(p)[:, read]
     G = _through_outputs(plant, used)
     # an equation, or an output, that a measured disturbance leaves nothing of would be evened up from its rounding
     A, C = sum_without_rounding((np.eye(n), plant.A), (-G, plant.C)), without_rounding(free.T, plant.C)

@@ -205,6 +205,7 @@ def decoupling_gain(form: OutputFreeForm, H0: ArrayLike | None = None) -> NDArra
     CE = form.C @ form.E
     p = len(form.C)
     inverse = np.linalg.pinv(CE) if CE.size else np.zeros((CE.shape[1], p))
+    inverse = np.where(np.any(form.C, axis=1), inverse, 0.0)  # rounding on a dead output is no gain
     H = form.E @ inverse
     for _ in range(2):  # channels in very different units make one pseudoinverse inexact
         H = H + (form.E - H @ CE) @ inverse

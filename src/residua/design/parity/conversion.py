@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.design.core.generator import ResidualGenerator
+from residua.design.core.own_time import in_own_time
 from residua.design.parity.relation import Relation, divided, states_missed, synthetic_division
 from residua.design.parity.relations import ParityRelations, relations_of
 from residua.errors import AccuracyError, DesignError
@@ -39,6 +40,7 @@ class RowFraction:
     poles: NDArray[np.complex128]
 
 
+@in_own_time()
 def to_parity(generator: ResidualGenerator, *, rtol: float = PENCIL_RTOL) -> ParityRelations:
     """Return the parity relations of a generator: the polynomials without its poles and common zeros.
 

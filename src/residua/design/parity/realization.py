@@ -62,7 +62,7 @@ def realize_relation(
     # what the filter remembers of the plant has a size too: a state that its inputs reach by rounding only has no other
     known = p / _equation_units(plant)
     balanced = balance_system(M, np.hstack([B, known[:k]]), C, np.hstack([D, known[k:]]))
-    units = balanced.own_units / balanced.own_units[-1] if k else np.ones(0)  # C stays one
+    units = balanced.states / balanced.states[-1] if k else np.ones(0)  # C stays one
     system = StateSpace(M / units[:, None] * units, B / units[:, None], C * units, D, dt=plant.dt)
     return Realization(system, -p[:k] / units[:, None], p[k:])
 

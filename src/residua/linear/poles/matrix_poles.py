@@ -6,8 +6,9 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
+from residua.linear.poles.zero_structure import rounding_of, scatter_of, without_zero_eigenvalues
 from residua.linear.systems.array_cache import cached_by_entries
-from residua.linear.systems.units import system_units
+from residua.linear.systems.units import state_units_and_rate
 
 
 def explicit_poles(A: NDArray) -> NDArray[np.complex128]:
@@ -26,33 +27,40 @@ def _kept_poles(A: NDArray) -> NDArray[np.complex128]:
     return np.concatenate([np.zeros(0, dtype=complex), *(_poles_of_part(A[np.ix_(i, i)]) for i in chosen)])
 
 
-def _poles_of_part(A: NDArray) -> NDArray[np.complex128]:
+def _poles_of_part(A: NDArray[np.float64]) -> NDArray[np.complex128]:
     if len(A) == 1:
         return A[0].astype(complex)
-    T = system_units(A, np.zeros((len(A), 0)), np.zeros((0, len(A))), np.zeros((0, 0))).states
-    balanced = scipy.linalg.matrix_balance(A / T[:, None] * T)[0]
+    T, rate = state_units_and_rate(A)  # so that poles come out the same in whatever units, that of time too
+    return np.asarray(rate * _poles_in_own_units(A / rate / T[:, None] * T), dtype=complex)
+
+
+@cached_by_entries
+def _poles_in_own_units(A: NDArray[np.float64]) -> NDArray[np.complex128]:
+    balanced = scipy.linalg.matrix_balance(A)[0]
     size = float(np.linalg.norm(balanced))
-    if is_regular(balanced, size):
-        return np.linalg.eigvals(balanced).astype(complex)
-    poles, left, right = scipy.linalg.eig(balanced, left=True, right=True)
+    rest, _, count, regular = without_zero_eigenvalues(balanced, None, size)
+    return _poles(balanced, rest, count, size) if regular else _poles_of_large(balanced, size)
+
+
+def _poles(A: NDArray[np.float64], rest: NDArray[np.float64], count: int, size: float) -> NDArray[np.complex128]:
+    """Return the eigenvalues of a matrix, of which ranks count some at zero and leave the rest.
+
+    Ranks alone are no proof: far from normal, a matrix with poles of size one may be near to a singular one.
+    """
+    poles = np.linalg.eigvals(A).astype(complex)
+    near = np.abs(poles) <= scatter_of(count, len(A), size)
+    if np.count_nonzero(near) == count:
+        return np.where(near, 0.0, poles)
+    if np.count_nonzero(near) < count:
+        return poles
+    return np.concatenate([np.zeros(count, dtype=complex), np.linalg.eigvals(rest)])
+
+
+def _poles_of_large(A: NDArray[np.float64], size: float) -> NDArray[np.complex128]:
+    """Return the eigenvalues of a matrix that may have more at zero than were counted."""
+    poles, left, right = scipy.linalg.eig(A, left=True, right=True)
     overlap = np.abs(np.sum(left.conj() * right, axis=0))
     return np.where(is_rounding_of_zero(poles, overlap, size), 0.0, poles).astype(complex)
-
-
-def is_regular(A: NDArray, size: float) -> bool:
-    """Tell whether no rounding makes a square matrix singular: then none of its eigenvalues is zero, however scattered.
-
-    Parameters
-    ----------
-    A : ndarray, shape (n, n)
-    size : float
-        Norm of ``A``, or of what ``A`` was computed from.
-    """
-    return bool(np.linalg.norm(A, -2) > _rounding(len(A)) * size) if len(A) else True
-
-
-def _rounding(count: int) -> float:
-    return 10 * count * float(np.finfo(float).eps)
 
 
 def is_rounding_of_zero(values: NDArray, overlap: NDArray, size: float) -> NDArray[np.bool_]:
@@ -60,7 +68,7 @@ def is_rounding_of_zero(values: NDArray, overlap: NDArray, size: float) -> NDArr
 
     Rounding scatters a zero of multiplicity ``m`` by :math:`|A| \epsilon^{1/m}`, and to first order any eigenvalue by
     :math:`\epsilon |A| / |w^H E v|`, with its unit eigenvectors: what is within both is zero. Of a matrix that
-    :func:`is_regular` none is.
+    no rounding makes singular none is.
 
     Parameters
     ----------
@@ -71,7 +79,7 @@ def is_rounding_of_zero(values: NDArray, overlap: NDArray, size: float) -> NDArr
         Norm of ``A``, or of what ``A`` was computed from.
     """
     count = len(values)
-    rounding = _rounding(count)
+    rounding = rounding_of(count)
     zero = np.zeros(count, dtype=bool)
     for m in range(1, count + 1):
         near = np.abs(values) <= size * rounding ** (1 / m)

@@ -7,8 +7,9 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.errors import AccuracyError
 from residua.linear.poles.stability import modes_with_uncertainty
-from residua.words import unit_of_rates
+from residua.words import counted, unit_of_rates
 
 Poles = NDArray[np.complex128]
 _EPS = float(np.finfo(float).eps)
@@ -42,9 +43,20 @@ def match_poles(wanted: Poles, achieved: Poles) -> NDArray[np.intp]:
     Returns
     -------
     ndarray of int, shape (k,)
+
+    Raises
+    ------
+    AccuracyError
+        If a pole is not finite: nothing is nearest to it.
     """
     from scipy.optimize import linear_sum_assignment
 
+    for poles in (wanted, achieved):
+        if not np.all(np.isfinite(poles)):
+            raise AccuracyError(
+                f"{np.count_nonzero(~np.isfinite(poles))} of {counted(poles.size, 'pole')} is no finite number: a "
+                "gain, or the plant, is too large for floating-point numbers; rescale it"
+            )
     distance = np.abs(wanted[:, None] - achieved)
     # Relative, or a fast pole that is off a little would outweigh a slow one that is off altogether.
     scale = np.abs(wanted)[:, None] + 1e-3 * np.abs(wanted).max(initial=0.0) + np.finfo(float).tiny

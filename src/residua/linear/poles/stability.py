@@ -7,6 +7,8 @@ import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
 from residua.linear.poles.matrix_poles import is_rounding_of_zero
+from residua.linear.poles.zero_structure import rounding_of, scatter_of, without_zero_eigenvalues
+from residua.tolerances import TINY
 
 _EPS = float(np.finfo(float).eps)
 #: A mode of more than this fraction of the size of its matrix is not zero: a triple zero is scattered by about
@@ -99,4 +101,22 @@ def modes_with_uncertainty(
     # A defective mode has cosine 0; the floor gives it the sqrt(eps) that a double mode moves by.
     size = float(np.linalg.norm(A))
     zero = is_rounding_of_zero(modes, cosine, size) & (np.abs(modes) <= _NEAR_ZERO * size)
+    zero[_modes_at_zero(A, modes, size, perturbation)] = True
     return np.where(zero, 0.0, modes).astype(complex), moved / np.maximum(cosine, np.sqrt(_EPS))
+
+
+def _modes_at_zero(
+    A: NDArray[np.float64], modes: NDArray[np.complex128], size: float, perturbation: float
+) -> NDArray[np.intp]:
+    """Return the modes that ranks count at zero, if they are no further from it than rounding scatters so many.
+
+    Ranks alone are no proof: a chain of slow modes in turned coordinates is near to a singular matrix, too.
+    """
+    n, distance, more = len(A), np.abs(modes), perturbation / max(size, TINY)
+    if distance.min() > scatter_of(n, n, size, more):
+        return np.zeros(0, dtype=int)
+    balanced = scipy.linalg.matrix_balance(A)[0]
+    known = float(np.linalg.norm(balanced)) + perturbation / rounding_of(n)
+    count = without_zero_eigenvalues(balanced, None, known)[2]
+    nearest = np.argsort(distance, kind="stable")[:count]
+    return nearest if np.all(distance[nearest] <= scatter_of(count, n, size, more)) else nearest[:0]

@@ -10,9 +10,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua import arrays
 from residua.errors import AccuracyError
-from residua.linear.poles.matrix_poles import is_regular, is_rounding_of_zero
+from residua.linear.poles.matrix_poles import is_rounding_of_zero
+from residua.linear.poles.zero_structure import rounding_of, without_zero_eigenvalues
+from residua.linear.subspaces.parts import part_numbers, triangular_parts
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, decide_rank, spectral_norm
-from residua.linear.systems.balancing import balance_system, descriptor_units, power_of_two
+from residua.linear.systems.balancing import balance_system, descriptor_units, power_of_two, without_rounding
+from residua.linear.systems.units import bordered, system_rate
+
+#: What rounding leaves of the next zeros, as a multiple of what it left of those that were dropped.
+_BEYOND_DROPPED = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,26 +70,55 @@ def _equilibrated(M: Matrices, E: NDArray[np.float64]) -> tuple[Matrices, NDArra
 def _standard(M: Matrices, E: NDArray[np.float64], rtol: float, decisions: list[RankDecision]) -> Matrices:
     """Turn the algebraic part of a descriptor system into inputs and outputs, and ``E`` into the identity."""
     A, B, C, D = M
-    U, s, Vh = np.linalg.svd(E)
-    tolerance = rtol * (float(s[0]) if s.size else 0.0)
+    U, s, V = _singular_vectors(E)
+    tolerance = rtol * float(s.max(initial=0.0))
     k = int(np.count_nonzero(s > tolerance))
     decisions.append(RankDecision(k, s, tolerance))
-    left, right = U.T, Vh.T.copy()
     # Both sides share the division, so that an ill-conditioned E costs only the root of its condition.
     root = np.sqrt(s[:k])
-    A, B, C = left @ A @ right, left @ B, C @ right
+    A, B, C = without_rounding(U.T, A, V), without_rounding(U.T, B), without_rounding(C, V)
     A11 = A[:k, :k] / root[:, None] / root
     B1 = np.hstack([A[:k, k:], B[:k]]) / root[:, None]
     C1 = np.vstack([A[k:, :k], C[:, :k]]) / root
     return A11, B1, C1, np.block([[A[k:, k:], B[k:]], [C[:, k:], D]])
 
 
-def _balanced(M: Matrices) -> tuple[Matrices, float]:
-    """Balance a standard system and choose the unit of ``s``, which outputs take too: all blocks stay comparable."""
-    s = balance_system(*M)
-    size = spectral_norm(s.A)
+def _singular_vectors(E: NDArray[np.float64]) -> tuple[NDArray, NDArray, NDArray]:
+    """Return the singular vectors and values of a square matrix, largest first, those of each part by themselves.
+
+    Rounding that mixes parts would couple states that nothing couples, and balancing would make it a coupling.
+    """
+    of_rows, of_columns = part_numbers(E != 0)
+    n = len(E)
+    U, V, values = np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
+    first, last_row, last_column = 0, n, n  # pairs are filled in from the left, what is left on one side from the right
+    for part in range(int(max(of_rows.max(initial=-1), of_columns.max(initial=-1))) + 1):
+        rows, columns = np.flatnonzero(of_rows == part), np.flatnonzero(of_columns == part)
+        left, s, right = np.linalg.svd(E[np.ix_(rows, columns)])
+        pairs = len(s)
+        over, beyond = len(rows) - pairs, len(columns) - pairs
+        U[rows, first : first + pairs] = left[:, :pairs]
+        V[columns, first : first + pairs] = right[:pairs].T
+        U[rows, last_row - over : last_row] = left[:, pairs:]
+        V[columns, last_column - beyond : last_column] = right[pairs:].T
+        values[first : first + pairs] = s
+        first, last_row, last_column = first + pairs, last_row - over, last_column - beyond
+    order = np.argsort(-values, kind="stable")
+    return U[:, order], values[order], V[:, order]
+
+
+def _balanced(M: Matrices, s: complex = 0.0) -> tuple[Matrices, float]:
+    """Balance a standard system and choose the unit of ``s``, which outputs take too: all blocks stay comparable.
+
+    In the unit of time in which its rates are near one, so that it comes out the same in whatever unit it was written;
+    of a system that has no rate the point at which it is looked at is one.
+    """
+    A, B, C, D = M
+    rate = system_rate(A, B, C, D) or float(power_of_two(np.array(abs(s))))
+    b = balance_system(A / rate, B / rate, C, D)
+    size = spectral_norm(b.A)
     unit = float(power_of_two(np.array(size))) if size else 1.0
-    return (s.A / unit, s.B / unit, s.C / unit, s.D / unit), unit
+    return (b.A / unit, b.B / unit, b.C / unit, b.D / unit), rate * unit
 
 
 def _deflate(M: Matrices, rtol: float, scale: float, decisions: list[RankDecision]) -> Matrices:
@@ -168,10 +203,73 @@ def invariant_zeros(
     if descriptor is not None:
         M, descriptor, unit = _equilibrated(M, descriptor)
         M = _standard(M, descriptor, rtol, decisions)
-    algebraic = n - M[0].shape[0]
-    M, second = _balanced(M)
-    unit *= second
-    scale = float(np.linalg.norm(np.block([[M[0], M[1]], [M[2], M[3]]]), 2)) if sum(x.size for x in M) else 1.0
+    k = M[0].shape[0]
+    zeros, rank = _zeros_by_parts(M, rtol, decisions)
+    algebraic = n - k
+    return InvariantZeros(unit * zeros[np.lexsort((zeros.imag, zeros.real))], rank - algebraic, tuple(decisions))
+
+
+def _zeros_by_parts(M: Matrices, rtol: float, decisions: list[RankDecision]) -> tuple[NDArray[np.complex128], int]:
+    """Return the zeros of a standard system and the rank of its transfer matrix, from the parts of its pencil.
+
+    Where the diagonal blocks of a block triangular pencil have full rank, its zeros are theirs: what is hidden from all
+    outputs has its modes exactly, whatever else the system is made of, and each part has units of its own.
+    """
+    n = len(M[0])
+    if n > max(M[3].shape) and all(X.all() for X in M[:3]):  # there are no parts, as is quickly seen
+        return _zeros_of_whole(M, rtol, decisions)
+    whole = bordered(*M)
+    parts = triangular_parts((whole != 0) | _diagonal(whole.shape, n))
+    found: list[NDArray[np.complex128]] = [np.zeros(0, dtype=complex)]
+    made: list[RankDecision] = []
+    for rows, columns in parts if len(parts) > 1 else []:
+        own, rank = _zeros_of_part(whole, n, rows, columns, rtol, made)
+        if rank < min(len(rows), len(columns)):  # entries cancel
+            break
+        found.append(own)
+    else:
+        if len(parts) > 1:
+            decisions += made
+            return np.concatenate(found), sum(min(len(rows), len(columns)) for rows, columns in parts) - n
+    return _zeros_of_whole(M, rtol, decisions)
+
+
+def _diagonal(shape: tuple[int, int], n: int) -> NDArray[np.bool_]:
+    """Return where the pencil of a standard system has ``s``."""
+    out = np.zeros(shape, dtype=bool)
+    out[range(n), range(n)] = True
+    return out
+
+
+def _zeros_of_part(
+    whole: NDArray[np.float64],
+    n: int,
+    rows: NDArray[np.intp],
+    columns: NDArray[np.intp],
+    rtol: float,
+    decisions: list[RankDecision],
+) -> tuple[NDArray[np.complex128], int]:
+    """Return the zeros and the rank of some rows and columns of the pencil of a standard system with ``n`` states.
+
+    They are a system, too: a state is one whose equation and whose column are both among them.
+    """
+    states = np.intersect1d(rows[rows < n], columns[columns < n])
+    if not len(rows) or not len(columns):
+        return np.zeros(0, dtype=complex), 0
+    if len(rows) == len(columns) == 1:
+        return whole[states, states].astype(complex), 1
+    inputs, outputs = np.setdiff1d(columns, states), np.setdiff1d(rows, states)
+    M = tuple(whole[np.ix_(i, j)] for i in (states, outputs) for j in (states, inputs))
+    zeros, rank = _zeros_of_whole((M[0], M[1], M[2], M[3]), rtol, decisions)
+    return zeros, len(states) + rank
+
+
+def _zeros_of_whole(M: Matrices, rtol: float, decisions: list[RankDecision]) -> tuple[NDArray[np.complex128], int]:
+    """Return the zeros of a standard system and the rank of its transfer matrix."""
+    M, unit = _balanced(M)
+    whole = bordered(*M)
+    scale = spectral_norm(whole) if whole.size else 1.0
+    before = len(decisions)
     M = _deflate(M, rtol, scale, decisions)
     A, B, C, D = (x.T for x in M)
     A, B, C, D = _deflate((A, C, B, D), rtol, scale, decisions)
@@ -181,29 +279,41 @@ def invariant_zeros(
             f"the compressed pencil is not square (D is {D.shape[0]} x {D.shape[1]}): a rank decision "
             f"with rtol={rtol:.3g} was not clear; see pencil_rank_at, or choose another rtol"
         )
-    return InvariantZeros(_finite_zeros((A, B, C, D), scale) * unit, rank - algebraic, tuple(decisions))
+    # What was dropped tells how much rounding there is, where couplings are weak more than of the steps themselves.
+    dropped = max((decision.largest_dropped for decision in decisions[before:]), default=0.0)
+    rounding = max(rounding_of(len(whole)) * scale, _BEYOND_DROPPED * dropped)
+    return unit * _finite_zeros((A, B, C, D), rounding), rank
 
 
-def _finite_zeros(M: Matrices, scale: float) -> NDArray[np.complex128]:
-    """Return the zeros of a square system with invertible ``D``, without inverting it; rounding is of ``scale``."""
+def _finite_zeros(M: Matrices, rounding: float) -> NDArray[np.complex128]:
+    """Return the zeros of a square system with invertible ``D``, without inverting it, known to ``rounding``."""
     A, B, C, D = M
     k, r = A.shape[0], D.shape[0]
     if not k:
         return np.zeros(0, complex)
+    E = None
     if r:
-        W = np.roll(np.linalg.svd(np.hstack([C, D]))[2], -r, axis=0).T[:, :k]
+        W = np.linalg.qr(np.hstack([C, D]).T, mode="complete")[0][:, r:]  # what the outputs do not see
         A, E = np.hstack([A, B]) @ W, W[:k]
-        zeros, left, right = scipy.linalg.eig(A, E, left=True, right=True)
-    else:
-        E = np.eye(k)
-        zeros, left, right = scipy.linalg.eig(A, left=True, right=True)
+    scale = rounding / rounding_of(k)
+    A, E, count, regular = without_zero_eigenvalues(A, E, scale)
+    found = [np.zeros(count, dtype=complex), _eigenvalues(A, E, scale, regular)]
+    zeros: NDArray[np.complex128] = np.concatenate(found)
     if not np.all(np.isfinite(zeros)):
         raise AccuracyError("a zero of the compressed pencil came out infinite: a rank decision was not clear")
-    overlap = np.abs(np.sum(left.conj() * (E @ right), axis=0))
+    return zeros
+
+
+def _eigenvalues(
+    A: NDArray[np.float64], E: NDArray[np.float64] | None, scale: float, regular: bool
+) -> NDArray[np.complex128]:
+    """Return the eigenvalues of a pencil; where it may not be regular, those that may be rounding of zero as zero."""
+    if regular:
+        return np.asarray(scipy.linalg.eigvals(A, E), dtype=complex)
+    zeros, left, right = scipy.linalg.eig(A, E, left=True, right=True)
+    overlap = np.abs(np.sum(left.conj() * (right if E is None else E @ right), axis=0))
     overlap /= np.linalg.norm(left, axis=0) * np.linalg.norm(right, axis=0)
-    zero = is_rounding_of_zero(zeros, overlap, scale) & (not is_regular(A, scale))
-    zeros = np.where(zero, 0.0, zeros).astype(np.complex128)
-    return zeros[np.lexsort((zeros.imag, zeros.real))]
+    return np.where(is_rounding_of_zero(zeros, overlap, scale), 0.0, zeros).astype(complex)
 
 
 def normal_rank(
@@ -263,7 +373,7 @@ def pencil_rank_at(
     if descriptor is not None:
         M, descriptor, unit = _equilibrated(M, descriptor)
     else:
-        M, unit = _balanced(M)
+        M, unit = _balanced(M, s)
         descriptor = np.eye(M[0].shape[0])
     P = np.block([[s / unit * descriptor - M[0], -M[1]], [M[2], M[3]]])
     # Far out, the columns of the states grow with s; the rank does not change when they are divided by it.

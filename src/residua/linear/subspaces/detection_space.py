@@ -77,7 +77,9 @@ def detection_space(A: NDArray, C: NDArray, L: NDArray, *, rtol: float = DEFAULT
     # W is not seen, which rounding would hide in a long staircase: only what is left of the states is searched
     P, _ = left_null_basis(W)
     read, _ = range_basis(P.T @ (C.T @ H), rtol=rtol, scale=scale)  # against C: nothing left is not to be something
-    seen = P @ reachable_basis((P.T @ (A - D @ C) @ P).T, read, rtol=rtol)
+    # what rounding leaves where everything cancels couples no states, however large it is beside nothing
+    rest = without_rounding(P.T, np.hstack([np.eye(len(A)), -D]), np.vstack([A, C]), P)
+    seen = P @ reachable_basis(rest.T, read, rtol=rtol)
     basis, _ = left_null_basis(seen) if seen.shape[1] else (np.eye(len(A)), None)
     return DetectionSpace(basis, outputs)
 

@@ -13,9 +13,9 @@ from residua import arrays
 from residua.errors import AccuracyError
 from residua.linear.poles.stability import dies_out, modes_with_uncertainty
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, spectral_norm
+from residua.linear.subspaces.staircase_steps import staircase_steps
 from residua.linear.systems.array_cache import cached_by_contents, copied
 from residua.linear.systems.balancing import balance_system
-from residua.linear.systems.units import system_units
 from residua.tolerances import RESIDUE, above_rounding
 
 _EPS = float(np.finfo(float).eps)
@@ -92,7 +92,6 @@ class Staircase:
     states: NDArray[np.float64]
     outputs: NDArray[np.float64]
     dropped: float
-    has_units: bool
 
     @property
     def rounding(self) -> float:
@@ -111,16 +110,6 @@ class Staircase:
         return spectral_norm(self.A)
 
 
-def _scales(A: NDArray[np.float64], C: NDArray[np.float64], rtol: float) -> tuple[float, float]:
-    """Return what rank decisions on pieces of ``A`` and on ``C`` are relative to."""
-    n = A.shape[0]
-    size = spectral_norm(A)
-    # Observability does not change with A - mu I; a plant sampled fast (A near I) shows its couplings only then.
-    shifted = spectral_norm(A - np.trace(A) / n * np.eye(n)) if n else 0.0
-    floor = 100 * n * _EPS * size / max(rtol, _EPS)
-    return max(shifted, min(size, floor)), spectral_norm(C)
-
-
 def staircase(
     A: NDArray[np.float64], C: NDArray[np.float64], *, rtol: float = DEFAULT_RTOL, units: str = "balanced"
 ) -> Staircase:
@@ -132,9 +121,8 @@ def staircase(
     C : ndarray, shape (p, n)
     rtol : float
         Relative to the norm of ``A`` (without its multiple of the identity) or of ``C``.
-    units : {"balanced", "even", "given"}
-        Even out the norms of rows and columns, or only their logarithms (where a part of the system is hidden, its
-        balanced units may mean nothing), or take the caller's units, which are comparable already.
+    units : {"balanced", "given"}
+        Even out the norms of rows and columns, or take the caller's units, which are comparable already.
 
     Returns
     -------
@@ -142,33 +130,12 @@ def staircase(
         ``Q' A Q = [[A11, 0], [A21, A22]]`` up to what was dropped, which is not set to zero here.
     """
     n, p = A.shape[0], C.shape[0]
-    T, Y, has_units = np.ones(n), np.ones(p), True
-    none = np.zeros((n, 0)), C, np.zeros((p, 0))
+    T, Y = np.ones(n), np.ones(p)
     if units == "balanced":
-        scaled = balance_system(A, *none)
-        T, Y, has_units = scaled.states, scaled.outputs, scaled.has_units
-    elif units == "even":
-        u = system_units(A, *none)
-        T, Y = u.states, u.outputs
-    A, C = A / T[:, None] * T, Y[:, None] * C * T
-    scale_A, scale_C = _scales(A, C, rtol)
-    Q, seen, first = np.eye(n), 0, 0
-    block, scale = C, scale_C
-    decisions: list[RankDecision] = []
-    dropped = 0.0
-    while seen < n:
-        _, s, Vh = np.linalg.svd(block) if block.size else (None, np.zeros(0), np.eye(n - seen))
-        rank = int(np.count_nonzero(s > rtol * scale))
-        decisions.append(RankDecision(rank, s, rtol * scale))
-        if s.size > rank and scale:
-            dropped = max(dropped, float(s[rank]) / scale)
-        if rank == 0:
-            break
-        Q[:, seen:] = Q[:, seen:] @ Vh.T
-        first = first or rank
-        before, seen = seen, seen + rank
-        block, scale = Q[:, before:seen].T @ A @ Q[:, seen:], scale_A
-    return Staircase(A, C, Q, seen, first, tuple(decisions), T, Y, dropped * scale_A, has_units)
+        scaled = balance_system(A, np.zeros((n, 0)), C, np.zeros((p, 0)))
+        A, C, T, Y = scaled.A, scaled.C, scaled.states, scaled.outputs
+    steps = staircase_steps(A, C, rtol)
+    return Staircase(A, C, steps.Q, steps.n_observable, steps.n_seen, steps.decisions, T, Y, steps.dropped)
 
 
 def _orthogonal(form: Staircase, noise: float) -> NDArray[np.float64]:

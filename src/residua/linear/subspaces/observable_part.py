@@ -80,7 +80,7 @@ class ObservablePart:
         for _ in range(2):  # outputs in very different units make one projection inexact
             lost = (K - projected) @ self.C @ self.pseudo_inverse
             projected = projected + (lost @ basis) @ basis.T
-        return projected
+        return np.where(np.any(self.C, axis=1), projected, 0.0)  # of an empty row all is left null
 
 
 @cached_by_contents

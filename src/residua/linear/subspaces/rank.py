@@ -164,6 +164,14 @@ def null_basis(M: ArrayLike, *, rtol: float = DEFAULT_RTOL, scale: float | None 
     return without_noise(Vh[decision.rank :].conj().T), decision
 
 
+def row_and_null_basis(
+    M: ArrayLike, *, rtol: float = DEFAULT_RTOL, scale: float | None = None
+) -> tuple[NDArray, NDArray, RankDecision]:
+    """Return orthonormal bases, as columns, of the row space and of ``{x : M x = 0}``: together a basis of all."""
+    _, _, Vh, decision = _svd_decision(M, rtol, scale, "right")
+    return Vh[: decision.rank].conj().T, Vh[decision.rank :].conj().T, decision
+
+
 def left_null_basis(
     M: ArrayLike, *, rtol: float = DEFAULT_RTOL, scale: float | None = None
 ) -> tuple[NDArray, RankDecision]:

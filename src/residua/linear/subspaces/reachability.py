@@ -36,8 +36,6 @@ def without_unobservable(system: StateSpace, *, rtol: float = DEFAULT_RTOL) -> S
     """
     system = system.explicit()
     form = staircase(system.A, system.C, rtol=rtol)
-    if not form.has_units:
-        form = staircase(system.A, system.C, rtol=rtol, units="even")
     k = form.n_observable
     if k == system.n_states:
         return system

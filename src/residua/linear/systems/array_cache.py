@@ -7,7 +7,6 @@ members, for every check of the result. The functions are pure, so that a kept r
 from __future__ import annotations
 
 import os
-import sys
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterator
 from copy import copy
@@ -15,6 +14,7 @@ from dataclasses import dataclass
 from functools import cache, cached_property, wraps
 from hashlib import blake2b
 from itertools import count
+from sys import getsizeof
 from threading import Lock
 from typing import Any, Generic, TypeVar, cast
 from weakref import WeakSet
@@ -22,7 +22,8 @@ from weakref import WeakSet
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.words import unit_of_rates
+from residua.errors import ResiduaError
+from residua.words import times_unit_was_asked, unit_of_rates, unit_of_rates_unasked
 
 R = TypeVar("R")
 #: Numbers and words whose value says all, once their type is known.
@@ -60,13 +61,24 @@ def kept_bytes() -> int:
 
 
 @dataclass(eq=False, slots=True)
+class _Bytes:
+    """The bytes that all functions keep, and those that functions which are no more have kept since it was counted."""
+
+    bytes: int = 0
+
+
+_kept_at_most = _Bytes()
+
+
+@dataclass(eq=False, slots=True)
 class _Kept(Generic[R]):
-    """A result, its bytes with those of its key, when it was used last, and whether it may grow."""
+    """A result, its bytes with those of its key, when it was used last, and what may grow, with its size."""
 
     result: R
     bytes: int
     used: int
-    grows: bool
+    growing: list[dict[str, Any]]
+    size: int
 
 
 class Latest(Generic[R]):
@@ -90,28 +102,66 @@ class Latest(Generic[R]):
         """Let go of all results."""
         with _lock:
             self._results.clear()
-            self.bytes = 0
+            self._count(-self.bytes)
 
     def of(self, key: Hashable, compute: Callable[[], R]) -> R:
         """Return the result kept under a key, or compute it; an error is not kept, nor is what is too large."""
+        known = self._kept_under(key)
+        return self._keep(key, compute()) if known is None else known.result
+
+    def of_texts(self, key: Hashable, compute: Callable[[], R]) -> R:
+        """Return the same of a function that may write rates into texts, in whatever unit these are worked on.
+
+        Where it asked for that unit the result is kept by it too; elsewhere it is the same in all units. A refusal is
+        an answer, and is kept.
+        """
+        known = self._kept_under(key)
+        if known is None:
+            own = unit_of_rates_unasked(), key
+            known = self._kept_under(own)
+            if known is not None:
+                unit_of_rates()  # what this result becomes part of has the unit in it too
+        if known is not None:
+            if isinstance(known.result, ResiduaError):
+                raise copy(known.result)  # each with a traceback of its own
+            return known.result
+        before = times_unit_was_asked()
+        try:
+            result, error = compute(), None
+        except ResiduaError as refusal:
+            result, error = cast("R", copy(refusal)), refusal
+        result = self._keep(key if times_unit_was_asked() == before else own, result)
+        if error is not None:
+            raise error
+        return result
+
+    def _kept_under(self, key: Hashable) -> _Kept[R] | None:
         with _lock:
             known = self._results.get(key)
             if known is not None:
+                self._measure_again()
                 self._results.move_to_end(key)
                 known.used = next(_uses)
-                return known.result
-        result = read_only(compute())
-        size, grows = _bytes(result)
+        return known
+
+    def _keep(self, key: Hashable, result: R) -> R:
+        """Keep a result, which is read-only from then on."""
+        size, growing = _bytes(result, freeze=True)
         size += _bytes_of_key(key)
         with _lock:
             if size <= _MOST_BYTES and key not in self._results:
                 self._measure_again()
-                self._results[key] = _Kept(result, size, next(_uses), grows)
-                self.bytes += size
+                self._results[key] = _Kept(result, size, next(_uses), growing, _fields_of(growing))
+                self._count(size)
                 if len(self._results) > self._kept:
                     self._drop_oldest()
-                _drop_to_limit()
+                if _kept_at_most.bytes > _MOST_BYTES:
+                    _drop_to_limit()
         return result
+
+    def _count(self, size: int) -> None:
+        self.bytes += size
+        _kept_at_most.bytes += size
 
     @property
     def _oldest_use(self) -> float:
@@ -119,28 +169,35 @@ class Latest(Generic[R]):
         return next(iter(self._results.values())).used if self._results else float("inf")
 
     def _drop_oldest(self) -> None:
-        self.bytes -= self._results.popitem(last=False)[1].bytes
+        self._count(-self._results.popitem(last=False)[1].bytes)
 
     def _measure_again(self) -> None:
         """Count what was added to the result that was used last, such as a cached property, since it was kept."""
         if self._results:
             key = next(reversed(self._results))
             last = self._results[key]
-            if last.grows:
-                size = _bytes(last.result)[0] + _bytes_of_key(key)
-                self.bytes += size - last.bytes
-                last.bytes = size
+            if last.growing and _fields_of(last.growing) != last.size:
+                size, last.growing = _bytes(last.result)
+                size += _bytes_of_key(key)
+                self._count(size - last.bytes)
+                last.bytes, last.size = size, _fields_of(last.growing)
+
+
+def _fields_of(growing: list[dict[str, Any]]) -> int:
+    """Return how many fields there are now."""
+    return sum([len(one) for one in growing])
 
 
 def _drop_to_limit() -> None:
     """Let go of the results that were used least recently until the others are within the limit. Needs the lock."""
     functions = list(_all)
-    total = sum([one.bytes for one in functions])
-    while total > _MOST_BYTES:
+    _kept_at_most.bytes = sum([one.bytes for one in functions])
+    while _kept_at_most.bytes > _MOST_BYTES:
         oldest = min(functions, key=lambda one: one._oldest_use)
-        total -= oldest.bytes
-        oldest._drop_oldest()
-        total += oldest.bytes
+        # all of one that are older than those of the others
+        others = min([one._oldest_use for one in functions if one is not oldest], default=float("inf"))
+        while _kept_at_most.bytes > _MOST_BYTES and oldest._oldest_use < others:
+            oldest._drop_oldest()
 
 
 def entries(*matrices: NDArray | None) -> Hashable:
@@ -182,7 +239,8 @@ class UnkeyedError(TypeError):
 def contents(value: object) -> Hashable:
     """Return what tells a value from all others: arrays, numbers, words, and tuples, lists and dataclasses of these.
 
-    Of every part the type and every bit count, of large arrays a digest of these, as for :func:`entries`.
+    Of every part the type and every bit count, of large arrays a digest of these, as for :func:`entries`; of matrices
+    the order in memory too, by which products and factorisations round.
     """
     kind = type(value)
     if kind in _PLAIN:
@@ -190,7 +248,8 @@ def contents(value: object) -> Hashable:
     if isinstance(value, np.ndarray):
         if kind is not np.ndarray or value.dtype.hasobject:
             raise UnkeyedError
-        return value.dtype.str, entries(value)
+        ordered = value.flags.c_contiguous or value.ndim < 2
+        return value.dtype.str, entries(value), None if ordered else value.strides
     if isinstance(value, (float, np.generic)):
         return kind, np.asarray(value).tobytes()
     if isinstance(value, (tuple, list)):
@@ -205,22 +264,28 @@ def contents(value: object) -> Hashable:
 def cached_by_contents(function: Callable[..., R]) -> Callable[..., R]:
     """Return a pure function that keeps its latest results by what its arguments hold; arrays of results are read-only.
 
-    And by the unit that rates are worked on in, which is in the texts of results. Arguments that :func:`contents` does
-    not know, such as a user's own classes, are computed every time. Threads may share it. An error is not kept.
+    And by the unit that rates are worked on in where it is in the texts of a result. Arguments that :func:`contents`
+    does not know, such as a user's own classes, are computed every time. Threads may share it. Of errors the refusals
+    of the package are kept.
     """
     latest: Latest[R] = Latest()
 
     @wraps(function)
     def cached(*values: Any, **options: Any) -> R:
+        # one order of the entries in memory, whichever the caller has: rounding depends on it
+        own = [np.asarray(value, order="C") if type(value) is np.ndarray else value for value in values]
         try:
-            key = unit_of_rates(), contents((values, tuple(options.items())))
+            key = contents((own, tuple(options.items())))
         except UnkeyedError:
             return function(*values, **options)
-        # one order of the entries in memory, whichever the caller has: rounding depends on it
-        own = [read_only(value.copy()) if isinstance(value, np.ndarray) else value for value in values]
-        return latest.of(key, lambda: _apart_from(function(*own, **options), (values, options)))
+        return latest.of_texts(key, lambda: _apart_from(function(*map(_own, own), **options), (values, options)))
 
     return cached
+
+
+def _own(value: Any) -> Any:
+    """Return an argument that nobody else writes to, if it is an array."""
+    return read_only(value.copy()) if type(value) is np.ndarray else value
 
 
 def read_only(result: R) -> R:
@@ -312,27 +377,48 @@ def _arrays(result: object) -> Iterator[NDArray]:
     return (part for part in _parts(result) if isinstance(part, np.ndarray))
 
 
-def _bytes(value: object) -> tuple[int, bool]:
-    """Return the bytes that a value takes, each counted once, and whether properties that it keeps may be added later.
+def _bytes(value: object, *, freeze: bool = False) -> tuple[int, list[dict[str, Any]]]:
+    """Return the bytes that a value takes, each counted once, and the fields of parts that may keep properties later.
 
-    Of a view those of what it keeps alive. Numbers and words count nothing.
+    Of a view those of what it keeps alive. Numbers and words count nothing. ``freeze``: arrays become read-only.
     """
-    whole, grows = 0, False
+    whole = 0
+    growing: list[dict[str, Any]] = []
+    seen: set[int] = set()
     owners: set[int] = set()
-    for part in _parts(value):
+    left = [value]
+    while left:
+        part = left.pop()
         kind = type(part)
+        if kind in _SIMPLE or id(part) in seen:
+            continue
+        seen.add(id(part))
         if isinstance(part, np.ndarray):
+            if freeze:
+                part.flags.writeable = False
             whole += _OBJECT
             owner = part if part.base is None else _owner(part)
             if id(owner) not in owners:
                 owners.add(id(owner))
                 whole += owner.nbytes
-        elif kind is tuple or kind is list or kind is dict:
-            whole += sys.getsizeof(part)
-        elif hasattr(part, "__dataclass_fields__"):
-            whole += _OBJECT + sys.getsizeof(getattr(part, "__dict__", None))
-            grows = grows or _keeps_properties(kind)
-    return whole, grows
+        elif isinstance(part, (tuple, list)):
+            whole += getsizeof(part)
+            left += part
+        elif isinstance(part, dict):
+            whole += getsizeof(part)
+            left += list(part.values())
+        elif _is_dataclass(kind):
+            fields = getattr(part, "__dict__", {})
+            whole += _OBJECT + getsizeof(fields)
+            left += list(fields.values())
+            if _keeps_properties(kind):
+                growing.append(fields)
+    return whole, growing
+
+
+@cache
+def _is_dataclass(kind: type) -> bool:
+    return hasattr(kind, "__dataclass_fields__")
 
 
 @cache

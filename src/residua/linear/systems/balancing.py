@@ -16,7 +16,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.linear.poles.matrix_poles import explicit_poles
 from residua.linear.systems.array_cache import cached_by_entries
-from residua.linear.systems.units import bordered, matrix_units, pencil_units, system_units, without_residue
+from residua.linear.systems.units import (
+    Units,
+    bordered,
+    matrix_units,
+    pencil_units,
+    system_level,
+    system_units,
+    without_residue,
+)
 from residua.tolerances import RESIDUE, above_rounding
 
 #: Couplings this far below the largest may have been scaled away.
@@ -28,8 +36,6 @@ _WIDEST = 64
 _LARGEST = 2.0**200
 #: Ratios of scales that move by more than this power of two in the second half of the sweeps will not come to rest.
 _DRIFT = 4
-#: A spectral radius above this, relative to that of the sizes of the entries, is near enough to a level, real or not.
-_SURELY_REAL = 1e-2
 #: Ratios of a row to its column, and of a channel to its level, from here to the inverse surely round to a factor of
 #: one: those up to 1/2 and to the root of 1/2 do, and what is nearer to these than rounding is decided by logarithms.
 _EVEN, _NEAR = 0.501, 0.708
@@ -45,11 +51,6 @@ class BalancedSystem:
         The scaled matrices.
     states, inputs, outputs : ndarray
         The diagonals of ``T``, ``U`` and ``Y``; all powers of two, so that scaling rounds nothing.
-    start : ndarray
-        The units of the states that the sweeps started from, of :func:`residua.linear.systems.units.system_units`.
-    settled : bool
-        Whether the sweeps came to rest: a part that acts on others, or is acted on, one way only may be scaled without
-        end.
     """
 
     A: NDArray[np.float64]
@@ -59,20 +60,6 @@ class BalancedSystem:
     states: NDArray[np.float64]
     inputs: NDArray[np.float64]
     outputs: NDArray[np.float64]
-    start: NDArray[np.float64]
-    settled: bool
-
-    @property
-    def has_units(self) -> bool:
-        """Whether the balanced units of the states mean something: a hidden part of a system has none of its own."""
-        if not self.states.size:
-            return True
-        return self.settled and bool(np.ptp(np.log2(self.states / self.start)) <= _WIDEST)
-
-    @property
-    def own_units(self) -> NDArray[np.float64]:
-        """The balanced units of the states, or those that the sweeps started from where the former mean nothing."""
-        return self.states if self.has_units else self.start
 
 
 def power_of_two(x: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -150,7 +137,9 @@ def balance_system(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> Ba
     Osborne's sweep over the states, with the rows of ``C`` and the columns of ``B`` taking part, each scaled to
     the norm of ``A``. Rows and columns that are rounding residue are left as they are. Where no scaling gives all
     rows and columns their norm, as with an input that enters several outputs and no state, the largest entries of
-    rows and columns are evened out instead, which can always be done.
+    rows and columns are evened out instead, which can always be done. Where the sweeps run away, because parts act on
+    others one way only, the units are those that the sweeps started from: nothing holds one part beside another then,
+    and they would leave of the one that lags behind nothing but rounding.
 
     Parameters
     ----------
@@ -170,41 +159,32 @@ def balance_system(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> Ba
     A0, B0, C0, D0 = (np.asarray(M, dtype=float) for M in (A, B, C, D))
     n = len(A0)
     start = system_units(A0, B0, C0, D0)
-    T, U, Y = start.states, start.inputs, start.outputs
-    A, B, C, D = A0 / T[:, None] * T, B0 / T[:, None] * U, Y[:, None] * C0 * T, Y[:, None] * D0 * U
+    A, B, C, D = _in_units(A0, B0, C0, D0, start)
     W = without_residue(bordered(A, B, C, D))
     # Only couplings count in a sweep; the diagonal of A does not change with the units of the states.
     np.fill_diagonal(W[:n, :n], 0.0)
-    level = _level(A, float(np.abs(explicit_poles(A0)).max(initial=0.0)))
+    # The units of channels are free: they are brought to what no units of states change.
+    radius = float(np.abs(explicit_poles(A0)).max(initial=0.0))
+    level = float(power_of_two(np.array(max(radius, system_level(A0, B0, C0, D0)))))
     scaled = W.copy()
     left, right, settled = _factors(scaled, n, level, _length)
     if not settled or _vanished(scaled):
         left, right, settled = _factors(W, n, level, _largest)
-    T, U, Y = T * right[:n], U * right[n:], Y * left[n:]
-    # The scaled matrices are the same for states and inputs in c times larger, outputs in c times smaller units:
-    # of these units those nearest to the original ones are taken; the sweeps may have drifted far away from them.
-    size = np.sum(np.log2(T)) - np.sum(np.log2(Y))
-    c = 2.0 ** np.round(size / max(len(T) + len(Y), 1))
-    T, U, Y = T / c, U / c, Y * c
-    scaled = A0 / T[:, None] * T, B0 / T[:, None] * U, Y[:, None] * C0 * T, Y[:, None] * D0 * U
-    return BalancedSystem(*scaled, T, U, Y, start.states, settled)
+    u = start
+    if settled and not (n and np.ptp(np.log2(right[:n])) > _WIDEST):
+        T, U, Y = start.states * right[:n], start.inputs * right[n:], start.outputs * left[n:]
+        # The scaled matrices are the same for states and inputs in c times larger, outputs in c times smaller units:
+        # of these units those nearest to the original ones are taken; the sweeps may have drifted far away from them.
+        size = np.sum(np.log2(T)) - np.sum(np.log2(Y))
+        c = 2.0 ** np.round(size / max(len(T) + len(Y), 1))
+        u = Units(T / c, U / c, Y * c)
+    return BalancedSystem(*_in_units(A0, B0, C0, D0, u), u.states, u.inputs, u.outputs)
 
 
-def _level(A: NDArray[np.float64], radius: float) -> float:
-    """Return the level for the channels, whose units are free: the spectral radius of ``A``, without units of states.
-
-    Of a nilpotent matrix it is rounding, which a chain of ``n`` states grows to the ``n``-th root of it, beside the
-    radius of the sizes of the entries; its norm is taken then, and the channels are not made nothing beside the states.
-    """
-    n = len(A)
-    if not n:
-        return 1.0
-    eps, size = float(np.finfo(float).eps), float(np.linalg.norm(A))
-    share = min((n * eps) ** (1 / n), _SURELY_REAL)
-    rounding = max(math.sqrt(eps), share) * size  # the radius of the sizes is at most the norm
-    if radius < rounding:
-        rounding = max(math.sqrt(eps) * size, share * float(np.abs(np.linalg.eigvals(np.abs(A))).max()))
-    return float(power_of_two(np.array((size if radius < rounding else radius) or 1.0)))
+def _in_units(A: NDArray, B: NDArray, C: NDArray, D: NDArray, u: Units) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+    """Return a system in units of its states, inputs and outputs."""
+    T, U, Y = u.states, u.inputs, u.outputs
+    return A / T[:, None] * T, B / T[:, None] * U, Y[:, None] * C * T, Y[:, None] * D * U
 
 
 def _vanished(W: NDArray[np.float64]) -> bool:
@@ -317,9 +297,6 @@ def descriptor_units(A: NDArray, E: NDArray | None, B: NDArray, C: NDArray, D: N
     n = len(A)
     if E is None:
         balanced = balance_system(A, B, C, D)
-        if not balanced.has_units:
-            u = system_units(A, B, C, D)
-            return DescriptorUnits(1 / u.states, u.states, u.inputs, u.outputs, 1.0)
         return DescriptorUnits(1 / balanced.states, balanced.states, balanced.inputs, balanced.outputs, 1.0)
     whole = np.block([[A, B], [C, D]]).astype(float)
     dynamic = np.zeros_like(whole)
@@ -331,9 +308,9 @@ def descriptor_units(A: NDArray, E: NDArray | None, B: NDArray, C: NDArray, D: N
 
 
 def state_units(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike | None = None) -> NDArray[np.float64]:
-    """Return units of the states of a system: balanced, or only even where that means nothing."""
+    """Return the balanced units of the states of a system."""
     D = np.zeros((np.shape(C)[0], np.shape(B)[1])) if D is None else D
-    return balance_system(A, B, C, D).own_units
+    return balance_system(A, B, C, D).states
 
 
 def _sweep(

@@ -229,6 +229,11 @@ class StateSpace:
         new._fill(*fields, of=self)
         return new
 
+    def with_poles_of(self, other: StateSpace) -> StateSpace:
+        """Return this system, which is another one in other units, powers of two, with the poles that it has."""
+        self.__dict__["_poles"] = other._poles
+        return self
+
     def select(
         self, *, outputs: Iterable[str | int] | None = None, inputs: Iterable[str | int] | None = None
     ) -> StateSpace:

@@ -31,6 +31,8 @@ _ROUNDS = 3
 #: in is left out of the fit then.
 _FAR = 2.0**26
 _WIDE = 1e-11
+#: Edges up to which parts of a graph are joined faster one by one.
+_FEW = 128
 #: What of a unit of time is left beside those of the signals, of the entries that have it, where it is rounding alone.
 _NO_RATE = 1e-9
 
@@ -78,10 +80,19 @@ def powers_of_two(logarithms: NDArray[np.float64]) -> NDArray[np.float64]:
 def system_units(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> Units:
     """Return the units, powers of two, in which the entries of an ordinary system are nearest to one level.
 
-    That of the largest diagonal entry of ``A``, which no units of states change, or one where the diagonal is zero.
+    See :func:`system_level`.
     """
     n, q = len(A), np.shape(B)[1]
-    return _rounded(_system_potentials(A, B, C, D), n, q)
+    return _rounded(_system_potentials(A, B, C, D)[0], n, q)
+
+
+def system_level(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> float:
+    """Return the level that entries of a system are brought to: what no units of states and signals change.
+
+    The largest diagonal entry of ``A``, or the rate of the system where that is more: it is what entries around loops
+    have in common. One where there are neither.
+    """
+    return float(np.exp2(_system_potentials(A, B, C, D)[1]))
 
 
 @cached_by_entries
@@ -92,22 +103,46 @@ def system_rate(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> float:
     product of entries around a loop. Of chains of integrators nothing is left, and there is no rate: they are the same
     plant in all units of time, but for those of their signals.
     """
-    W = np.abs(bordered(A, B, C, D))
-    n, q = len(A), W.shape[1] - len(A)
-    row_node = np.concatenate([np.arange(n), n + q + np.arange(len(C))])
-    rate: float | None = None
+    _, rate = _rated_potentials(np.abs(bordered(A, B, C, D)), len(A))
+    return 0.0 if rate is None else float(powers_of_two(np.array(rate)))
+
+
+def state_units_and_rate(A: NDArray) -> tuple[NDArray[np.float64], float]:
+    """Return the units of the states, and the rate, by which ``T^-1 A T / rate`` has entries nearest to one.
+
+    Powers of two, the same for all units of states and of time; the rate is one of a matrix without loops.
+    """
+    W, n = np.abs(A), len(A)
+    v, rate = _rated_potentials(W, n)
+    T = powers_of_two(v)
+    if _is_far(W, 1 / T, T):
+        v, rate = _rated_potentials(_without_wide_residue(W), n)
+        T = powers_of_two(v)
+    return T, float(powers_of_two(np.array(rate or 0.0)))
+
+
+def _rated_potentials(
+    W: NDArray[np.float64], n: int, least: float = -np.inf
+) -> tuple[NDArray[np.float64], float | None]:
+    """Return the potentials for the sizes of the entries of ``[A B; C D]`` and the logarithm of its rate, if any.
+
+    A rate of less than ``least`` is that.
+    """
+    q, p = W.shape[1] - n, W.shape[0] - n
+    row_node = np.concatenate([np.arange(n), n + q + np.arange(p)])
+    v, rate = np.zeros(n + q + p), None
     for _ in range(_ROUNDS):
         i, j = np.nonzero(W)
-        v, rate = _with_rate(row_node[i], j, np.log2(W[i, j]), i < n, n + q + len(C))
+        v, rate = _with_rate(row_node[i], j, np.log2(W[i, j]), i < n, n + q + p, least)
         if rate is None:
-            return 0.0
+            break
         scaled = W * np.exp2(v[: n + q] - v[row_node][:, None])
         scaled[:n] /= 2.0**rate
         keep = _real(scaled, scaled)
         if np.array_equal(keep, W > 0):
             break
         W = np.where(keep, W, 0.0)
-    return 0.0 if rate is None else float(powers_of_two(np.array(rate)))
+    return v, rate
 
 
 def output_weights(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> NDArray[np.float64]:
@@ -115,7 +150,7 @@ def output_weights(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> NDArray[np
 
     For least squares over outputs, whose result is the same in all units then, be they powers of two or not.
     """
-    return np.exp2(-_system_potentials(A, B, C, D)[len(A) + np.shape(B)[1] :])
+    return np.exp2(-_system_potentials(A, B, C, D)[0][len(A) + np.shape(B)[1] :])
 
 
 def row_levels(M: NDArray[np.float64], part_of_row: NDArray[np.int_], parts: int) -> NDArray[np.float64]:
@@ -124,7 +159,7 @@ def row_levels(M: NDArray[np.float64], part_of_row: NDArray[np.int_], parts: int
     Nearest to one size in each column, whatever factors the columns have; one for the first of parts that columns join.
     """
     columns = np.arange(M.shape[1])
-    v = _potentials(np.abs(M), part_of_row, parts + columns, parts + len(columns), np.zeros(0), 0.0)
+    v = _potentials(np.abs(M), part_of_row, parts + columns, parts + len(columns))
     return powers_of_two(v[:parts])
 
 
@@ -135,28 +170,24 @@ def _rounded(v: NDArray[np.float64], n: int, q: int) -> Units:
 
 
 @cached_by_entries
-def _system_potentials(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> NDArray[np.float64]:
-    """Return the potentials of states, inputs and outputs."""
+def _system_potentials(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> tuple[NDArray[np.float64], float]:
+    """Return the potentials of states, inputs and outputs, and the logarithm of the level they bring entries to."""
     n = len(A)
     W = np.abs(bordered(A, B, C, D))
-    v = _potentials_of(W, n)
+    v, level = _potentials_at_level(W, n)
     u = _rounded(v, n, W.shape[1] - n)
     if _is_far(W, np.concatenate([1 / u.states, u.outputs]), np.concatenate([u.states, u.inputs])):
-        v = _potentials_of(_without_wide_residue(W), n)
-    return v
+        return _potentials_at_level(_without_wide_residue(W), n)
+    return v, level
 
 
-def _potentials_of(W: NDArray[np.float64], n: int) -> NDArray[np.float64]:
-    """Return the potentials for the sizes of the entries of ``[A B; C D]`` with ``n`` states."""
-    W = W.copy()
-    diagonal = W.diagonal()[:n].copy()
-    level = float(np.log2(diagonal.max())) if np.any(diagonal) else 0.0
-    np.fill_diagonal(W[:n, :n], 0.0)  # the units of the states do not change it
-    q, p = W.shape[1] - n, W.shape[0] - n
-    # Nodes: states, inputs, outputs; scaling multiplies the entry from column j to row i by 2^(v_j - v_i).
-    row_node = np.concatenate([np.arange(n), n + q + np.arange(p)])
-    column_node = np.arange(n + q)
-    return _potentials(W, row_node, column_node, n + q + p, diagonal, level)
+def _potentials_at_level(W: NDArray[np.float64], n: int) -> tuple[NDArray[np.float64], float]:
+    """Return the same for the sizes of the entries of ``[A B; C D]`` with ``n`` states."""
+    diagonal = W.diagonal()[:n]
+    v, level = _rated_potentials(W, n, float(np.log2(diagonal.max())) if np.any(diagonal) else -np.inf)
+    level = level or 0.0
+    v[W.shape[1] :] -= level  # what enters outputs has no rate, but they have units of their own
+    return v, level
 
 
 @cached_by_entries
@@ -169,7 +200,7 @@ def matrix_units(M: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 def _matrix_units(W: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     p, q = W.shape
-    v = _potentials(W, np.arange(p), p + np.arange(q), p + q, np.zeros(0), 0.0)
+    v = _potentials(W, np.arange(p), p + np.arange(q), p + q)
     T = powers_of_two(v)
     return 1.0 / T[:p], T[p:]
 
@@ -257,79 +288,73 @@ def _real(W: NDArray[np.float64], largest: NDArray[np.float64]) -> NDArray[np.bo
     return floor < W
 
 
-def _potentials(
-    W: NDArray[np.float64],
-    row_node: NDArray,
-    column_node: NDArray,
-    count: int,
-    diagonal: NDArray[np.float64],
-    level: float,
-) -> NDArray[np.float64]:
-    """Return ``v`` such that the logarithms of ``W_ij 2^(v_j - v_i)`` are nearest to a level, residue left out."""
+def _potentials(W: NDArray[np.float64], row_node: NDArray, column_node: NDArray, count: int) -> NDArray[np.float64]:
+    """Return ``v`` such that the logarithms of ``W_ij 2^(v_j - v_i)`` are nearest to zero, residue left out."""
     W = W.copy()
     v = np.zeros(count)
     for _ in range(_ROUNDS):
         i, j = np.nonzero(W)
-        v = _least_squares(row_node[i], column_node[j], np.log2(W[i, j]) - level, count)
+        v = _least_squares(row_node[i], column_node[j], np.log2(W[i, j])[:, None], count)[:, 0]
         scaled = W * np.exp2(v[column_node][None, :] - v[row_node][:, None])
-        largest = scaled.copy()
-        np.fill_diagonal(largest[: len(diagonal), : len(diagonal)], diagonal)
-        keep = _real(scaled, largest)
+        keep = _real(scaled, scaled)
         if np.array_equal(keep, W > 0):
             break
         W = np.where(keep, W, 0.0)
     return v
 
 
-def _least_squares(row: NDArray, column: NDArray, logarithms: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """Minimise the sum of squares of ``logarithms + v[column] - v[row]``, the first node of each part at zero.
+def _least_squares(row: NDArray, column: NDArray, values: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    """Minimise the sum of squares of ``values + v[column] - v[row]``, the first node of each part at zero.
 
     Of each connected part only the differences of ``v`` matter; with the first at zero they are whole numbers apart
-    for units that are powers of two.
+    for units that are powers of two. For each column of ``values`` there is one of ``v``.
     """
-    L, b = _normal_equations(row, column, logarithms, count)
     free = np.ones(count, dtype=bool)
     free[_origins(row, column, count)] = False
-    v = np.zeros(count)
+    v = np.zeros((count, values.shape[1]))
     if free.any():
-        v[free] = np.linalg.solve(L[free][:, free], b[free])
+        edges = np.bincount(row * count + column, minlength=count * count).reshape(count, count)
+        ends = np.concatenate([row, column])
+        L = (np.diag(np.bincount(ends, minlength=count)) - edges - edges.T).astype(float)  # the Laplacian of the graph
+        b = [np.bincount(ends, weights=np.concatenate([one, -one]), minlength=count) for one in values.T]
+        v[free] = np.linalg.solve(L[free][:, free], np.array(b).T[free])
     return v
 
 
 def _with_rate(
-    row: NDArray, column: NDArray, logarithms: NDArray[np.float64], dynamic: NDArray[np.bool_], count: int
+    row: NDArray,
+    column: NDArray,
+    logarithms: NDArray[np.float64],
+    dynamic: NDArray[np.bool_],
+    count: int,
+    least: float = -np.inf,
 ) -> tuple[NDArray[np.float64], float | None]:
-    """Minimise the same with one unknown more, by which the logarithms of dynamic entries are larger; if it matters."""
+    """Minimise the same with one unknown more, by which the logarithms of dynamic entries are larger; if it matters.
+
+    It is no smaller than ``least``.
+    """
     shared = dynamic.astype(float)
-    free = np.ones(count, dtype=bool)
-    free[_origins(row, column, count)] = False
-    L, b = _normal_equations(row, column, logarithms, count)
-    _, c = _normal_equations(row, column, shared, count)
-    v, through = np.zeros(count), np.zeros(count)
-    if free.any():
-        v[free], through[free] = np.linalg.solve(L[free][:, free], np.column_stack([b, c])[free]).T
+    v, through = _least_squares(row, column, np.array([logarithms, shared]).T, count).T
     # minus what the potentials make of either
     left = shared + through[column] - through[row]
     own = float(left @ left)
     if own <= _NO_RATE * max(float(shared.sum()), 1.0):
         return v, None
-    rate = float(left @ (logarithms + v[column] - v[row])) / own
+    rate = max(float(left @ (logarithms + v[column] - v[row])) / own, least)
     return v - rate * through, rate
-
-
-def _normal_equations(
-    row: NDArray, column: NDArray, logarithms: NDArray[np.float64], count: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the Laplacian of the graph and the right-hand side of its least squares problem."""
-    ends = np.concatenate([row, column])
-    edges = np.bincount(row * count + column, minlength=count * count).reshape(count, count)
-    L = np.diag(np.bincount(ends, minlength=count)) - edges - edges.T
-    b = np.bincount(ends, weights=np.concatenate([logarithms, -logarithms]), minlength=count)
-    return L.astype(float), np.asarray(b, dtype=float)
 
 
 def _origins(row: NDArray, column: NDArray, count: int) -> NDArray[np.int_]:
     """Return the first node of each connected part."""
+    if len(row) <= _FEW:  # faster in lists
+        first = list(range(count))
+        for i, j in zip(row.tolist(), column.tolist(), strict=True):
+            while first[i] != i:
+                i = first[i]
+            while first[j] != j:
+                j = first[j]
+            first[max(i, j)] = min(i, j)
+        return np.array([i for i, origin in enumerate(first) if origin == i], dtype=int)
     coupled = np.zeros((count, count), dtype=bool)
     coupled[row, column] = True
     return np.array([part[0] for part in connected_parts(coupled)], dtype=int)
@@ -342,20 +367,6 @@ def _pencil_potentials(a: NDArray[np.float64], e: NDArray[np.float64]) -> tuple[
     row = np.concatenate([at[0] for at in places])
     column = p + np.concatenate([at[1] for at in places])
     logarithms = np.log2(np.concatenate([M[at] for M, at in zip((a, e), places, strict=True)]))
-    dynamic = np.r_[np.zeros(len(places[0][0])), np.ones(len(places[1][0]))]
-    fixed = _origins(row, column, p + q)
-    free = np.setdiff1d(np.arange(p + q), fixed)
-    L, b = _normal_equations(row, column, logarithms, p + q)
-    # The unit of s is one more unknown, which all entries of E share; c is its column.
-    c = np.zeros(p + q)
-    np.add.at(c, row, -dynamic)
-    np.add.at(c, column, dynamic)
-    v, through = np.zeros(p + q), np.zeros(p + q)
-    if free.size:
-        v[free], through[free] = np.linalg.solve(L[np.ix_(free, free)], np.column_stack([b, c])[free]).T
-    # What of the unit no units of rows and columns can imitate; where there is nothing it stays one.
-    own = float(dynamic.sum() - c @ through)
-    if own <= _NO_RATE * max(dynamic.sum(), 1.0):
-        return v, None
-    unit = float(-(dynamic @ logarithms + c @ v) / own)
-    return v - unit * through, unit
+    dynamic = np.arange(len(row)) >= len(places[0][0])
+    v, rate = _with_rate(row, column, logarithms, dynamic, p + q)
+    return v, None if rate is None else -rate

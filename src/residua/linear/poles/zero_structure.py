@@ -1,0 +1,73 @@
+"""Eigenvalues at zero, counted by ranks and taken out before any other is computed.
+
+Rounding scatters an eigenvalue of multiplicity ``m`` by the ``m``-th root of it: that of a chain of six integrators by
+a thousandth of the norm. Its multiplicity is the sum of the numbers of null vectors that are left, one level after the
+other, when those of the level before are divided out, each a decision about a rank, which rounding does not move.
+
+References
+----------
+V. N. Kublanovskaya, On a method of solving the complete eigenvalue problem for a degenerate matrix, USSR Comput. Math.
+Math. Phys. 6 (1966) 1-14. P. Van Dooren, The computation of Kronecker's canonical form of a singular pencil, Linear
+Algebra Appl. 27 (1979) 103-140.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.linear.subspaces.rank import decide_rank, row_and_null_basis
+
+Matrix = NDArray[np.float64]
+
+#: What the levels may take together, as a multiple of the cube of the size: each is a singular value decomposition.
+_WORK = 3e7
+#: So many levels are looked at however large a matrix is.
+_LEAST = 3
+
+
+def rounding_of(count: int) -> float:
+    """Return what orthogonal steps leave of a zero in a matrix of this size, relative to its norm."""
+    return 10 * count * float(np.finfo(float).eps)
+
+
+def scatter_of(multiplicity: int, count: int, size: float, rounding: float = 0.0) -> float:
+    """Return how far rounding, and more of it, scatters so many of ``count`` eigenvalues of a matrix from zero."""
+    return size * (rounding_of(count) + rounding) ** (1 / multiplicity) if multiplicity else 0.0
+
+
+def without_zero_eigenvalues(A: Matrix, E: Matrix | None, size: float) -> tuple[Matrix, Matrix | None, int, bool]:
+    """Take the eigenvalues at zero out of ``A``, or of the pencil ``A - sE``, by orthogonal steps.
+
+    Parameters
+    ----------
+    A : ndarray, shape (n, n)
+        In units in which all entries are comparable.
+    E : ndarray, shape (n, n), or None
+        Invertible; the identity when ``None``.
+    size : float
+        Norm of ``A``, or of what ``A`` was computed from: singular values that are rounding beside it are zero.
+
+    Returns
+    -------
+    A, E : ndarray
+        What is left, with the other eigenvalues.
+    count : int
+        How many were taken out.
+    regular : bool
+        Whether what is left is known to have none: of a large matrix only the first levels are looked at.
+    """
+    n = len(A)
+    rounding = rounding_of(n)
+    if decide_rank(A, rtol=rounding, scale=size).rank == n:
+        return A, E, 0, True
+    for _ in range(max(_LEAST, int(_WORK / n**3))):
+        kept, null, decision = row_and_null_basis(A, rtol=rounding, scale=size)
+        if decision.rank == len(A):
+            return A, E, n - len(A), True
+        if E is None:
+            A = kept.T @ A @ kept
+        else:  # the rows that the null vectors reach through E go with them
+            left = np.linalg.qr(E @ null, mode="complete")[0][:, null.shape[1] :]
+            A, E = left.T @ A @ kept, left.T @ E @ kept
+    return A, E, n - len(A), not len(A)

@@ -1,0 +1,90 @@
+"""How many states are hidden, and whether they die out, is the same in all units, and what exact arithmetic says."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import residua as rs
+
+
+def chain(*couplings: float) -> np.ndarray:
+    """Return a chain of integrators, the last one first."""
+    return np.diag(np.array(couplings, dtype=float), 1)
+
+
+def twice(A: np.ndarray) -> np.ndarray:
+    """Return two copies of a system beside each other."""
+    return np.kron(np.eye(2), A)
+
+
+def difference(C: list[list[float]]) -> np.ndarray:
+    """Return outputs that are differences of those of two copies."""
+    return np.hstack([np.array(C, dtype=float), -np.array(C, dtype=float)])
+
+
+_LONG = chain(0, 1, 1, 2, 1, 2, 1, 1)
+_LONG[0, -1] = -128
+_WITH_A_LAG = chain(192, 64, 64, 128) + np.diag([0, 0, 0, 0, 0.5])
+_SLOW = 2.0**-7
+_HIDDEN_FAST = [
+    [0, _SLOW, 0, 0, 0, _SLOW],
+    [-_SLOW, -_SLOW, 0, 0, 512, -_SLOW],
+    [0, -_SLOW, 0, 256, 0, -_SLOW],
+    [-256, 0, -256, 0, 0, 0],
+    [-512, 0, 0, 0, 0, 512],
+    [0, _SLOW, 0, 0, -512, _SLOW],
+]
+_EQUAL_FAST = [
+    [0, 512, 512, -512 - _SLOW, 0, -512],
+    [-512, 0, -512, 0, -512, 0],
+    [0, 0, 0, _SLOW, 0, 0],
+    [0, 0, -_SLOW, 0, 0, 0],
+    [0, 0, -512, 512, 0, 512],
+    [0, 0, _SLOW, _SLOW, -512, 0],
+]
+#: A pair with the number of its hidden states and whether all of these die out, in exact arithmetic.
+PAIRS = {
+    "two integrators behind seven": (_LONG / 64, [[0, 0, -2, 2, 0, 0, 0, 0, 0]], 2, False),
+    "a chain read at its end": (chain(64, 128, 192, 64, 64, 128, 192), [[1, 3, 3, -2, 0, 0, 0, 0]], 0, True),
+    "two chains and a lag": (twice(_WITH_A_LAG), difference([[2, -2, 0, 0, 0], [2, -3, 0, 0, 1]]), 5, False),
+    "a hidden fast oscillator": (_HIDDEN_FAST, [[3, 0, 3, 1, 0, 0], [-1, 2, 1, -1, 0, 2]], 2, False),
+    "two equal fast oscillators": (_EQUAL_FAST, [[0, -1, -2, 1, 0, 2]], 2, False),
+}
+
+
+def units_of(seed: int, n: int, p: int, powers: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return units of states and outputs."""
+    rng = np.random.default_rng(seed)
+    most = 20 if powers == 2 else 6
+    return powers ** rng.integers(-most, most + 1, n), powers ** rng.integers(-most, most + 1, p)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("rate", [1.0, 2.0**-20, 2.0**17])
+@pytest.mark.parametrize("name", PAIRS)
+def test_hidden_states_in_all_units(name: str, rate: float, seed: int) -> None:
+    A, C, hidden, die_out = PAIRS[name]
+    A, C = np.array(A, dtype=float), np.array(C, dtype=float)
+    x, y = units_of(seed, len(A), len(C), 2.0 if seed % 2 else 10.0)
+    found = rs.linear.detectability(rate * A / x[:, None] * x, C * x / y[:, None])
+    assert (len(found.unobservable_modes), found.detectable) == (hidden, die_out)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("name", ["a hidden fast oscillator", "two equal fast oscillators"])
+def test_hidden_oscillators_in_other_coordinates(name: str, seed: int) -> None:
+    """Where every entry is rounded."""
+    A, C, hidden, _ = PAIRS[name]
+    Q = np.linalg.qr(np.random.default_rng(seed).standard_normal((len(A), len(A))))[0]
+    assert len(rs.linear.detectability(Q.T @ A @ Q, C @ Q).unobservable_modes) == hidden
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_weak_couplings_are_real_where_nothing_is_rounded_to_their_size(seed: int) -> None:
+    """A cascade of oscillators that slow ones couple: all of it is seen."""
+    rng = np.random.default_rng(seed)
+    rates = 2.0 ** rng.integers(-10, 11, 4)
+    A = np.kron(np.diag(rates), [[0, 1], [-1, 0]]) + np.kron(np.diag(rates[1:] / 4, 1), [[0, 0], [1, 0]])
+    C = np.eye(1, 8)
+    assert rs.linear.observability_form(A, C).n_observable == 8

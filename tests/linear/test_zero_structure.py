@@ -1,0 +1,85 @@
+"""Zeros and poles at zero: as many as there are, in whatever units, and the others as they were."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.linalg
+
+from residua.linear import invariant_zeros
+from residua.linear.poles.matrix_poles import explicit_poles
+from residua.linear.poles.zero_structure import without_zero_eigenvalues
+
+
+def chains(rng, lengths, others):
+    """Return a matrix with chains of integrators of these lengths and further poles, in random coordinates."""
+    blocks = [np.diag(2.0 ** rng.integers(-3, 4, k - 1), 1) for k in lengths]
+    A = scipy.linalg.block_diag(*blocks, *others)
+    Q = np.linalg.qr(rng.normal(size=A.shape))[0]
+    return Q @ A @ Q.T
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_chains_of_integrators_have_all_their_poles_at_zero_and_nothing_else_has(seed):
+    rng = np.random.default_rng(seed)
+    lengths = [int(k) for k in rng.integers(1, 6, rng.integers(1, 4))]
+    others = np.sign(rng.normal(size=3)) * 10.0 ** rng.uniform(-6, 0, 3)  # a double zero is scattered by as much
+    A = chains(rng, lengths, others)
+    poles = explicit_poles(A)
+    assert np.count_nonzero(poles == 0) == sum(lengths)
+    np.testing.assert_allclose(np.sort(poles[poles != 0].real), np.sort(others), rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_pencil_keeps_its_other_eigenvalues(seed):
+    rng = np.random.default_rng(seed)
+    A = chains(rng, [3, 2], [-1.0, 2.0])
+    T = rng.normal(size=A.shape) + 3 * np.eye(7)
+    rest, E, count, regular = without_zero_eigenvalues(T @ A, T, float(np.linalg.norm(T @ A)))
+    assert (count, regular) == (5, True)
+    np.testing.assert_allclose(np.sort(scipy.linalg.eigvals(rest, E).real), [-1, 2], rtol=1e-9)
+
+
+def test_of_a_large_matrix_the_first_levels_are_looked_at_and_the_rest_is_told_from_rounding():
+    n = 120
+    Q = np.linalg.qr(np.random.default_rng(0).normal(size=(n, n)))[0]
+    A = Q @ np.diag(np.ones(n - 1), 1) @ Q.T
+    _, _, count, regular = without_zero_eigenvalues(A, None, float(np.linalg.norm(A)))
+    assert 3 <= count < n
+    assert not regular
+    assert not explicit_poles(A).any()
+
+
+def test_a_matrix_that_is_singular_by_rounding_alone_has_no_pole_at_zero():
+    """Far from normal, with both poles at one: singular values differ by more digits than a float has."""
+    A = np.eye(2) + 2.0**24 * np.array([[1, -1], [1, -1]])
+    values = np.linalg.svd(A, compute_uv=False)
+    assert values[-1] < 1e-14 * values[0]
+    np.testing.assert_allclose(explicit_poles(A), 1, atol=0.3)
+
+
+@pytest.mark.parametrize("factor", [2.0**-20, 2.0**-7, 2.0**13])
+@pytest.mark.parametrize("seed", range(10))
+def test_poles_and_zeros_are_the_same_in_whatever_unit_of_time(seed, factor):
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(2, 7))
+    A = rng.integers(-3, 4, (n, n)) * (rng.random((n, n)) < 0.6)
+    np.fill_diagonal(A, 0 if seed % 2 else A.diagonal())
+    B, C = rng.integers(-3, 4, (n, 1)), rng.integers(-3, 4, (1, n))
+    T = 2.0 ** rng.integers(-20, 21, n)
+    B, C = B / T[:, None], 2.0**9 * C * T
+    scaled = A / T[:, None] * T
+    np.testing.assert_array_equal(explicit_poles(factor * scaled), factor * explicit_poles(A.astype(float)))
+    here, there = invariant_zeros(scaled, B, C), invariant_zeros(factor * scaled, factor * B, C)
+    assert here.normal_rank == there.normal_rank
+    np.testing.assert_array_equal(there.zeros, factor * here.zeros)
+
+
+def test_a_weak_coupling_neither_scatters_zeros_nor_is_lost_among_them():
+    """The numerators are ``s^4 - 2.5e-5 s^2`` and ``3 s^4 + 2.5e-5 s^3``."""
+    C = [[0.0, 0, -1, 0, 1]]
+    zeros = invariant_zeros(np.diag([2.0, 1, 2.5e-5, 1], 1), np.eye(5)[:, -1:], C).zeros
+    np.testing.assert_allclose(zeros, [-0.005, 0, 0, 0.005], rtol=1e-9)
+    B = [[0.0], [0], [3], [2.5e-5], [0]]
+    zeros = invariant_zeros(np.diag([1.0, 2, 1, 1], 1), B, [[0.0, 0, 1, 1, 0]]).zeros
+    np.testing.assert_allclose(zeros, [-2.5e-5 / (3 + 2.5e-5), 0, 0, 0], rtol=1e-9)
