@@ -226,12 +226,8 @@ typedef void (*runner)(const job *);
     }                                                                                                                 \
     TARGET static void FAMILY##_blocks(const job *q) { run_blocks(q, block_product_##FAMILY); }
 
-/* Numbers further on, which need not be there; of no use where samples are looked at once. */
-#if defined(RESIDUA_JUDGES)
+/* Numbers further on, which need not be there: processors that guess them by themselves lose nothing. */
 #define ASK_FOR(at, further) __builtin_prefetch((const char *)((uintptr_t)(at) + (uintptr_t)(further) * sizeof(double)));
-#else
-#define ASK_FOR(at, further)
-#endif
 
 /* JUDGE: whether residuals are also centred and whitened, and their squares added up. A row of residuals is stored
  * with what stands in the lanes behind it, where the next rows come to lie. */
