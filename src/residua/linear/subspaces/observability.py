@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua import arrays
 from residua.errors import AccuracyError
-from residua.linear.poles.stability import dies_out, modes_with_uncertainty
+from residua.linear.poles.stability import dies_out, hidden_modes
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, spectral_norm
 from residua.linear.subspaces.staircase_steps import staircase_steps
 from residua.linear.systems.array_cache import cached_by_contents, copied
@@ -221,8 +221,7 @@ def observability_form(A: ArrayLike, C: ArrayLike, *, rtol: float = DEFAULT_RTOL
         )
     At[:k, k:] = 0.0
     Ct[:, k:] = 0.0
-    Q2 = form.Q[:, k:]
-    modes, uncertainty = modes_with_uncertainty(Q2.T @ form.A @ Q2, form.rounding)
+    modes, uncertainty = hidden_modes(form.A, form.Q, k, form.rounding)
     return ObservabilityForm(Q, At, Ct, k, form.decisions, modes, uncertainty, residual, form.size)
 
 
