@@ -111,7 +111,12 @@ class Staircase:
 
 
 def staircase(
-    A: NDArray[np.float64], C: NDArray[np.float64], *, rtol: float = DEFAULT_RTOL, units: str = "balanced"
+    A: NDArray[np.float64],
+    C: NDArray[np.float64],
+    *,
+    rtol: float = DEFAULT_RTOL,
+    units: str = "balanced",
+    compare: bool = True,
 ) -> Staircase:
     """Reduce a pair to the observability staircase in balanced units.
 
@@ -123,6 +128,8 @@ def staircase(
         Relative to the norm of ``A`` (without its multiple of the identity) or of ``C``.
     units : {"balanced", "given"}
         Even out the norms of rows and columns, or take the caller's units, which are comparable already.
+    compare : bool
+        Whether couplings that may be rounding are compared with those of copies that differ in their last digits.
 
     Returns
     -------
@@ -134,7 +141,7 @@ def staircase(
     if units == "balanced":
         scaled = balance_system(A, np.zeros((n, 0)), C, np.zeros((p, 0)))
         A, C, T, Y = scaled.A, scaled.C, scaled.states, scaled.outputs
-    steps = staircase_steps(A, C, rtol)
+    steps = staircase_steps(A, C, rtol, compare=compare)
     return Staircase(A, C, steps.Q, steps.n_observable, steps.n_seen, steps.decisions, T, Y, steps.dropped)
 
 
