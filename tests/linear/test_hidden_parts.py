@@ -56,6 +56,7 @@ PAIRS = {
     "a chain read at its end": (chain(64, 128, 192, 64, 64, 128, 192), [[1, 3, 3, -2, 0, 0, 0, 0]], 0, True),
     "two chains and a lag": (twice(_WITH_A_LAG), difference([[2, -2, 0, 0, 0], [2, -3, 0, 0, 1]]), 5, False),
     "a hidden fast oscillator": (_HIDDEN_FAST, [[3, 0, 3, 1, 0, 0], [-1, 2, 1, -1, 0, 2]], 2, False),
+    "two chains of integrators": (twice(chain(192, 64) * 2.0**18), difference([[0, 0, 2], [-3, 0, 0]]), 3, False),
     "hidden lags on one slow pole": (_LONG_LAGS, [[1, 0, 0, 0, 0, 0, 0, 0, 0]], 8, True),
     "slow lags behind a fast one": (_SLOW_LAGS, [[1, 0, 0, 0, 0, 0, 0]], 6, True),
     "two equal fast oscillators": (_EQUAL_FAST, [[0, -1, -2, 1, 0, 2]], 2, False),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -16,7 +17,7 @@ from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, spectral_n
 from residua.linear.subspaces.staircase_steps import staircase_steps
 from residua.linear.systems.array_cache import cached_by_contents, copied
 from residua.linear.systems.balancing import balance_system
-from residua.tolerances import RESIDUE, above_rounding
+from residua.tolerances import RESIDUE, ROUNDING, above_rounding
 
 _EPS = float(np.finfo(float).eps)
 #: How much of ``norm(A)`` the staircase may drop in the caller's coordinates before it is called a failure.
@@ -145,23 +146,50 @@ def staircase(
     return Staircase(A, C, steps.Q, steps.n_observable, steps.n_seen, steps.decisions, T, Y, steps.dropped)
 
 
-def _orthogonal(form: Staircase, noise: float) -> NDArray[np.float64]:
-    """Return ``Q`` in the caller's units: its last columns span the unobservable subspace ``T Q2``.
+def _hidden_bases(form: Staircase, noise: float) -> Iterator[NDArray[np.float64]]:
+    """Return bases of the hidden subspace in balanced units: as it is, without rounding, and of few states each.
 
-    Entries of ``Q2`` up to ``noise`` are taken for rounding, which would be a direction where other states have larger
-    units.
+    Entries up to ``noise`` are taken for rounding, which would be a direction where other states have larger units. The
+    last one is the identity in some of the rows: what mixes columns there mixes states in whatever units.
     """
+    Q2 = form.Q[:, form.n_observable :]
+    yield Q2
+    yield above_rounding(Q2, 1.0, noise)
+    rows = scipy.linalg.qr(Q2.T, mode="r", pivoting=True)[1][: Q2.shape[1]]
+    yield above_rounding(np.linalg.solve(Q2[rows].T, Q2.T).T, 1.0, noise)
+
+
+def _orthogonal(form: Staircase, hidden: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return ``Q`` in the caller's units: its last columns span the unobservable subspace ``T Q2``."""
     k = form.n_observable
     n = form.Q.shape[0]
-    if np.all(form.states == 1) or k in (0, n):
-        return form.Q
-    N = form.states[:, None] * above_rounding(form.Q[:, k:], 1.0, noise)
+    N = form.states[:, None] * hidden
     # Sorted rows and pivoted columns keep the small rows of a badly scaled basis accurate.
     order = np.argsort(-np.abs(N).max(axis=1), kind="stable")
     full = scipy.linalg.qr(N[order], pivoting=True)[0]
     Q = np.empty_like(full)
     Q[order] = full
     return np.hstack([Q[:, n - k :], Q[:, : n - k]])
+
+
+def _in_units_of_caller(
+    form: Staircase, A: NDArray[np.float64], C: NDArray[np.float64], rtol: float
+) -> tuple[NDArray[np.float64], float]:
+    """Return ``Q`` in the caller's units and what it drops: that of the bases that drops least, or only rounding."""
+    k = form.n_observable
+    if np.all(form.states == 1) or k in (0, len(A)):
+        return form.Q, _dropped(A, C, form.Q, k)
+    best: tuple[NDArray[np.float64], float] | None = None
+    # the hidden subspace is known to rounding times the condition of what sees the rest
+    for hidden in _hidden_bases(form, min(rtol, form.rounding_of_basis)):
+        Q = _orthogonal(form, hidden)
+        dropped = _dropped(A, C, Q, k)
+        if best is None or dropped < best[1]:
+            best = Q, dropped
+        if dropped <= ROUNDING:
+            break
+    assert best is not None
+    return best
 
 
 def _dropped(A: NDArray, C: NDArray, Q: NDArray, k: int) -> float:
@@ -217,9 +245,7 @@ def observability_form(A: ArrayLike, C: ArrayLike, *, rtol: float = DEFAULT_RTOL
     C = arrays.matrix(C, "C", (None, A.shape[0]))
     form = staircase(A, C, rtol=rtol)
     k = form.n_observable
-    # the hidden subspace is known to rounding times the condition of what sees the rest; of two the one that drops less
-    bases = [_orthogonal(form, noise) for noise in (0.0, min(rtol, form.rounding_of_basis))]
-    residual, Q = min(((_dropped(A, C, basis, k), basis) for basis in bases), key=lambda one: one[0])
+    Q, residual = _in_units_of_caller(form, A, C, rtol)
     At, Ct = Q.T @ A @ Q, C @ Q
     if residual > max(_MOST_DROPPED, 10 * rtol):
         raise AccuracyError(
