@@ -33,6 +33,17 @@ def _relations(made: rs.design.ResidualGenerator, t: float) -> list[NDArray]:
     return [*newest, *(row.divided / t for row in rows), *(row.basis.sizes / t for row in rows)]
 
 
+def _polynomials(made: rs.design.ResidualGenerator, t: float) -> list[NDArray]:
+    relations = made.to_parity()
+
+    def in_time(P: PolynomialMatrix, lower: int = 0) -> NDArray:
+        powers = np.arange(P.degree + 1.0)[:, None] - np.array(relations.orders) + lower
+        return P.coefficients * t ** powers[:, :, None]
+
+    rows = relations.output_rows, relations.input_rows, relations.fault_rows, relations.disturbance_rows
+    return [in_time(relations.state_rows, 1), *map(in_time, rows)]
+
+
 def _other_poles(plant: Plant, t: float) -> list[NDArray]:
     made = rs.design.decoupled_residual(plant)
     s = made.with_poles([-t] * max(made.to_parity().orders)).system
@@ -61,6 +72,9 @@ FORMS: Mapping[str, Form] = {
     "general form": _general,
     "relations of a residual": lambda p, t: _relations(rs.design.decoupled_residual(p), t),
     "relations of a filter": lambda p, t: _relations(rs.design.detection_filter(p), t),
+    "polynomials of relations": lambda p, t: _polynomials(rs.design.parity_relations(p), t),
+    "polynomials of primary residuals": lambda p, t: _polynomials(rs.design.primary_residuals(p), t),
+    "polynomials of a filter": lambda p, t: _polynomials(rs.design.detection_filter(p), t),
     "other poles": _other_poles,
     "equations": _equations,
     "equations of one denominator": lambda p, t: _equations(p, t, common=True),

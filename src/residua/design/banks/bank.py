@@ -22,6 +22,7 @@ from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace
 from residua.plant import Plant
 from residua.plant.comparable_units import canonical_units
+from residua.tolerances import LEAKAGE, POLYNOMIAL_LEAKAGE
 from residua.words import counted
 
 #: Designs one member: takes its name, and the plant in which what the member ignores are disturbances; returns it for
@@ -291,7 +292,11 @@ def _stacked(parts: dict[str, ResidualGenerator], method: str, reference: str, d
         references=(reference,),
     )
     options: dict[str, Any] = {
-        "decouples": Decoupled(disturbances=decoupled),
+        # filters of polynomials have passed by what these may lose
+        "decouples": Decoupled(
+            disturbances=decoupled,
+            limit=LEAKAGE if all(g.relations is None for g in generators) else POLYNOMIAL_LEAKAGE,
+        ),
         "members": tuple(members),
         "codes": np.array(codes, dtype=bool).reshape(len(codes), len(plant.faults)),
     }

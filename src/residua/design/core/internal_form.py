@@ -37,6 +37,10 @@ _MEASURED_TWICE = _MEASURED**2
 _SMALL = float(np.sqrt(np.finfo(float).eps))
 #: Of the slowest zero, the part at which its response is the asymptote to a thousandth: ``sqrt(1 + 1 / 25**2)``.
 _BELOW_ZEROS = 25
+#: Where a response is looked at for a zero, as multiples of it.
+_AT_AND_BESIDE = np.array([1.0, 2.0, 0.5, 1.0 + 0.5j], dtype=complex)
+#: How far smaller it is at a zero than beside it.
+_FAR_SMALLER = 0.1
 #: Of the slowest pole, the part from which frequencies begin.
 _BELOW_POLES = 100
 #: Rad per sample from which leaks of a sampled plant are measured at least: a period of 6,000 samples.
@@ -278,13 +282,17 @@ def leak_frequencies(
     """
     w, system = frequency_grid(generator, plant.system(())), plant.system(roles)
     form = _in_differences(system)
-    if not form.n_inputs or np.all(form.poles() != 0):
+    integrators = int(np.count_nonzero(form.poles() == 0))
+    if not form.n_inputs or not integrators:
         return w
     low = 1.0371 * _slowest_zero(form) / _BELOW_ZEROS
     if system.is_discrete:
         own = _in_differences(generator)
         slowest = float(np.concatenate([_pole_sizes(form), _pole_sizes(own)]).min(initial=np.inf))
-        low = min(low, 1.0371 * _slowest_zero(own) / _BELOW_ZEROS, 1.0371 * slowest / _BELOW_POLES, _SLOW) / system.dt
+        low = (
+            min(low, 1.0371 * _slowest_zero(own, integrators) / _BELOW_ZEROS, 1.0371 * slowest / _BELOW_POLES, _SLOW)
+            / system.dt
+        )
         w = w[w > low]
     if w[0] <= low:
         return w
@@ -302,18 +310,31 @@ def _in_differences(system: StateSpace) -> StateSpace:
 _slowest: Latest[float] = Latest()
 
 
-def _slowest_zero(system: StateSpace) -> float:
-    """Return the size of the smallest zero of the response of an output to an input that is not at 0."""
+def _slowest_zero(system: StateSpace, multiplicity: int = 2) -> float:
+    """Return the size of the smallest zero of the response of an output to an input that is not at 0.
+
+    Rounding scatters one at 0 of some multiplicity, as a filter has where its plant integrates, by that root. In a
+    pencil it moves the zeros of a response that is weak beside others, too: a zero counts where its own response is far
+    smaller than beside it.
+    """
     A, B, C, D, E = system.A, system.B, system.C, system.D, system.E
 
     def found() -> float:
-        least = _SMALL * _size(system)
-        pairs = np.ndindex(system.D.shape)
-        zeros = [np.abs(invariant_zeros(A, B[:, [j]], C[[i]], D[[i]][:, [j]], E).zeros) for i, j in pairs]
-        sizes = np.concatenate([np.zeros(0), *zeros])
-        return float(np.min(sizes, where=sizes > least, initial=np.inf))
+        least = float(np.finfo(float).eps) ** (1 / max(multiplicity, 2)) * _size(system)
+        zeros = [
+            (zero, (i, j))
+            for i, j in np.ndindex(system.D.shape)
+            for zero in invariant_zeros(A, B[:, [j]], C[[i]], D[[i]][:, [j]], E).zeros
+            if np.abs(zero) > least and zero.imag >= 0
+        ]
+        even = in_even_units(system).system
+        for zero, (i, j) in sorted(zeros, key=lambda one: float(np.abs(one[0]))):
+            there, *beside = np.abs(response_terms(even, zero * _AT_AND_BESIDE).values[:, i, j])
+            if there < _FAR_SMALLER * np.median(beside):
+                return float(np.abs(zero))
+        return float(np.inf)
 
-    return _slowest.of(entries(A, B, C, D, E), found)
+    return _slowest.of((entries(A, B, C, D, E), multiplicity), found)
 
 
 def leakage(generator: StateSpace, plant: Plant, w: NDArray | None = None) -> dict[str, float]:

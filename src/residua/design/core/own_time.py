@@ -26,6 +26,7 @@ from residua.words import rates_in
 
 F = TypeVar("F", bound=Callable[..., Any])
 C = TypeVar("C", bound=type)
+T = TypeVar("T")
 
 #: Options of designs by the power of a rate in them.
 _OPTIONS = {"poles": 1.0, "margin": 1.0, "bandwidth": 1.0, "correlation_time": -1.0}
@@ -108,6 +109,13 @@ def _unit_of(options: Mapping[str, Any]) -> float:
         if sizes.size:
             return float(powers_of_two(np.log2(np.exp(np.mean(np.log(sizes), keepdims=True))))[0])
     return 1.0
+
+
+def written_in_own_time(made: T) -> tuple[T, float]:
+    """Return what is made for a plant in the plant's own unit of time, and that unit; itself where it has no other."""
+    plant = cast(Any, made).plant
+    unit = 1.0 if plant.is_discrete else unit_of_rates_of(plant) or 1.0
+    return (made if unit == 1.0 else _Change(1.0 / unit).written(made)), unit
 
 
 class _Change:

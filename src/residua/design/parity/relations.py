@@ -15,7 +15,7 @@ from residua.design.core.canonical_design import in_units_of
 from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence, format_pole
 from residua.design.core.generator import ResidualGenerator, make_generator
-from residua.design.core.own_time import has_rates, in_own_time
+from residua.design.core.own_time import has_rates, in_own_time, written_in_own_time
 from residua.design.core.signals import signal_names
 from residua.design.parity.directional_pencil import Directions, changed_together, check_directions
 from residua.design.parity.realization import Realization, pole_basis, realize_relation
@@ -97,17 +97,17 @@ class ParityRelations:
     @property
     def input_rows(self) -> PolynomialMatrix:
         """The polynomials on the control inputs, shape (residuals, inputs)."""
-        return -self._response(self.plant.Bu, self.plant.Du)
+        return -self._response("u")
 
     @property
     def fault_rows(self) -> PolynomialMatrix:
         """The internal form: the polynomials on the faults, shape (residuals, faults)."""
-        return self._response(self.plant.Bf, self.plant.Df)
+        return self._response("f")
 
     @property
     def disturbance_rows(self) -> PolynomialMatrix:
         """The polynomials on the disturbances: what is left of those that were decoupled, or was not."""
-        return self._response(self.plant.Bd, self.plant.Dd)
+        return self._response("d")
 
     @property
     def parity_vectors(self) -> NDArray[np.float64]:
@@ -115,8 +115,23 @@ class ParityRelations:
         Q = self.output_rows.padded(max(self.orders, default=0))
         return Q.transpose(1, 0, 2).reshape(Q.shape[1], -1)
 
-    def _response(self, B: NDArray, D: NDArray) -> PolynomialMatrix:
+    @cached_property
+    def _own(self) -> tuple[ParityRelations, float]:
+        """The relations in the plant's own unit of time, in which powers are compared, and that unit."""
+        return written_in_own_time(self)
+
+    def _in_this_time(self, own: PolynomialMatrix, unit: float, lower: int = 0) -> PolynomialMatrix:
+        """Return rows of the relations in that unit as in the unit of these, of a degree that is so much lower."""
+        degrees = np.array(self.orders, dtype=float) - lower
+        powers = unit ** (degrees - np.arange(own.degree + 1.0)[:, None])
+        return PolynomialMatrix(own.coefficients * powers[:, :, None])
+
+    def _response(self, role: str) -> PolynomialMatrix:
         """Return ``p B + q D`` in powers, without what rounding leaves of nothing."""
+        own, unit = self._own
+        if own is not self:
+            return self._in_this_time(own._response(role), unit)
+        B, D = getattr(self.plant, f"B{role}"), getattr(self.plant, f"D{role}")
         k = max(self.orders, default=0)
         P, Q = self.state_rows.padded(k), self.output_rows.padded(k)
         value, terms = P @ B + Q @ D, np.abs(P) @ np.abs(B) + np.abs(Q) @ np.abs(D)
@@ -125,6 +140,10 @@ class ParityRelations:
     @cached_property
     def _in_powers(self) -> tuple[PolynomialMatrix, PolynomialMatrix]:
         """Return ``p`` and ``q`` in powers of the variable, refined where that costs digits."""
+        own, unit = self._own
+        if own is not self:
+            P, Q = own._in_powers
+            return self._in_this_time(P, unit, 1), self._in_this_time(Q, unit)
         most = max(self.orders, default=0)
         n, m = self.plant.n_states, self.plant.n_outputs
         P, Q = np.zeros((most + 1, len(self.rows), n)), np.zeros((most + 1, len(self.rows), m))

@@ -31,6 +31,8 @@ _ROUNDS = 3
 #: in is left out of the fit then.
 _FAR = 2.0**26
 _WIDE = 1e-11
+#: Edges up to which parts of a graph are joined faster one by one.
+_FEW = 128
 #: What of a unit of time is left beside those of the signals, of the entries that have it, where it is rounding alone.
 _NO_RATE = 1e-9
 
@@ -315,7 +317,7 @@ def _least_squares(row: NDArray, column: NDArray, values: NDArray[np.float64], c
         ends = np.concatenate([row, column])
         L = (np.diag(np.bincount(ends, minlength=count)) - edges - edges.T).astype(float)  # the Laplacian of the graph
         b = [np.bincount(ends, weights=np.concatenate([one, -one]), minlength=count) for one in values.T]
-        v[free] = np.linalg.solve(L[free][:, free], np.column_stack(b)[free])
+        v[free] = np.linalg.solve(L[free][:, free], np.array(b).T[free])
     return v
 
 
@@ -332,7 +334,7 @@ def _with_rate(
     It is no smaller than ``least``.
     """
     shared = dynamic.astype(float)
-    v, through = _least_squares(row, column, np.column_stack([logarithms, shared]), count).T
+    v, through = _least_squares(row, column, np.array([logarithms, shared]).T, count).T
     # minus what the potentials make of either
     left = shared + through[column] - through[row]
     own = float(left @ left)
@@ -344,6 +346,15 @@ def _with_rate(
 
 def _origins(row: NDArray, column: NDArray, count: int) -> NDArray[np.int_]:
     """Return the first node of each connected part."""
+    if len(row) <= _FEW:  # faster in lists
+        first = list(range(count))
+        for i, j in zip(row.tolist(), column.tolist(), strict=True):
+            while first[i] != i:
+                i = first[i]
+            while first[j] != j:
+                j = first[j]
+            first[max(i, j)] = min(i, j)
+        return np.array([i for i, origin in enumerate(first) if origin == i], dtype=int)
     coupled = np.zeros((count, count), dtype=bool)
     coupled[row, column] = True
     return np.array([part[0] for part in connected_parts(coupled)], dtype=int)
