@@ -146,6 +146,11 @@ def staircase(
     return Staircase(A, C, steps.Q, steps.n_observable, steps.n_seen, steps.decisions, T, Y, steps.dropped)
 
 
+def _same_units(form: Staircase) -> bool:
+    """Tell whether the form is orthogonal in the caller's units as it is."""
+    return bool(np.all(form.states == 1)) or form.n_observable in (0, len(form.Q))
+
+
 def _hidden_bases(form: Staircase, noise: float) -> Iterator[NDArray[np.float64]]:
     """Return bases of the hidden subspace in balanced units: as it is, without rounding, and of few states each.
 
@@ -154,6 +159,8 @@ def _hidden_bases(form: Staircase, noise: float) -> Iterator[NDArray[np.float64]
     """
     Q2 = form.Q[:, form.n_observable :]
     yield Q2
+    if _same_units(form):
+        return
     yield above_rounding(Q2, 1.0, noise)
     rows = scipy.linalg.qr(Q2.T, mode="r", pivoting=True)[1][: Q2.shape[1]]
     yield above_rounding(np.linalg.solve(Q2[rows].T, Q2.T).T, 1.0, noise)
@@ -161,6 +168,8 @@ def _hidden_bases(form: Staircase, noise: float) -> Iterator[NDArray[np.float64]
 
 def _orthogonal(form: Staircase, hidden: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return ``Q`` in the caller's units: its last columns span the unobservable subspace ``T Q2``."""
+    if _same_units(form):
+        return form.Q
     k = form.n_observable
     n = form.Q.shape[0]
     N = form.states[:, None] * hidden
@@ -177,8 +186,6 @@ def _in_units_of_caller(
 ) -> tuple[NDArray[np.float64], float]:
     """Return ``Q`` in the caller's units and what it drops: that of the bases that drops least, or only rounding."""
     k = form.n_observable
-    if np.all(form.states == 1) or k in (0, len(A)):
-        return form.Q, _dropped(A, C, form.Q, k)
     best: tuple[NDArray[np.float64], float] | None = None
     # the hidden subspace is known to rounding times the condition of what sees the rest
     for hidden in _hidden_bases(form, min(rtol, form.rounding_of_basis)):
