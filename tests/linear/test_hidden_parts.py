@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import residua as rs
+from residua.linear.subspaces.observable_part import UndetectableError, observable_part
 
 
 def chain(*couplings: float) -> np.ndarray:
@@ -43,12 +44,21 @@ _EQUAL_FAST = [
     [0, 0, -512, 512, 0, 512],
     [0, 0, _SLOW, _SLOW, -512, 0],
 ]
+_SLOW_LAGS = chain(0, 0.02, 0.02, 0.02, 0.02, 0.04) + np.diag([-300, *[-0.02] * 6])
+_SLOW_LAGS[[1, 3, 4, 5], 0] = [-1, -2, 2, -2]
+_SLOW_LAGS[2, 1] = -0.02
+_SLOW_LAGS[3, 2], _SLOW_LAGS[3, 5], _SLOW_LAGS[4, 6] = 0.02, 0.02, -0.04
+_LONG_LAGS = chain(0, *[1] * 7) + np.diag([-100, *[-0.001] * 8])
+_LONG_LAGS[1:, 0] = 0.5
 #: A pair with the number of its hidden states and whether all of these die out, in exact arithmetic.
 PAIRS = {
     "two integrators behind seven": (_LONG / 64, [[0, 0, -2, 2, 0, 0, 0, 0, 0]], 2, False),
     "a chain read at its end": (chain(64, 128, 192, 64, 64, 128, 192), [[1, 3, 3, -2, 0, 0, 0, 0]], 0, True),
     "two chains and a lag": (twice(_WITH_A_LAG), difference([[2, -2, 0, 0, 0], [2, -3, 0, 0, 1]]), 5, False),
     "a hidden fast oscillator": (_HIDDEN_FAST, [[3, 0, 3, 1, 0, 0], [-1, 2, 1, -1, 0, 2]], 2, False),
+    "two chains of integrators": (twice(chain(192, 64) * 2.0**18), difference([[0, 0, 2], [-3, 0, 0]]), 3, False),
+    "hidden lags on one slow pole": (_LONG_LAGS, [[1, 0, 0, 0, 0, 0, 0, 0, 0]], 8, True),
+    "slow lags behind a fast one": (_SLOW_LAGS, [[1, 0, 0, 0, 0, 0, 0]], 6, True),
     "two equal fast oscillators": (_EQUAL_FAST, [[0, -1, -2, 1, 0, 2]], 2, False),
 }
 
@@ -88,3 +98,16 @@ def test_weak_couplings_are_real_where_nothing_is_rounded_to_their_size(seed: in
     A = np.kron(np.diag(rates), [[0, 1], [-1, 0]]) + np.kron(np.diag(rates[1:] / 4, 1), [[0, 0], [1, 0]])
     C = np.eye(1, 8)
     assert rs.linear.observability_form(A, C).n_observable == 8
+
+
+@pytest.mark.parametrize("chained", [0.0, 1.0])
+def test_a_mode_far_slower_than_the_others_does_not_die_out(chained: float) -> None:
+    """For analysis and designs alike; where nothing else has a rate it is as fast as any."""
+    A = np.diag([-1.0, -2.0, -1e-18, -1e-18]) + chained * np.diag([0.0, 0.0, 1.0], 1)
+    C = np.array([[1.0, 1.0, 0.0, 0.0]])
+    assert not rs.linear.detectability(A, C)
+    with pytest.raises(UndetectableError):
+        observable_part(A, C, 0.0, 1e-10)
+    alone = A[2:, 2:], np.array([[0.0, 0.0]])
+    assert rs.linear.detectability(*alone)
+    assert observable_part(*alone, 0.0, 1e-10).fixed.size == 2

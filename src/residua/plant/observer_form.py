@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import AccuracyError, ModelError
-from residua.linear.poles.stability import modes_with_uncertainty
+from residua.linear.poles.stability import hidden_modes
 from residua.linear.polynomials.polynomial_matrix import PolynomialMatrix
 from residua.linear.subspaces.observability import staircase
 from residua.linear.subspaces.rank import RankDecision, decide_rank, equilibrated
@@ -200,9 +200,9 @@ def _improper(output: str, dt: float, why: str) -> ModelError:
 def reachable_part(system: StateSpace, rtol: float) -> ReachablePart:
     """Return the part of a system that its inputs reach, in balanced units; its transfer matrix is unchanged."""
     At, Bt = np.ascontiguousarray(system.A.T), np.ascontiguousarray(system.B.T)
-    form = staircase(At, Bt, rtol=rtol)
+    form = staircase(At, Bt, rtol=rtol, compare=False)  # callers compare responses, which tell more
     k = form.n_observable
-    removed, uncertainty = modes_with_uncertainty(form.Q[:, k:].T @ form.A @ form.Q[:, k:], form.rounding)
+    removed, uncertainty = hidden_modes(form.A, form.Q, k, form.rounding)
     if k < system.n_states:
         Q = form.Q[:, :k]
         system = system.replaced(

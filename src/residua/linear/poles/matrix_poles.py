@@ -18,13 +18,17 @@ def explicit_poles(A: NDArray) -> NDArray[np.complex128]:
 
 @cached_by_entries
 def _kept_poles(A: NDArray) -> NDArray[np.complex128]:
-    if len(A) and np.all(A):  # all states are one part: to find them is slower than to see that
-        return _poles_of_part(A)
-    from scipy.sparse.csgraph import connected_components  # slow to import; parts of a cascade have their own poles
+    return np.concatenate([np.zeros(0, dtype=complex), *(_poles_of_part(A[np.ix_(i, i)]) for i in strong_parts(A))])
 
-    count, part = connected_components(A != 0, connection="strong") if len(A) else (0, np.zeros(0, dtype=int))
-    chosen = [np.flatnonzero(part == i) for i in range(count)]
-    return np.concatenate([np.zeros(0, dtype=complex), *(_poles_of_part(A[np.ix_(i, i)]) for i in chosen)])
+
+def strong_parts(A: NDArray) -> list[NDArray[np.intp]]:
+    """Return the states in groups that act on one another, however far round: each has poles of its own."""
+    if not len(A) or np.all(A):  # all states are one part: to find them is slower than to see that
+        return [np.arange(len(A))] if len(A) else []
+    from scipy.sparse.csgraph import connected_components  # slow to import
+
+    count, part = connected_components(A != 0, connection="strong")
+    return [np.flatnonzero(part == i) for i in range(count)]
 
 
 def _poles_of_part(A: NDArray[np.float64]) -> NDArray[np.complex128]:

@@ -6,7 +6,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
-from residua.linear.poles.matrix_poles import is_rounding_of_zero
+from residua.linear.poles.matrix_poles import is_rounding_of_zero, strong_parts
 from residua.linear.poles.zero_structure import rounding_of, scatter_of, without_zero_eigenvalues
 from residua.tolerances import TINY
 
@@ -103,6 +103,46 @@ def modes_with_uncertainty(
     zero = is_rounding_of_zero(modes, cosine, size) & (np.abs(modes) <= _NEAR_ZERO * size)
     zero[_modes_at_zero(A, modes, size, perturbation)] = True
     return np.where(zero, 0.0, modes).astype(complex), moved / np.maximum(cosine, np.sqrt(_EPS))
+
+
+def hidden_modes(
+    A: NDArray[np.float64], Q: NDArray[np.float64], k: int, perturbation: float
+) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
+    """Return the modes of the hidden part of a matrix, and what rounding may have done to each.
+
+    They are eigenvalues of the whole, which parts without couplings both ways have apart: no chain of states scatters
+    them there, and no basis is rounded. Where those of the hidden block alone are less sharp, they only say which.
+
+    Parameters
+    ----------
+    A : ndarray, shape (n, n)
+    Q : ndarray, shape (n, n)
+        Orthogonal; its columns from ``k`` on span the hidden part.
+    k : int
+    perturbation : float
+        Norm of what the hidden block is off by, on top of rounding.
+
+    Returns
+    -------
+    modes : ndarray of complex
+    uncertainty : ndarray
+    """
+    modes, moved = modes_with_uncertainty(Q[:, k:].T @ A @ Q[:, k:], perturbation)
+    parts = strong_parts(A)
+    if not modes.size or len(parts) == 1 or moved.max() <= np.sqrt(_EPS) * float(np.linalg.norm(A)):
+        return modes, moved
+    from scipy.optimize import linear_sum_assignment  # slow to import
+
+    apart = [modes_with_uncertainty(A[np.ix_(part, part)]) for part in parts]
+    poles, own = (np.concatenate(both) for both in zip(*apart, strict=True))
+    distance = np.abs(modes[:, None] - poles)
+    chosen = linear_sum_assignment(distance)[1]
+    # a pole of another part that is as near may be the one
+    left = np.setdiff1d(np.arange(poles.size), chosen)
+    near = distance[:, left] <= 2 * np.diagonal(distance[:, chosen])[:, None]
+    other = np.where(near, np.abs(poles[chosen][:, None] - poles[left]), 0.0).max(axis=1, initial=0.0)
+    known = np.maximum(own[chosen], other)
+    return (poles[chosen], known) if known.max() < moved.max() else (modes, moved)
 
 
 def _modes_at_zero(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,12 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua import arrays
 from residua.errors import AccuracyError
-from residua.linear.poles.stability import dies_out, modes_with_uncertainty
+from residua.linear.poles.stability import dies_out, hidden_modes
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, spectral_norm
 from residua.linear.subspaces.staircase_steps import staircase_steps
 from residua.linear.systems.array_cache import cached_by_contents, copied
 from residua.linear.systems.balancing import balance_system
-from residua.tolerances import RESIDUE, above_rounding
+from residua.tolerances import RESIDUE, ROUNDING, above_rounding
 
 _EPS = float(np.finfo(float).eps)
 #: How much of ``norm(A)`` the staircase may drop in the caller's coordinates before it is called a failure.
@@ -111,7 +112,12 @@ class Staircase:
 
 
 def staircase(
-    A: NDArray[np.float64], C: NDArray[np.float64], *, rtol: float = DEFAULT_RTOL, units: str = "balanced"
+    A: NDArray[np.float64],
+    C: NDArray[np.float64],
+    *,
+    rtol: float = DEFAULT_RTOL,
+    units: str = "balanced",
+    compare: bool = True,
 ) -> Staircase:
     """Reduce a pair to the observability staircase in balanced units.
 
@@ -123,6 +129,8 @@ def staircase(
         Relative to the norm of ``A`` (without its multiple of the identity) or of ``C``.
     units : {"balanced", "given"}
         Even out the norms of rows and columns, or take the caller's units, which are comparable already.
+    compare : bool
+        Whether couplings that may be rounding are compared with those of copies that differ in their last digits.
 
     Returns
     -------
@@ -134,27 +142,61 @@ def staircase(
     if units == "balanced":
         scaled = balance_system(A, np.zeros((n, 0)), C, np.zeros((p, 0)))
         A, C, T, Y = scaled.A, scaled.C, scaled.states, scaled.outputs
-    steps = staircase_steps(A, C, rtol)
+    steps = staircase_steps(A, C, rtol, compare=compare)
     return Staircase(A, C, steps.Q, steps.n_observable, steps.n_seen, steps.decisions, T, Y, steps.dropped)
 
 
-def _orthogonal(form: Staircase, noise: float) -> NDArray[np.float64]:
-    """Return ``Q`` in the caller's units: its last columns span the unobservable subspace ``T Q2``.
+def _same_units(form: Staircase) -> bool:
+    """Tell whether the form is orthogonal in the caller's units as it is."""
+    return bool(np.all(form.states == 1)) or form.n_observable in (0, len(form.Q))
 
-    Entries of ``Q2`` up to ``noise`` are taken for rounding, which would be a direction where other states have larger
-    units.
+
+def _hidden_bases(form: Staircase, noise: float) -> Iterator[NDArray[np.float64]]:
+    """Return bases of the hidden subspace in balanced units: as it is, without rounding, and of few states each.
+
+    Entries up to ``noise`` are taken for rounding, which would be a direction where other states have larger units. The
+    last one is the identity in some of the rows: what mixes columns there mixes states in whatever units.
     """
+    Q2 = form.Q[:, form.n_observable :]
+    yield Q2
+    if _same_units(form):
+        return
+    yield above_rounding(Q2, 1.0, noise)
+    rows = scipy.linalg.qr(Q2.T, mode="r", pivoting=True)[1][: Q2.shape[1]]
+    yield above_rounding(np.linalg.solve(Q2[rows].T, Q2.T).T, 1.0, noise)
+
+
+def _orthogonal(form: Staircase, hidden: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return ``Q`` in the caller's units: its last columns span the unobservable subspace ``T Q2``."""
+    if _same_units(form):
+        return form.Q
     k = form.n_observable
     n = form.Q.shape[0]
-    if np.all(form.states == 1) or k in (0, n):
-        return form.Q
-    N = form.states[:, None] * above_rounding(form.Q[:, k:], 1.0, noise)
+    N = form.states[:, None] * hidden
     # Sorted rows and pivoted columns keep the small rows of a badly scaled basis accurate.
     order = np.argsort(-np.abs(N).max(axis=1), kind="stable")
     full = scipy.linalg.qr(N[order], pivoting=True)[0]
     Q = np.empty_like(full)
     Q[order] = full
     return np.hstack([Q[:, n - k :], Q[:, : n - k]])
+
+
+def _in_units_of_caller(
+    form: Staircase, A: NDArray[np.float64], C: NDArray[np.float64], rtol: float
+) -> tuple[NDArray[np.float64], float]:
+    """Return ``Q`` in the caller's units and what it drops: that of the bases that drops least, or only rounding."""
+    k = form.n_observable
+    best: tuple[NDArray[np.float64], float] | None = None
+    # the hidden subspace is known to rounding times the condition of what sees the rest
+    for hidden in _hidden_bases(form, min(rtol, form.rounding_of_basis)):
+        Q = _orthogonal(form, hidden)
+        dropped = _dropped(A, C, Q, k)
+        if best is None or dropped < best[1]:
+            best = Q, dropped
+        if dropped <= ROUNDING:
+            break
+    assert best is not None
+    return best
 
 
 def _dropped(A: NDArray, C: NDArray, Q: NDArray, k: int) -> float:
@@ -210,9 +252,7 @@ def observability_form(A: ArrayLike, C: ArrayLike, *, rtol: float = DEFAULT_RTOL
     C = arrays.matrix(C, "C", (None, A.shape[0]))
     form = staircase(A, C, rtol=rtol)
     k = form.n_observable
-    # the hidden subspace is known to rounding times the condition of what sees the rest; of two the one that drops less
-    bases = [_orthogonal(form, noise) for noise in (0.0, min(rtol, form.rounding_of_basis))]
-    residual, Q = min(((_dropped(A, C, basis, k), basis) for basis in bases), key=lambda one: one[0])
+    Q, residual = _in_units_of_caller(form, A, C, rtol)
     At, Ct = Q.T @ A @ Q, C @ Q
     if residual > max(_MOST_DROPPED, 10 * rtol):
         raise AccuracyError(
@@ -221,8 +261,7 @@ def observability_form(A: ArrayLike, C: ArrayLike, *, rtol: float = DEFAULT_RTOL
         )
     At[:k, k:] = 0.0
     Ct[:, k:] = 0.0
-    Q2 = form.Q[:, k:]
-    modes, uncertainty = modes_with_uncertainty(Q2.T @ form.A @ Q2, form.rounding)
+    modes, uncertainty = hidden_modes(form.A, form.Q, k, form.rounding)
     return ObservabilityForm(Q, At, Ct, k, form.decisions, modes, uncertainty, residual, form.size)
 
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from residua import arrays
 from residua.errors import DesignError
 from residua.linear.poles.spectrum import describe_modes
-from residua.linear.poles.stability import dies_out, modes_with_uncertainty
+from residua.linear.poles.stability import dies_out, hidden_modes
 from residua.linear.subspaces.observability import Staircase, staircase
 from residua.linear.subspaces.rank import without_rounded_gains
 from residua.linear.systems.array_cache import cached_by_contents
@@ -114,12 +114,12 @@ def observable_part(A: ArrayLike, C: ArrayLike, dt: float, rtol: float) -> Obser
     C = arrays.matrix(C, "C", (None, A.shape[0]))
     form = staircase(A, C, rtol=rtol)
     k, r = form.n_observable, form.n_seen
-    Q1, Q2 = form.Q[:, :k], form.Q[:, k:]
+    Q1 = form.Q[:, :k]
     # The first step of the staircase is C = U S [I 0] Q'; with S^-1 U' the seen states become the outputs.
     U, s, _ = np.linalg.svd(form.C) if form.C.size else (np.eye(C.shape[0]), np.zeros(0), None)
     to_outputs = np.zeros((0, C.shape[0])) if not r else U[:, :r].T / s[:r, None]
     H = to_outputs @ form.C @ Q1
-    fixed, uncertainty = modes_with_uncertainty(Q2.T @ form.A @ Q2, form.rounding)
+    fixed, uncertainty = hidden_modes(form.A, form.Q, k, form.rounding)
     stable = dies_out(fixed, uncertainty, dt, form.size)
     if not stable.all():
         raise UndetectableError(

@@ -59,7 +59,7 @@ def states_with_a_path(A: NDArray, C: NDArray) -> NDArray[np.bool_]:
     return seen
 
 
-def staircase_steps(A: NDArray[np.float64], C: NDArray[np.float64], rtol: float) -> Steps:
+def staircase_steps(A: NDArray[np.float64], C: NDArray[np.float64], rtol: float, *, compare: bool = True) -> Steps:
     """Take the steps of a staircase of a pair in comparable units.
 
     Parameters
@@ -68,6 +68,8 @@ def staircase_steps(A: NDArray[np.float64], C: NDArray[np.float64], rtol: float)
     C : ndarray, shape (p, n)
     rtol : float
         Relative to the norm of ``A`` (without its multiple of the identity) or of ``C``.
+    compare : bool
+        Whether weak couplings are compared with those of copies.
 
     Returns
     -------
@@ -75,29 +77,29 @@ def staircase_steps(A: NDArray[np.float64], C: NDArray[np.float64], rtol: float)
     """
     path = states_with_a_path(A, C)
     if path.all():
-        return _steps(A, C, rtol)
+        return _steps(A, C, rtol, compare)
     order = np.r_[np.flatnonzero(path), np.flatnonzero(~path)]
     k = int(path.sum())
-    found = _steps(A[np.ix_(order[:k], order[:k])], C[:, order[:k]], rtol)
+    found = _steps(A[np.ix_(order[:k], order[:k])], C[:, order[:k]], rtol, compare)
     Q = np.zeros_like(A)
     Q[np.ix_(order[:k], np.arange(k))] = found.Q
     Q[order[k:], np.arange(k, len(A))] = 1.0
     return Steps(Q, found.n_observable, found.n_seen, found.decisions, found.dropped)
 
 
-def _steps(A: NDArray[np.float64], C: NDArray[np.float64], rtol: float) -> Steps:
+def _steps(A: NDArray[np.float64], C: NDArray[np.float64], rtol: float, compare: bool) -> Steps:
     """Take the steps where every state has a path; with copies where a weak coupling may be rounding."""
     if not len(A):
         return Steps(np.eye(0), 0, 0, (), 0.0)
     sizes = _Sizes.of(A, C, rtol)
-    found = _taken([(A, C)], sizes, rtol)
+    found = _taken([(A, C)], sizes, rtol, compare)
     if found is None:
         rng = np.random.default_rng(0)
 
         def like(M: NDArray[np.float64]) -> NDArray[np.float64]:
             return M * (1 + _EPS * rng.integers(-_LAST_PLACES, _LAST_PLACES + 1, M.shape))
 
-        found = _taken([(A, C), *((like(A), like(C)) for _ in range(_COPIES))], sizes, rtol)
+        found = _taken([(A, C), *((like(A), like(C)) for _ in range(_COPIES))], sizes, rtol, compare)
     assert found is not None
     return found
 
@@ -121,7 +123,7 @@ class _Sizes:
         return _Sizes(spectral_norm(C), size, shifted, max(shifted, min(size, floor)))
 
 
-def _taken(pairs: list[Pair], sizes: _Sizes, rtol: float) -> Steps | None:
+def _taken(pairs: list[Pair], sizes: _Sizes, rtol: float, compare: bool) -> Steps | None:
     """Take the steps of a pair and its copies; or of a pair alone, and return nothing where it needs copies."""
     n = len(pairs[0][0])
     runs = [_Run(A, C, np.eye(n)) for A, C in pairs]
@@ -134,7 +136,7 @@ def _taken(pairs: list[Pair], sizes: _Sizes, rtol: float) -> Steps | None:
         tolerance = rtol * size
         rank = int(np.count_nonzero(s > tolerance))
         rounding = 10 * _EPS * (sizes.A if one.seen else sizes.C) + turned * sizes.shifted
-        if rank and s[rank - 1] < min(_WEAK * size, _SURELY * rounding):
+        if compare and rank and s[rank - 1] < min(_WEAK * size, _SURELY * rounding):
             if not copies:
                 return None
             tolerance = max(tolerance, _SURELY * max(one.distance(other) for other in copies))
