@@ -161,6 +161,8 @@ _EARLIER = [
     ("repeated poles", 7140, designs._estimators),
     # what rounding left of couplings that cancel was a state that a residual needs
     ("repeated poles", 7040, designs._decoupled),
+    # small rows of a basis in the units of the residuals had lost their digits beside large ones
+    ("stiff", 41000, designs._filters),
 ]
 
 
