@@ -17,7 +17,7 @@ _NO_RESPONSE = 1e-13
 
 def _matrix(M: NDArray) -> acb_mat:
     rows, columns = M.shape
-    return acb_mat(rows, columns, [acb(float(x)) for x in M.ravel()])
+    return acb_mat(rows, columns, M.ravel().tolist())
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,14 +30,20 @@ class _Solved:
     terms: NDArray[np.float64]
 
 
-def _solved(E: NDArray | None, A: NDArray, B: NDArray, C: NDArray, D: NDArray, s: acb) -> _Solved:
-    """Return a response, with the sums of the sizes of what each entry is the sum of."""
-    n = len(A)
-    if not n or not B.shape[1] or not len(C):
-        return _Solved(None, None, _matrix(D), np.abs(D))
-    M = _matrix(np.eye(n) if E is None else E) * s - _matrix(A)
-    X = M.solve(_matrix(B))
-    return _Solved(M, X, _matrix(C) * X + _matrix(D), np.abs(C) @ np.abs(_floats(X)) + np.abs(D))
+class _System:
+    """A system of balls, made once for all points."""
+
+    def __init__(self, E: NDArray | None, A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> None:
+        self.sizes_of_C, self.sizes_of_D = np.abs(C), np.abs(D)
+        self.E, self.A, self.B, self.C, self.D = (_matrix(M) for M in (np.eye(len(A)) if E is None else E, A, B, C, D))
+
+    def at(self, s: acb) -> _Solved:
+        """Return a response, with the sums of the sizes of what each entry is the sum of."""
+        if not (self.A.nrows() and self.B.ncols() and self.C.nrows()):
+            return _Solved(None, None, self.D, self.sizes_of_D)
+        M = self.E * s - self.A
+        X = M.solve(self.B)
+        return _Solved(M, X, self.C * X + self.D, self.sizes_of_C @ np.abs(_floats(X)) + self.sizes_of_D)
 
 
 def _floats(M: acb_mat) -> NDArray[np.complex128]:
@@ -62,19 +68,22 @@ class _PlantAt:
     """A plant at a frequency, for all filters of it: the point, the responses of the outputs and their sizes."""
 
     s: acb
-    response: acb_mat
+    signals: acb_mat  # what controls, disturbances and faults make of controls and outputs
     sizes: NDArray[np.float64]
 
 
 @lru_cache(maxsize=64)
-def _plant_at(x: float, dt: float, *entries: bytes) -> _PlantAt:
+def _plant_at(x: float, dt: float, controls: int, *entries: bytes) -> _PlantAt:
     """Return what is the same for all filters of a plant; arrays come as their shapes and bytes, which can be kept."""
     E, A, B, C, D = (_array(one) for one in entries)
     angle = arb(x) * arb(dt if dt else 1.0)
     s = acb(angle.cos(), angle.sin()) if dt else acb(0, arb(x))
-    found = _solved(E if E is not None and E.size else None, A, B, C, D, s)
+    found = _System(E if E.size else None, A, B, C, D).at(s)
     r, made = np.abs(_floats(found.response)), _made_of(found, B, C)
-    return _PlantAt(s, found.response, np.where(r < _NO_RESPONSE * made, made, r))  # not its own rounding
+    columns = B.shape[1]
+    read = [acb(i == j) for i in range(controls) for j in range(columns)]
+    signals = acb_mat(controls + len(C), columns, [*read, *found.response.entries()])
+    return _PlantAt(s, signals, np.where(r < _NO_RESPONSE * made, made, r))  # not its own rounding
 
 
 def _bytes(M: NDArray | None) -> bytes:
@@ -143,18 +152,12 @@ def paths(filter: Any, plant: Any, y: NDArray[np.float64], w: list[float]) -> Pa
         dt = float(plant.dt)
         entries = [_bytes(M) for M in (plant.E, plant.A, B, plant.C, D)]
         total, terms, reach, own = [], [], [], []
+        system = _System(None, filter.A, filter.B, filter.C, filter.D)
         for x in w:
-            at = _plant_at(x, dt, *entries)
-            of_filter = _solved(None, filter.A, filter.B, filter.C, filter.D, at.s)
-            Q, P, r = of_filter.response, at.response, at.sizes
-            rows, p = Q.nrows(), P.nrows()
-            Qy = acb_mat(rows, p, [Q[i, m + k] for i in range(rows) for k in range(p)])
-            through = Qy * P
-            whole = acb_mat(
-                rows,
-                B.shape[1],
-                [through[i, j] + (Q[i, j] if j < m else 0) for i in range(rows) for j in range(B.shape[1])],
-            )
+            at = _plant_at(x, dt, m, *entries)
+            of_filter = system.at(at.s)
+            Q, r, rows = of_filter.response, at.sizes, of_filter.response.nrows()
+            whole = Q * at.signals
             q = np.abs(_floats(Q))
             inside = (of_filter.terms[:, m:] / y).max(axis=1, initial=0.0)
             own.append((q[:, m:] / y).max(axis=1, initial=0.0) / np.where(inside > 0, inside, 1.0))
@@ -165,18 +168,20 @@ def paths(filter: Any, plant: Any, y: NDArray[np.float64], w: list[float]) -> Pa
             terms.append(direct + q[:, m:] @ r)
             largest = (q[:, m:] / y).max(axis=1, initial=0.0)
             reach.append(direct + np.outer(largest, (r * y[:, None]).max(axis=0, initial=0.0)))
-        apart = _apart(plant, B, D)
+        apart = _apart(*entries)
         relative = np.array(own).max(axis=0, initial=0.0)
         return Paths(np.array(total), np.array(terms), np.array(reach), m, len(plant.disturbances), apart, relative)
     finally:
         ctx.prec = before
 
 
-def _apart(plant: Any, B: NDArray, D: NDArray) -> NDArray[np.bool_]:
+@lru_cache(maxsize=16)
+def _apart(*entries: bytes) -> NDArray[np.bool_]:
     """Tell which inputs belong to a part of the plant that nothing connects with some of the outputs."""
-    n, p = len(plant.A), len(plant.C)
-    E = np.eye(n) if plant.E is None else plant.E
-    linked = np.block([[(plant.A != 0) | (E != 0), B != 0], [plant.C != 0, D != 0]])
+    E, A, B, C, D = (_array(one) for one in entries)
+    n, p = len(A), len(C)
+    E = E if E.size else np.eye(n)
+    linked = np.block([[(A != 0) | (E != 0), B != 0], [C != 0, D != 0]])
     near = linked @ linked.T  # equations and outputs that share a variable
     for _ in range(n + p):
         near = near @ near

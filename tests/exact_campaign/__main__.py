@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import os
 from pathlib import Path
 
@@ -25,6 +26,8 @@ def main() -> None:
     parser.add_argument("--tables", type=Path, default=None, help="folder for the tables of the documentation too")
     options = parser.parse_args()
     record = options.out / "record.jsonl"
+    gc.collect()
+    gc.freeze()  # what is imported, and inherited by the workers, is looked through no more
     run(options.plants, options.seed, options.workers, record, seconds=options.seconds)
     write_results(record, options.out)
     if options.tables is not None:

@@ -129,7 +129,7 @@ def test_a_margin_that_is_not_reached_is_refused(monkeypatch: pytest.MonkeyPatch
         place_observer_margin(A, C, 1.0)
 
 
-@trips("linear.poles.zeros:invariant_zeros")
+@trips("linear.poles.zeros:_zeros_of_whole")
 @pytest.mark.parametrize("cut", ["rows", "columns"])
 def test_a_pencil_that_is_not_square_is_refused(cut: str, monkeypatch: pytest.MonkeyPatch) -> None:
     invariant_zeros(A, B, C, np.eye(2))

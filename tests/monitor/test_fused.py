@@ -30,7 +30,7 @@ from residua.decide import (
     PageHinkley,
 )
 from residua.decide.whitened_norm import NormTest
-from residua.monitor import fused
+from residua.monitor import fused, live
 from residua.monitor.fused import FusedRun, copied, plan_of, run_block
 from residua.monitor.running import (
     State,
@@ -199,6 +199,38 @@ def test_strided_signals_are_read_where_they_lie() -> None:
     same(plain.state, strided.state)
     for name, values in one.items():
         same(values, other[name], name)
+
+
+@needs_kernel
+@pytest.mark.parametrize("threads", [1, 3])
+@pytest.mark.parametrize("time", [1, 2, 40])
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_signals_are_put_side_by_side_on_the_way(time: int, order: Any, threads: int) -> None:
+    monitor = rs.Monitor(rs.design.kalman_filter(plant(4, 3, 2, 2).with_noise(process=1e-2, measurement=1e-1)))
+    spec, data = monitor._specification(), np.concatenate([_rows(monitor), _rows(monitor)])[:, :time]
+    plan = plan_of(spec)
+    assert plan is not None
+    data[1, 0, 1], data[2, -1] = np.nan, np.inf  # plants that stop on the way: the kernel has no room for gains
+    u, y = (np.array(one, order=order) for one in (data[..., :2], data[..., 2:]))
+    run = FusedRun(spec, plan, copied(initial_state(spec, 6)), inputs=2)
+    joined = np.zeros((6, time + 1, data.shape[2]))
+    run.run(u, y, run.outputs(6, time), threads=threads, joined=joined[:, :time])
+    same(joined[:, :time], data)
+    assert not joined[:, time].any()
+    with pytest.raises(ValueError, match="output"):
+        run.run(u, y, run.outputs(6, time), joined=np.zeros((6, time, 9)))
+
+
+@needs_kernel
+def test_a_recording_is_kept_whole_whatever_its_length(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The last of its pieces may be one sample."""
+    monkeypatch.setattr(live, "PIECE", 10)
+    monitor = rs.Monitor(rs.design.kalman_filter(plant(4, 3, 2, 2).with_noise(process=1e-2, measurement=1e-1)))
+    data = _rows(monitor)[0, :31]
+    for samples in (1, 2, 10, 31):
+        diagnosis = monitor.run(data[:samples, :2], data[:samples, 2:])
+        assert isinstance(diagnosis, rs.Diagnosis)
+        same(diagnosis.signals, data[:samples])
 
 
 @needs_kernel

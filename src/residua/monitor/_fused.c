@@ -353,6 +353,25 @@ filter_pieces(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t r
     return done;
 }
 
+/* Put inputs and outputs of some samples side by side, while they are in the cache. */
+static void
+join_signals(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t k, Py_ssize_t time)
+{
+    const Py_ssize_t n_u = self->n_u, n_y = self->n_y, u_step = b->u_strides[1], y_step = b->y_strides[1];
+    const char *u = b->u + plant * b->u_strides[0] + k * u_step, *y = b->y + plant * b->y_strides[0] + k * y_step;
+    double *to = (double *)(b->joined.base + plant * b->joined.plant + k * b->joined.time);
+    if (b->is_dense)
+        for (Py_ssize_t i = 0; i < time; i++, u += u_step, y += y_step)
+            to = copy_few(copy_few(to, u, n_u), y, n_y);
+    else
+        for (Py_ssize_t i = 0; i < time; i++, u += u_step, y += y_step) {
+            for (Py_ssize_t j = 0; j < n_u; j++)
+                memcpy(to++, u + j * b->u_strides[2], sizeof(double));
+            for (Py_ssize_t j = 0; j < n_y; j++)
+                memcpy(to++, y + j * b->y_strides[2], sizeof(double));
+        }
+}
+
 static Py_ssize_t
 run_plant(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row, Py_ssize_t k, scratch *s)
 {
@@ -366,6 +385,8 @@ run_plant(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row, 
         const Py_ssize_t done = filter_pieces(self, b, plant, row, k, time, s);
         if (done == 0)
             break;
+        if (b->joined.base != NULL)
+            join_signals(self, b, plant, k, done);
         s->count = *I8(self, COUNT, row) + k - begin;
         judge(self, b, plant, row, k, done, s);
         k += done;
@@ -1009,7 +1030,7 @@ run_all(const Runner *self, const block *b, const whole *rows, whole *left, int 
         Py_ssize_t stop, scratch *s)
 {
     Py_ssize_t open = 0;
-    if (fresh && b->time == 1)
+    if (fresh && b->time == 1 && b->joined.base == NULL)
         open = run_tick(self, b, rows, left, first, stop, s);
     else
         for (Py_ssize_t p = first; p < stop; p++) {
@@ -1026,17 +1047,18 @@ run_all(const Runner *self, const block *b, const whole *rows, whole *left, int 
  * for want of gains, and how many notes there are; and these. */
 enum { RAN, STOPPED, WANTS_GAINS, NOTED, RECEIPT };
 
-PyDoc_STRVAR(run_doc, "run(u, y, outputs, rows, left, fresh, first, stop, receipt, notes)\n--\n\n"
+PyDoc_STRVAR(run_doc, "run(u, y, outputs, rows, left, fresh, first, stop, receipt, notes, joined)\n--\n\n"
                       "Run the last `left` samples of plants first to stop of a block, all of them if it is fresh. `left` "
                       "is then what is left of each; it must be zeros if the block is fresh. In the receipt: 1, how many "
                       "plants stopped on the way, whether one did for want of what a Kalman filter with missing values "
-                      "needs, and how many notes there are of what there was no room for. An error leaves all as it was.");
+                      "needs, and how many notes there are of what there was no room for. An error leaves all as it was. "
+                      "joined is None, or takes u and y side by side, of several samples.");
 
 /* The arrays of a run; 0 if they do not fit, with an error set. */
 static int
 get_run(const Runner *self, PyObject *const *given, int fresh, Py_ssize_t first, Py_ssize_t stop, block *b, views *all)
 {
-    enum { U_, Y_, OUTPUTS_, ROWS_, LEFT_, RECEIPT_, NOTES_ };
+    enum { U_, Y_, OUTPUTS_, ROWS_, LEFT_, RECEIPT_, NOTES_, JOINED_ };
     Py_buffer *const view = all->views;
     const Py_ssize_t note = NOTES * (NOTE_HEAD + self->n);
     if (PyObject_GetBuffer(given[LEFT_], &view[0], PyBUF_C_CONTIGUOUS | PyBUF_WRITABLE | PyBUF_FORMAT) < 0)
@@ -1070,6 +1092,11 @@ get_run(const Runner *self, PyObject *const *given, int fresh, Py_ssize_t first,
     memcpy(b->u_strides, view[4].strides, sizeof b->u_strides);
     b->is_dense = b->u_strides[2] == sizeof(double) && b->y_strides[2] == sizeof(double);
     const whole *const rows = given[ROWS_] == Py_None ? NULL : view[5].buf;
+    if (given[JOINED_] != Py_None) {
+        if (get_output(given[JOINED_], &view[all->held], plants, b->time, self->m, sizeof(double), &b->joined) < 0)
+            return 0;
+        all->held++;
+    }
     return get_outputs(self, given[OUTPUTS_], plants, b, all) == 0
            && check_rows(self, rows, view[0].buf, fresh, plants, b->time) == 0;
 }
@@ -1078,11 +1105,11 @@ static PyObject *
 runner_run(PyObject *object, PyObject *args)
 {
     const Runner *self = (Runner *)object;
-    PyObject *given[7];
+    PyObject *given[8];
     Py_ssize_t first, stop;
     int fresh, has_run = 0;
-    if (!PyArg_ParseTuple(args, "OOO!OOpnnOO:run", &given[0], &given[1], &PyTuple_Type, &given[2], &given[3], &given[4],
-                          &fresh, &first, &stop, &given[5], &given[6]))
+    if (!PyArg_ParseTuple(args, "OOO!OOpnnOOO:run", &given[0], &given[1], &PyTuple_Type, &given[2], &given[3],
+                          &given[4], &fresh, &first, &stop, &given[5], &given[6], &given[7]))
         return NULL;
     views all = {.held = 0};
     block b = {.time = -1};

@@ -91,10 +91,11 @@ typedef struct {
     int is_dense; /* whether the channels of a sample lie side by side */
     int is_used;  /* whether outputs hold something, which is cleared first */
     output out[OUTPUTS];
+    output joined; /* where to put u and y side by side, as they are */
 } block;
 
 typedef struct {
-    Py_buffer views[OUTPUTS + 6];
+    Py_buffer views[OUTPUTS + 7];
     int held;
 } views;
 

@@ -46,8 +46,9 @@ _TYPES = {
 }
 #: What starts of filters need, and what is counted of restarts: zero as a rule.
 _OF_STARTS, _RESTARTS = ("start_sums", "moved"), ("resets", "broken")
-#: Of what a step returns in one number: that the plant was left.
-_IS_LEFT = 8
+#: What a step returns in one number: alarm, whether it was decided, and whether a value was missing; that the plant was
+#: left, besides.
+_FLAGS, _IS_LEFT = [(bool(bits & 1), bool(bits & 2), bool(bits & 4)) for bits in range(8)], 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -362,6 +363,7 @@ class FusedRun:
         rows: NDArray[np.int64] | None = None,
         *,
         threads: int = 1,
+        joined: NDArray[np.float64] | None = None,
     ) -> None:
         """Go on with a block.
 
@@ -374,12 +376,15 @@ class FusedRun:
             Whose data they are: each row of the state once. All rows in order when omitted.
         threads : int
             The plants are shared among so many.
+        joined : ndarray, shape (plants, time, channels), optional
+            Where to put u and y side by side.
 
         An error leaves all plants as they were, or a block of which :meth:`finish`, or whatever looks at the state
         next, does the rest.
         """
         self.finish()
         job = self.job(u, y, outputs, rows, threads=threads)
+        job.joined = joined
         self._do(job)
 
     def job(
@@ -454,12 +459,11 @@ class FusedRun:
         if flags & _IS_LEFT:
             self._make_room(("spread",))
             flags, statistic = self._on[1].step(u, y)
-        return bool(flags & 1), bool(flags & 2), bool(flags & 4), statistic
+        return *_FLAGS[flags], statistic
 
     def last_residual(self) -> NDArray[np.float64]:
         """Return the residual of the last step."""
-        assert self._on[2] is not None
-        return _there(self._on[2]["residuals"])[0, 0].copy()
+        return self._on[2]["residuals"][0, 0].copy()  # pyright: ignore[reportOptionalSubscript]
 
     def last_decisions(self) -> Decisions:
         """Return the decisions of the last step."""

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from residua.decide.test import ResidualTest
 from residua.design import ResidualGenerator
 from residua.design.core.evidence import format_pole
+from residua.design.core.signals import checked_signals
 from residua.errors import DataError
 from residua.linear.systems.balancing import state_units
 from residua.plant import Plant
@@ -106,6 +107,14 @@ def signals(u: Any, y: Any, time: ArrayLike | None, dt: float | None, source: st
     if dt is not None and abs(dt - step) > 1e-6 * step:
         raise DataError(f"dt={dt:g} s was given, the times are {step:g} s apart")
     return Signals(u, y, clock, step, source, origin=origin)
+
+
+def plant_signals(
+    u: ArrayLike | None, y: ArrayLike, plant: Plant
+) -> tuple[NDArray[np.float64] | None, NDArray[np.float64]]:
+    """Return inputs, or ``None`` without any, and outputs of (plants, time, channels), checked against the plant."""
+    u_, y_ = checked_signals(plant, *with_all_channels(u, y, plant))
+    return (u_, y_) if y_.ndim == 3 else (None if u_ is None else u_[None], y_[None])
 
 
 def with_all_channels(u: Any, y: Any, plant: Plant) -> tuple[Any, Any]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from residua.decide.isolation import Scores
 from residua.decide.test import Tested
 from residua.design import ResidualGenerator
+from residua.design.core.signals import stacked
 from residua.errors import DataError, SettingError
 from residua.monitor.decision import Decision, decision_from
 from residua.monitor.fused import OUTPUTS, FusedRun, copied, decisions_of, plan_of
@@ -110,14 +111,44 @@ class Live:
 
 
 def run_whole(
-    spec: Specification, data: NDArray[np.float64], progress: Callable[[int, int], None] | None = None
+    spec: Specification,
+    u: NDArray[np.float64] | None,
+    y: NDArray[np.float64],
+    progress: Callable[[int, int], None] | None = None,
+) -> tuple[State, Decisions, NDArray[np.float64]]:
+    """Run over whole recordings, (plants, time, channels), from a fresh start; progress is reported by pieces.
+
+    Returned with what was decided: the signals, inputs and outputs side by side.
+    """
+    plan = plan_of(spec)
+    if plan is None or not plan.names or u is None or not (u.size and u.flags.c_contiguous and y.flags.c_contiguous):
+        data = stacked(u, y)
+        return *_run_stacked(spec, data, progress), data
+    run, time = FusedRun(spec, plan, copied(initial_state(spec, len(y))), u.shape[-1]), y.shape[1]
+    out, data = _kept(run, y), np.empty((*y.shape[:2], u.shape[-1] + y.shape[-1]))
+    for start in range(0, time, PIECE):
+        piece = slice(start, start + PIECE)
+        places = {name: None if values is None else values[:, piece] for name, values in out.items()}
+        run.run(u[:, piece], y[:, piece], places, joined=data[:, piece])
+        if progress is not None:
+            progress(min(start + PIECE, time), time)
+    return run.state, decisions_of(out), data
+
+
+def _kept(run: FusedRun, y: NDArray[np.float64]) -> dict[str, NDArray | None]:
+    """Return arrays for what is kept of a recording."""
+    return run.outputs(len(y), y.shape[1], [name for name in OUTPUTS if name not in _PASSING])
+
+
+def _run_stacked(
+    spec: Specification, data: NDArray[np.float64], progress: Callable[[int, int], None] | None
 ) -> tuple[State, Decisions]:
-    """Run over whole recordings, (plants, time, channels), from a fresh start; progress is reported by pieces."""
+    """Run over recordings whose signals lie side by side."""
     state, time = initial_state(spec, len(data)), data.shape[1]
     plan = plan_of(spec)
     run = None if plan is None else FusedRun(spec, plan, copied(state))
     whole = run is not None and run.plan.names  # else isolation runs by pieces, which bounds its memory
-    out = run.outputs(len(data), time, [n for n in OUTPUTS if n not in _PASSING]) if run is not None and whole else {}
+    out = _kept(run, data) if run is not None and whole else {}
     parts: list[Decisions] = []
     for start in range(0, max(1, time), PIECE):
         part = data[:, start : start + PIECE]

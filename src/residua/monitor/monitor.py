@@ -16,7 +16,7 @@ from residua.decide.learnt_faults import LearntFault
 from residua.decide.test import ResidualTest, TestSettings, Watched
 from residua.design import ResidualGenerator
 from residua.design.core.brought import as_generator
-from residua.design.core.signals import stack_signals
+from residua.design.core.signals import stacked
 from residua.errors import DataError, ModelError, NotFittedError, SettingError
 from residua.monitor.decision import Decision, decision_from
 from residua.monitor.diagnosis import Diagnosis
@@ -30,7 +30,7 @@ from residua.monitor.fault_learning import (
 )
 from residua.monitor.fit_check import FitCheck
 from residua.monitor.fitting import check_held_out, fitted_test
-from residua.monitor.inputs import Signals, settling_samples, several_signals, signals, with_all_channels
+from residua.monitor.inputs import Signals, plant_signals, settling_samples, several_signals, signals
 from residua.monitor.live import Live, checked_keep, run_whole
 from residua.monitor.outcome import Recorded, compared_outputs, diagnosis_from, unlike_the_fit
 from residua.monitor.plausible import (
@@ -485,10 +485,10 @@ class Monitor:
     ) -> Diagnosis | list[Diagnosis]:
         """Run over a recording; ``own``: the samples that are this monitor's to judge, where others have the rest."""
         self._learn_step(measured.dt)
-        data = self._block(measured.u, measured.y)
+        checked = plant_signals(measured.u, measured.y, self.generator.plant)
         with self._lock:
             generator, spec, check, notes = self.generator, self._specification(), self._check, self.notes
-        state, decisions = run_whole(spec, data, progress)
+        state, decisions, data = run_whole(spec, *checked, progress)
         self._go_on_from(state, spec)
         clock = np.arange(data.shape[1], dtype=float) if measured.time is None else measured.time
         if measured.time is None:
@@ -560,7 +560,8 @@ class Monitor:
         Decision
         """
         with self._lock:
-            spec = self._specification()
+            known = self._running  # as a rule; a call for it takes a tenth of the time
+            spec = known[1] if known is not None and known[0] is self._spec else self._specification()
             quick = self._live.step(spec, self.generator, u, y)
             if quick is not None:
                 return quick
@@ -660,9 +661,7 @@ class Monitor:
             )
 
     def _block(self, u: ArrayLike | None, y: ArrayLike) -> NDArray[np.float64]:
-        plant = self.generator.plant
-        data = stack_signals(plant, *with_all_channels(u, y, plant))
-        return data if data.ndim == 3 else data[None]
+        return stacked(*plant_signals(u, y, self.generator.plant))
 
     def _specification(self) -> Specification:
         """Return what runs, with the learnt faults."""

@@ -143,6 +143,8 @@ class Job:
 
     Attributes
     ----------
+    joined : ndarray or None
+        Where the kernel puts u and y side by side.
     is_done : bool
     is_borrowed : bool
         Whether the signals are still those of the caller, who may change them once an error has reached him.
@@ -160,6 +162,7 @@ class Job:
         self.signals, self.outputs, self.rows, self.threads, self.then = (u, y), outputs, rows, threads, then
         self.left = np.zeros(len(y), dtype=np.int64)  # samples; written, and read, only where it has to be
         self.is_fresh, self.is_done, self.is_borrowed = True, False, True
+        self.joined: NDArray[np.float64] | None = None
         self.parts: Parts | None = None
 
     @property
@@ -169,7 +172,19 @@ class Job:
 
     def run(self, kernel: Any, first: int, stop: int, receipt: NDArray, notes: NDArray) -> None:
         """Run some of the plants."""
-        kernel.run(*self.signals, self.outputs, self.rows, self.left, self.is_fresh, first, stop, receipt, notes)
+        call = (
+            *self.signals,
+            self.outputs,
+            self.rows,
+            self.left,
+            self.is_fresh,
+            first,
+            stop,
+            receipt,
+            notes,
+            self.joined,
+        )
+        kernel.run(*call)
 
     def end_round(self) -> None:
         """Let the next round run what is left."""

@@ -37,6 +37,10 @@ _MEASURED_TWICE = _MEASURED**2
 _SMALL = float(np.sqrt(np.finfo(float).eps))
 #: Of the slowest zero, the part at which its response is the asymptote to a thousandth: ``sqrt(1 + 1 / 25**2)``.
 _BELOW_ZEROS = 25
+#: Where a response is looked at for a zero, as multiples of it.
+_AT_AND_BESIDE = np.array([1.0, 2.0, 0.5, 1.0 + 0.5j], dtype=complex)
+#: How far smaller it is at a zero than beside it.
+_FAR_SMALLER = 0.1
 #: Of the slowest pole, the part from which frequencies begin.
 _BELOW_POLES = 100
 #: Rad per sample from which leaks of a sampled plant are measured at least: a period of 6,000 samples.
@@ -309,16 +313,26 @@ _slowest: Latest[float] = Latest()
 def _slowest_zero(system: StateSpace, multiplicity: int = 2) -> float:
     """Return the size of the smallest zero of the response of an output to an input that is not at 0.
 
-    Rounding scatters one at 0 of some multiplicity, as a filter has where its plant integrates, by that root.
+    Rounding scatters one at 0 of some multiplicity, as a filter has where its plant integrates, by that root. In a
+    pencil it moves the zeros of a response that is weak beside others, too: a zero counts where its own response is far
+    smaller than beside it.
     """
     A, B, C, D, E = system.A, system.B, system.C, system.D, system.E
 
     def found() -> float:
         least = float(np.finfo(float).eps) ** (1 / max(multiplicity, 2)) * _size(system)
-        pairs = np.ndindex(system.D.shape)
-        zeros = [np.abs(invariant_zeros(A, B[:, [j]], C[[i]], D[[i]][:, [j]], E).zeros) for i, j in pairs]
-        sizes = np.concatenate([np.zeros(0), *zeros])
-        return float(np.min(sizes, where=sizes > least, initial=np.inf))
+        zeros = [
+            (zero, (i, j))
+            for i, j in np.ndindex(system.D.shape)
+            for zero in invariant_zeros(A, B[:, [j]], C[[i]], D[[i]][:, [j]], E).zeros
+            if np.abs(zero) > least and zero.imag >= 0
+        ]
+        even = in_even_units(system).system
+        for zero, (i, j) in sorted(zeros, key=lambda one: float(np.abs(one[0]))):
+            there, *beside = np.abs(response_terms(even, zero * _AT_AND_BESIDE).values[:, i, j])
+            if there < _FAR_SMALLER * np.median(beside):
+                return float(np.abs(zero))
+        return float(np.inf)
 
     return _slowest.of((entries(A, B, C, D, E), multiplicity), found)
 

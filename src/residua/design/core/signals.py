@@ -44,7 +44,11 @@ def discretized_filter(system: StateSpace, plant: Plant, dt: float, hold_outputs
 
 def stack_signals(plant: Plant, u: ArrayLike | None, y: ArrayLike) -> NDArray[np.float64]:
     """Return ``[u, y]`` as one block with time down the rows in memory too, after checking it against the plant."""
-    u_, y_ = checked_signals(plant, u, y)
+    return stacked(*checked_signals(plant, u, y))
+
+
+def stacked(u_: NDArray[np.float64] | None, y_: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return ``[u, y]`` of arrays that go together."""
     if u_ is None:
         return np.ascontiguousarray(y_)
     if u_.size and u_.flags.c_contiguous and y_.flags.c_contiguous:

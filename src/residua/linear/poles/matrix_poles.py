@@ -31,11 +31,15 @@ def _poles_of_part(A: NDArray[np.float64]) -> NDArray[np.complex128]:
     if len(A) == 1:
         return A[0].astype(complex)
     T, rate = state_units_and_rate(A)  # so that poles come out the same in whatever units, that of time too
-    balanced = scipy.linalg.matrix_balance(A / rate / T[:, None] * T)[0]
+    return np.asarray(rate * _poles_in_own_units(A / rate / T[:, None] * T), dtype=complex)
+
+
+@cached_by_entries
+def _poles_in_own_units(A: NDArray[np.float64]) -> NDArray[np.complex128]:
+    balanced = scipy.linalg.matrix_balance(A)[0]
     size = float(np.linalg.norm(balanced))
     rest, _, count, regular = without_zero_eigenvalues(balanced, None, size)
-    poles = _poles(balanced, rest, count, size) if regular else _poles_of_large(balanced, size)
-    return np.asarray(rate * poles, dtype=complex)
+    return _poles(balanced, rest, count, size) if regular else _poles_of_large(balanced, size)
 
 
 def _poles(A: NDArray[np.float64], rest: NDArray[np.float64], count: int, size: float) -> NDArray[np.complex128]:

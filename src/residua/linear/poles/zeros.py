@@ -12,7 +12,7 @@ from residua import arrays
 from residua.errors import AccuracyError
 from residua.linear.poles.matrix_poles import is_rounding_of_zero
 from residua.linear.poles.zero_structure import rounding_of, without_zero_eigenvalues
-from residua.linear.subspaces.parts import part_numbers
+from residua.linear.subspaces.parts import part_numbers, triangular_parts
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, decide_rank, spectral_norm
 from residua.linear.systems.balancing import balance_system, descriptor_units, power_of_two, without_rounding
 from residua.linear.systems.units import bordered, system_rate
@@ -107,17 +107,18 @@ def _singular_vectors(E: NDArray[np.float64]) -> tuple[NDArray, NDArray, NDArray
     return U[:, order], values[order], V[:, order]
 
 
-def _balanced(M: Matrices) -> tuple[Matrices, float]:
+def _balanced(M: Matrices, s: complex = 0.0) -> tuple[Matrices, float]:
     """Balance a standard system and choose the unit of ``s``, which outputs take too: all blocks stay comparable.
 
-    In the unit of time in which its rates are near one, so that it comes out the same in whatever unit it was written.
+    In the unit of time in which its rates are near one, so that it comes out the same in whatever unit it was written;
+    of a system that has no rate the point at which it is looked at is one.
     """
     A, B, C, D = M
-    rate = system_rate(A, B, C, D) or 1.0
-    s = balance_system(A / rate, B / rate, C, D)
-    size = spectral_norm(s.A)
+    rate = system_rate(A, B, C, D) or float(power_of_two(np.array(abs(s))))
+    b = balance_system(A / rate, B / rate, C, D)
+    size = spectral_norm(b.A)
     unit = float(power_of_two(np.array(size))) if size else 1.0
-    return (s.A / unit, s.B / unit, s.C / unit, s.D / unit), rate * unit
+    return (b.A / unit, b.B / unit, b.C / unit, b.D / unit), rate * unit
 
 
 def _deflate(M: Matrices, rtol: float, scale: float, decisions: list[RankDecision]) -> Matrices:
@@ -202,11 +203,73 @@ def invariant_zeros(
     if descriptor is not None:
         M, descriptor, unit = _equilibrated(M, descriptor)
         M = _standard(M, descriptor, rtol, decisions)
-    algebraic = n - M[0].shape[0]
-    M, second = _balanced(M)
-    unit *= second
+    k = M[0].shape[0]
+    zeros, rank = _zeros_by_parts(M, rtol, decisions)
+    algebraic = n - k
+    return InvariantZeros(unit * zeros[np.lexsort((zeros.imag, zeros.real))], rank - algebraic, tuple(decisions))
+
+
+def _zeros_by_parts(M: Matrices, rtol: float, decisions: list[RankDecision]) -> tuple[NDArray[np.complex128], int]:
+    """Return the zeros of a standard system and the rank of its transfer matrix, from the parts of its pencil.
+
+    Where the diagonal blocks of a block triangular pencil have full rank, its zeros are theirs: what is hidden from all
+    outputs has its modes exactly, whatever else the system is made of, and each part has units of its own.
+    """
+    n = len(M[0])
+    if n > max(M[3].shape) and all(X.all() for X in M[:3]):  # there are no parts, as is quickly seen
+        return _zeros_of_whole(M, rtol, decisions)
+    whole = bordered(*M)
+    parts = triangular_parts((whole != 0) | _diagonal(whole.shape, n))
+    found: list[NDArray[np.complex128]] = [np.zeros(0, dtype=complex)]
+    made: list[RankDecision] = []
+    for rows, columns in parts if len(parts) > 1 else []:
+        own, rank = _zeros_of_part(whole, n, rows, columns, rtol, made)
+        if rank < min(len(rows), len(columns)):  # entries cancel
+            break
+        found.append(own)
+    else:
+        if len(parts) > 1:
+            decisions += made
+            return np.concatenate(found), sum(min(len(rows), len(columns)) for rows, columns in parts) - n
+    return _zeros_of_whole(M, rtol, decisions)
+
+
+def _diagonal(shape: tuple[int, int], n: int) -> NDArray[np.bool_]:
+    """Return where the pencil of a standard system has ``s``."""
+    out = np.zeros(shape, dtype=bool)
+    out[range(n), range(n)] = True
+    return out
+
+
+def _zeros_of_part(
+    whole: NDArray[np.float64],
+    n: int,
+    rows: NDArray[np.intp],
+    columns: NDArray[np.intp],
+    rtol: float,
+    decisions: list[RankDecision],
+) -> tuple[NDArray[np.complex128], int]:
+    """Return the zeros and the rank of some rows and columns of the pencil of a standard system with ``n`` states.
+
+    They are a system, too: a state is one whose equation and whose column are both among them.
+    """
+    states = np.intersect1d(rows[rows < n], columns[columns < n])
+    if not len(rows) or not len(columns):
+        return np.zeros(0, dtype=complex), 0
+    if len(rows) == len(columns) == 1:
+        return whole[states, states].astype(complex), 1
+    inputs, outputs = np.setdiff1d(columns, states), np.setdiff1d(rows, states)
+    M = tuple(whole[np.ix_(i, j)] for i in (states, outputs) for j in (states, inputs))
+    zeros, rank = _zeros_of_whole((M[0], M[1], M[2], M[3]), rtol, decisions)
+    return zeros, len(states) + rank
+
+
+def _zeros_of_whole(M: Matrices, rtol: float, decisions: list[RankDecision]) -> tuple[NDArray[np.complex128], int]:
+    """Return the zeros of a standard system and the rank of its transfer matrix."""
+    M, unit = _balanced(M)
     whole = bordered(*M)
     scale = spectral_norm(whole) if whole.size else 1.0
+    before = len(decisions)
     M = _deflate(M, rtol, scale, decisions)
     A, B, C, D = (x.T for x in M)
     A, B, C, D = _deflate((A, C, B, D), rtol, scale, decisions)
@@ -217,9 +280,9 @@ def invariant_zeros(
             f"with rtol={rtol:.3g} was not clear; see pencil_rank_at, or choose another rtol"
         )
     # What was dropped tells how much rounding there is, where couplings are weak more than of the steps themselves.
-    dropped = max((decision.largest_dropped for decision in decisions), default=0.0)
+    dropped = max((decision.largest_dropped for decision in decisions[before:]), default=0.0)
     rounding = max(rounding_of(len(whole)) * scale, _BEYOND_DROPPED * dropped)
-    return InvariantZeros(_finite_zeros((A, B, C, D), rounding) * unit, rank - algebraic, tuple(decisions))
+    return unit * _finite_zeros((A, B, C, D), rounding), rank
 
 
 def _finite_zeros(M: Matrices, rounding: float) -> NDArray[np.complex128]:
@@ -238,7 +301,7 @@ def _finite_zeros(M: Matrices, rounding: float) -> NDArray[np.complex128]:
     zeros: NDArray[np.complex128] = np.concatenate(found)
     if not np.all(np.isfinite(zeros)):
         raise AccuracyError("a zero of the compressed pencil came out infinite: a rank decision was not clear")
-    return zeros[np.lexsort((zeros.imag, zeros.real))]
+    return zeros
 
 
 def _eigenvalues(
@@ -310,7 +373,7 @@ def pencil_rank_at(
     if descriptor is not None:
         M, descriptor, unit = _equilibrated(M, descriptor)
     else:
-        M, unit = _balanced(M)
+        M, unit = _balanced(M, s)
         descriptor = np.eye(M[0].shape[0])
     P = np.block([[s / unit * descriptor - M[0], -M[1]], [M[2], M[3]]])
     # Far out, the columns of the states grow with s; the rank does not change when they are divided by it.

@@ -1,9 +1,17 @@
-"""Parts of a matrix that nothing connects: what is computed of one must not mix with what is computed of another."""
+"""Parts of a matrix that nothing connects: what is computed of one must not mix with what is computed of another.
+
+References
+----------
+A. L. Dulmage and N. S. Mendelsohn, Coverings of bipartite graphs, Canad. J. Math. 10 (1958) 517-534. A. Pothen and
+C.-J. Fan, Computing the block triangular form of a sparse matrix, ACM Trans. Math. Software 16 (1990) 303-324.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+
+Indices = NDArray[np.intp]
 
 #: Nodes up to which a graph is walked faster in lists than in arrays.
 _FEW = 16
@@ -100,3 +108,67 @@ def part_numbers(present: NDArray[np.bool_]) -> tuple[NDArray[np.int_], NDArray[
     nodes[:rows, rows:] = present
     numbers = part_of_each(nodes)
     return numbers[:rows], numbers[rows:]
+
+
+def triangular_parts(present: NDArray[np.bool_]) -> list[tuple[Indices, Indices]]:
+    """Return the rows and columns of each diagonal block of the block triangular form of a matrix.
+
+    Blocks with more columns than rows come first, then square ones that have no such form themselves, then those with
+    more rows than columns. Each has full rank unless entries cancel; if each has, that of the whole is their sum.
+
+    Parameters
+    ----------
+    present : ndarray of bool, shape (rows, columns)
+        Where the entries are that are not zero.
+    """
+    column_of = _matching(present)
+    row_of = np.full(present.shape[1], -1)
+    row_of[column_of[column_of >= 0]] = np.flatnonzero(column_of >= 0)
+    wide_columns, wide_rows = _reached(present, row_of < 0, column_of)
+    tall_rows, tall_columns = _reached(present.T, column_of < 0, row_of)
+    wide = _connected(present, wide_rows, wide_columns)
+    tall = _connected(present, tall_rows, tall_columns)
+    square = np.flatnonzero(~wide_rows & ~tall_rows)
+    return [*wide, *_irreducible(present, square, column_of[square]), *tall]
+
+
+def _matching(present: NDArray[np.bool_]) -> Indices:
+    """Return for each row the column that a largest matching gives it, or -1."""
+    from scipy.sparse import csr_array  # slow to import
+    from scipy.sparse.csgraph import maximum_bipartite_matching
+
+    return np.asarray(maximum_bipartite_matching(csr_array(present), perm_type="column"), dtype=np.intp)
+
+
+def _reached(
+    present: NDArray[np.bool_], start: NDArray[np.bool_], partner: Indices
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return columns and rows on ways from some columns to rows, and from these to the columns matched with them."""
+    columns = start.copy()
+    while True:
+        rows = np.asarray(present[:, columns].any(axis=1))
+        more = columns.copy()
+        more[partner[rows]] = True
+        if np.array_equal(more, columns):
+            return columns, rows
+        columns = more
+
+
+def _connected(
+    present: NDArray[np.bool_], rows: NDArray[np.bool_], columns: NDArray[np.bool_]
+) -> list[tuple[Indices, Indices]]:
+    """Return the rows and columns of each part of a block that nothing connects with the others."""
+    i, j = np.flatnonzero(rows), np.flatnonzero(columns)
+    of_rows, of_columns = part_numbers(present[np.ix_(i, j)])
+    count = int(max(of_rows.max(initial=-1), of_columns.max(initial=-1))) + 1
+    return [(i[of_rows == part], j[of_columns == part]) for part in range(count)]
+
+
+def _irreducible(present: NDArray[np.bool_], rows: Indices, columns: Indices) -> list[tuple[Indices, Indices]]:
+    """Return the parts of a square block, its rows and columns matched in order, that ways connect both ways."""
+    if not len(rows):
+        return []
+    from scipy.sparse.csgraph import connected_components
+
+    count, part = connected_components(present[np.ix_(rows, columns)], connection="strong")
+    return [(rows[part == k], columns[part == k]) for k in range(count)]

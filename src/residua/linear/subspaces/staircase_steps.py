@@ -17,7 +17,7 @@ from residua.linear.subspaces.rank import RankDecision, spectral_norm
 _EPS = float(np.finfo(float).eps)
 #: Couplings above this, relative to the size of all, are never rounding: steps that amplify it so much end in one that
 #: is weak before.
-_WEAK = 1e-3
+_WEAK = 2.0**-10
 #: Copies of a pair, and by how many units in the last place their entries differ at most.
 _COPIES, _LAST_PLACES = 2, 4
 #: A coupling is real where it is as many times what copies differ by.

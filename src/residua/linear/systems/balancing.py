@@ -21,7 +21,7 @@ from residua.linear.systems.units import (
     bordered,
     matrix_units,
     pencil_units,
-    system_rate,
+    system_level,
     system_units,
     without_residue,
 )
@@ -163,9 +163,9 @@ def balance_system(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> Ba
     W = without_residue(bordered(A, B, C, D))
     # Only couplings count in a sweep; the diagonal of A does not change with the units of the states.
     np.fill_diagonal(W[:n, :n], 0.0)
-    # The units of channels are free: a rate of the whole plant stands for what no units of states change.
+    # The units of channels are free: they are brought to what no units of states change.
     radius = float(np.abs(explicit_poles(A0)).max(initial=0.0))
-    level = float(power_of_two(np.array(max(radius, system_rate(A0, B0, C0, D0)) or 1.0)))
+    level = float(power_of_two(np.array(max(radius, system_level(A0, B0, C0, D0)))))
     scaled = W.copy()
     left, right, settled = _factors(scaled, n, level, _length)
     if not settled or _vanished(scaled):

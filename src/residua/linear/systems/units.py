@@ -31,6 +31,8 @@ _ROUNDS = 3
 #: in is left out of the fit then.
 _FAR = 2.0**26
 _WIDE = 1e-11
+#: Edges up to which parts of a graph are joined faster one by one.
+_FEW = 128
 #: What of a unit of time is left beside those of the signals, of the entries that have it, where it is rounding alone.
 _NO_RATE = 1e-9
 
@@ -78,12 +80,22 @@ def powers_of_two(logarithms: NDArray[np.float64]) -> NDArray[np.float64]:
 def system_units(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> Units:
     """Return the units, powers of two, in which the entries of an ordinary system are nearest to one level.
 
-    That of the rate of the system, which no units of states and signals change, or one where it has none.
+    See :func:`system_level`.
     """
     n, q = len(A), np.shape(B)[1]
     return _rounded(_system_potentials(A, B, C, D)[0], n, q)
 
 
+def system_level(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> float:
+    """Return the level that entries of a system are brought to: what no units of states and signals change.
+
+    The largest diagonal entry of ``A``, or the rate of the system where that is more: it is what entries around loops
+    have in common. One where there are neither.
+    """
+    return float(np.exp2(_system_potentials(A, B, C, D)[1]))
+
+
+@cached_by_entries
 def system_rate(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> float:
     """Return the rate, a power of two, that entries of ``A`` and ``B`` have beside those of ``C`` and ``D``; or zero.
 
@@ -91,7 +103,7 @@ def system_rate(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> float:
     product of entries around a loop. Of chains of integrators nothing is left, and there is no rate: they are the same
     plant in all units of time, but for those of their signals.
     """
-    _, rate = _system_potentials(A, B, C, D)
+    _, rate = _rated_potentials(np.abs(bordered(A, B, C, D)), len(A))
     return 0.0 if rate is None else float(powers_of_two(np.array(rate)))
 
 
@@ -109,14 +121,19 @@ def state_units_and_rate(A: NDArray) -> tuple[NDArray[np.float64], float]:
     return T, float(powers_of_two(np.array(rate or 0.0)))
 
 
-def _rated_potentials(W: NDArray[np.float64], n: int) -> tuple[NDArray[np.float64], float | None]:
-    """Return the potentials for the sizes of the entries of ``[A B; C D]`` and the logarithm of its rate, if any."""
+def _rated_potentials(
+    W: NDArray[np.float64], n: int, least: float = -np.inf
+) -> tuple[NDArray[np.float64], float | None]:
+    """Return the potentials for the sizes of the entries of ``[A B; C D]`` and the logarithm of its rate, if any.
+
+    A rate of less than ``least`` is that.
+    """
     q, p = W.shape[1] - n, W.shape[0] - n
     row_node = np.concatenate([np.arange(n), n + q + np.arange(p)])
     v, rate = np.zeros(n + q + p), None
     for _ in range(_ROUNDS):
         i, j = np.nonzero(W)
-        v, rate = _with_rate(row_node[i], j, np.log2(W[i, j]), i < n, n + q + p)
+        v, rate = _with_rate(row_node[i], j, np.log2(W[i, j]), i < n, n + q + p, least)
         if rate is None:
             break
         scaled = W * np.exp2(v[: n + q] - v[row_node][:, None])
@@ -153,22 +170,24 @@ def _rounded(v: NDArray[np.float64], n: int, q: int) -> Units:
 
 
 @cached_by_entries
-def _system_potentials(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> tuple[NDArray[np.float64], float | None]:
-    """Return the potentials of states, inputs and outputs with which all entries are near the rate, and the rate."""
+def _system_potentials(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> tuple[NDArray[np.float64], float]:
+    """Return the potentials of states, inputs and outputs, and the logarithm of the level they bring entries to."""
     n = len(A)
     W = np.abs(bordered(A, B, C, D))
-    v, rate = _potentials_at_rate(W, n)
+    v, level = _potentials_at_level(W, n)
     u = _rounded(v, n, W.shape[1] - n)
     if _is_far(W, np.concatenate([1 / u.states, u.outputs]), np.concatenate([u.states, u.inputs])):
-        return _potentials_at_rate(_without_wide_residue(W), n)
-    return v, rate
+        return _potentials_at_level(_without_wide_residue(W), n)
+    return v, level
 
 
-def _potentials_at_rate(W: NDArray[np.float64], n: int) -> tuple[NDArray[np.float64], float | None]:
+def _potentials_at_level(W: NDArray[np.float64], n: int) -> tuple[NDArray[np.float64], float]:
     """Return the same for the sizes of the entries of ``[A B; C D]`` with ``n`` states."""
-    v, rate = _rated_potentials(W, n)
-    v[W.shape[1] :] -= rate or 0.0  # what enters outputs has no rate, but they have units of their own
-    return v, rate
+    diagonal = W.diagonal()[:n]
+    v, level = _rated_potentials(W, n, float(np.log2(diagonal.max())) if np.any(diagonal) else -np.inf)
+    level = level or 0.0
+    v[W.shape[1] :] -= level  # what enters outputs has no rate, but they have units of their own
+    return v, level
 
 
 @cached_by_entries
@@ -298,27 +317,44 @@ def _least_squares(row: NDArray, column: NDArray, values: NDArray[np.float64], c
         ends = np.concatenate([row, column])
         L = (np.diag(np.bincount(ends, minlength=count)) - edges - edges.T).astype(float)  # the Laplacian of the graph
         b = [np.bincount(ends, weights=np.concatenate([one, -one]), minlength=count) for one in values.T]
-        v[free] = np.linalg.solve(L[free][:, free], np.column_stack(b)[free])
+        v[free] = np.linalg.solve(L[free][:, free], np.array(b).T[free])
     return v
 
 
 def _with_rate(
-    row: NDArray, column: NDArray, logarithms: NDArray[np.float64], dynamic: NDArray[np.bool_], count: int
+    row: NDArray,
+    column: NDArray,
+    logarithms: NDArray[np.float64],
+    dynamic: NDArray[np.bool_],
+    count: int,
+    least: float = -np.inf,
 ) -> tuple[NDArray[np.float64], float | None]:
-    """Minimise the same with one unknown more, by which the logarithms of dynamic entries are larger; if it matters."""
+    """Minimise the same with one unknown more, by which the logarithms of dynamic entries are larger; if it matters.
+
+    It is no smaller than ``least``.
+    """
     shared = dynamic.astype(float)
-    v, through = _least_squares(row, column, np.column_stack([logarithms, shared]), count).T
+    v, through = _least_squares(row, column, np.array([logarithms, shared]).T, count).T
     # minus what the potentials make of either
     left = shared + through[column] - through[row]
     own = float(left @ left)
     if own <= _NO_RATE * max(float(shared.sum()), 1.0):
         return v, None
-    rate = float(left @ (logarithms + v[column] - v[row])) / own
+    rate = max(float(left @ (logarithms + v[column] - v[row])) / own, least)
     return v - rate * through, rate
 
 
 def _origins(row: NDArray, column: NDArray, count: int) -> NDArray[np.int_]:
     """Return the first node of each connected part."""
+    if len(row) <= _FEW:  # faster in lists
+        first = list(range(count))
+        for i, j in zip(row.tolist(), column.tolist(), strict=True):
+            while first[i] != i:
+                i = first[i]
+            while first[j] != j:
+                j = first[j]
+            first[max(i, j)] = min(i, j)
+        return np.array([i for i, origin in enumerate(first) if origin == i], dtype=int)
     coupled = np.zeros((count, count), dtype=bool)
     coupled[row, column] = True
     return np.array([part[0] for part in connected_parts(coupled)], dtype=int)
