@@ -37,8 +37,9 @@ _MEASURED_TWICE = _MEASURED**2
 _SMALL = float(np.sqrt(np.finfo(float).eps))
 #: Of the slowest zero, the part at which its response is the asymptote to a thousandth: ``sqrt(1 + 1 / 25**2)``.
 _BELOW_ZEROS = 25
-#: Where a response is looked at for a zero, as multiples of it.
-_AT_AND_BESIDE = np.array([1.0, 2.0, 0.5, 1.0 + 0.5j], dtype=complex)
+#: Where a response is looked at for a zero, as multiples of it: next to it, and beside it. Off round numbers, where
+#: models have poles; a hidden mode is a zero and a pole.
+_AT_AND_BESIDE = np.array([1.0 + 0.01j, 2.031 + 0.07j, 0.487 + 0.03j, 1.0 + 0.53j], dtype=complex)
 #: How far smaller it is at a zero than beside it.
 _FAR_SMALLER = 0.1
 #: Of the slowest pole, the part from which frequencies begin.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
 
 from residua.design.core.internal_form import POINTS, JointResponses, frequency_grid, joint_responses
@@ -21,6 +22,8 @@ _FAINT = 1e-7
 _WIDER = 100.0
 #: ... and they carry more than this fraction of it.
 _FADED = 1e-9
+#: Rows of a basis that are this far apart at most keep 12 digits beside one another.
+_FAR = 2.0**12
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,10 +190,33 @@ class Signature:
         columns = np.reshape(residuals, (-1, 1)) * self.columns
         if len(columns) == 1:
             return np.sign(columns)
-        basis = np.linalg.qr(columns)[0]
+        basis = _orthonormal(columns)
         if basis.shape[1] == 1 and basis[:, 0] @ columns[:, 0] < 0:
             basis = -basis
         return _marked(basis, self.reached)
+
+
+def _orthonormal(columns: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return an orthonormal basis of what independent columns span, each row right to digits of its own.
+
+    The orthogonal factor of the columns would know every row to the rounding of the largest, and residuals have units
+    of their own. Elimination with the largest entries as pivots brings the columns to entries of one and less first;
+    solving for the triangular factor of these leaves every row by itself.
+    """
+    heights = np.abs(columns).max(axis=1)
+    if heights.max() <= _FAR * np.min(heights, where=heights > 0, initial=np.inf):
+        return np.linalg.qr(columns)[0]
+    reduced = columns.copy()
+    for j in range(reduced.shape[1]):
+        row, other = divmod(int(np.argmax(np.abs(reduced[:, j:]))), reduced.shape[1] - j)
+        reduced[:, [j, j + other]] = reduced[:, [j + other, j]]
+        reduced[:, j] /= reduced[row, j]
+        rest = reduced[row].copy()
+        rest[j] = 0.0
+        reduced -= np.outer(reduced[:, j], rest)
+    order = np.argsort(-np.abs(reduced).max(axis=1), kind="stable")
+    R, chosen = scipy.linalg.qr(reduced[order], mode="r", pivoting=True)
+    return scipy.linalg.solve_triangular(R[: len(chosen)], reduced[:, chosen].T, trans="T").T
 
 
 def signatures_of(
