@@ -139,6 +139,8 @@ _EARLIER = [
     ("stiff", 703, designs._observers),
     # unknown inputs were compared by the largest entries of rows and columns, which three rounds do not even out
     ("stiff", 7002, designs._estimators),
+    # a pole at 0 was what rounding left of it, and the size of the dynamics
+    ("singular E", 7113, None),
     # a chain of integrators, which has no rate, was looked at near zero in another unit of time
     ("integrators", 30015, None),
     # rounding had grown by a weak coupling, and scattered two zeros at 0

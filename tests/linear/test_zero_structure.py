@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from residua.linear import invariant_zeros
+from residua.linear import StateSpace, invariant_zeros
 from residua.linear.poles.matrix_poles import explicit_poles
 from residua.linear.poles.zero_structure import without_zero_eigenvalues
 
@@ -56,6 +56,25 @@ def test_a_matrix_that_is_singular_by_rounding_alone_has_no_pole_at_zero():
     values = np.linalg.svd(A, compute_uv=False)
     assert values[-1] < 1e-14 * values[0]
     np.testing.assert_allclose(explicit_poles(A), 1, atol=0.3)
+
+
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("algebraic", [0, 2])
+def test_poles_of_descriptor_systems_at_zero_are_zero(seed, algebraic):
+    rng = np.random.default_rng(seed)
+    A = scipy.linalg.block_diag(chains(rng, [3], [-1.0, 2.0]), np.eye(algebraic))
+    n = len(A)
+    L, R = (rng.normal(size=(n, n)) + 3 * np.eye(n) for _ in range(2))
+    E = L @ np.diag([1.0] * 5 + [0.0] * algebraic) @ R
+    poles = StateSpace(L @ A @ R, np.zeros((n, 0)), np.zeros((0, n)), E=E).poles()
+    assert np.count_nonzero(poles == 0) == 3
+    np.testing.assert_allclose(np.sort(poles[poles != 0].real), [-1, 2], rtol=1e-9)
+
+
+def test_a_pole_that_is_rounding_of_its_terms_is_zero():
+    """``det(sE - A) = 3e9 s``: the size of a pole of 1e-16 would be that of the dynamics."""
+    poles = StateSpace([[-3e4, -3e9], [-3, -3e5]], np.zeros((2, 0)), np.zeros((0, 2)), E=[[1e4, 0], [0, 0]]).poles()
+    np.testing.assert_array_equal(poles, [0])
 
 
 @pytest.mark.parametrize("factor", [2.0**-20, 2.0**-7, 2.0**13])

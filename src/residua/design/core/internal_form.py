@@ -282,13 +282,17 @@ def leak_frequencies(
     """
     w, system = frequency_grid(generator, plant.system(())), plant.system(roles)
     form = _in_differences(system)
-    if not form.n_inputs or np.all(form.poles() != 0):
+    integrators = int(np.count_nonzero(form.poles() == 0))
+    if not form.n_inputs or not integrators:
         return w
     low = 1.0371 * _slowest_zero(form) / _BELOW_ZEROS
     if system.is_discrete:
         own = _in_differences(generator)
         slowest = float(np.concatenate([_pole_sizes(form), _pole_sizes(own)]).min(initial=np.inf))
-        low = min(low, 1.0371 * _slowest_zero(own) / _BELOW_ZEROS, 1.0371 * slowest / _BELOW_POLES, _SLOW) / system.dt
+        low = (
+            min(low, 1.0371 * _slowest_zero(own, integrators) / _BELOW_ZEROS, 1.0371 * slowest / _BELOW_POLES, _SLOW)
+            / system.dt
+        )
         w = w[w > low]
     if w[0] <= low:
         return w
@@ -306,32 +310,31 @@ def _in_differences(system: StateSpace) -> StateSpace:
 _slowest: Latest[float] = Latest()
 
 
-def _slowest_zero(system: StateSpace) -> float:
+def _slowest_zero(system: StateSpace, multiplicity: int = 2) -> float:
     """Return the size of the smallest zero of the response of an output to an input that is not at 0.
 
-    Rounding in a pencil moves the zeros of a response that is weak beside others: a zero counts where its own response
-    is far smaller than beside it.
+    Rounding scatters one at 0 of some multiplicity, as a filter has where its plant integrates, by that root. In a
+    pencil it moves the zeros of a response that is weak beside others, too: a zero counts where its own response is far
+    smaller than beside it.
     """
     A, B, C, D, E = system.A, system.B, system.C, system.D, system.E
 
     def found() -> float:
-        least = _SMALL * _size(system)
+        least = float(np.finfo(float).eps) ** (1 / max(multiplicity, 2)) * _size(system)
         zeros = [
-            (zero, channel)
-            for channel in np.ndindex(system.D.shape)
-            for zero in invariant_zeros(
-                A, B[:, [channel[1]]], C[[channel[0]]], D[[channel[0]]][:, [channel[1]]], E
-            ).zeros
+            (zero, (i, j))
+            for i, j in np.ndindex(system.D.shape)
+            for zero in invariant_zeros(A, B[:, [j]], C[[i]], D[[i]][:, [j]], E).zeros
             if np.abs(zero) > least and zero.imag >= 0
         ]
         even = in_even_units(system).system
-        for zero, channel in sorted(zeros, key=lambda one: float(np.abs(one[0]))):
-            there, *beside = np.abs(response_terms(even, zero * _AT_AND_BESIDE).values[:, *channel])
+        for zero, (i, j) in sorted(zeros, key=lambda one: float(np.abs(one[0]))):
+            there, *beside = np.abs(response_terms(even, zero * _AT_AND_BESIDE).values[:, i, j])
             if there < _FAR_SMALLER * np.median(beside):
                 return float(np.abs(zero))
         return float(np.inf)
 
-    return _slowest.of(entries(A, B, C, D, E), found)
+    return _slowest.of((entries(A, B, C, D, E), multiplicity), found)
 
 
 def leakage(generator: StateSpace, plant: Plant, w: NDArray | None = None) -> dict[str, float]:

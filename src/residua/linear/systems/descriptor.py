@@ -10,8 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua import arrays
 from residua.errors import AccuracyError, ModelError
+from residua.linear.poles.matrix_poles import explicit_poles
+from residua.linear.poles.zero_structure import scatter_of, without_zero_eigenvalues
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, null_basis, range_basis
-from residua.linear.systems.balancing import evened, power_of_two
+from residua.linear.systems.balancing import evened, power_of_two, without_rounding
 from residua.linear.systems.units import pencil_units, pencil_without_residue
 
 Matrix = NDArray[np.float64]
@@ -196,7 +198,7 @@ class WeierstrassForm:
     @property
     def poles(self) -> NDArray[np.complex128]:
         """The finite poles."""
-        return np.linalg.eigvals(self.A1).astype(complex)
+        return explicit_poles(self.A1)
 
 
 def weierstrass_form(
@@ -273,8 +275,18 @@ def finite_poles(A: NDArray, E: NDArray, *, rtol: float = DEFAULT_RTOL) -> NDArr
     p = unit_free_pencil(A, E)
     values = np.linalg.svd(p.E, compute_uv=False) if p.E.size else np.ones(1)
     if values[-1] > rtol * values[0]:
-        return np.asarray(scipy.linalg.eigvals(p.A, p.E) * p.unit, dtype=complex).reshape(-1)
+        return p.unit * _generalised_eigenvalues(p.A, p.E, float(values[-1]))
     return weierstrass_form(A, E, rtol=rtol).poles
+
+
+def _generalised_eigenvalues(A: Matrix, E: Matrix, smallest: float) -> NDArray[np.complex128]:
+    """Return the eigenvalues of ``A - sE`` with the smallest singular value of ``E``; those at 0 are not scattered."""
+    found = np.asarray(scipy.linalg.eigvals(A, E), dtype=complex).reshape(-1)
+    size = float(np.linalg.norm(A))
+    rest, under, count, _ = without_zero_eigenvalues(A, E, size)
+    if not count or np.count_nonzero(np.abs(found) <= scatter_of(count, len(A), size / smallest)) < count:
+        return found
+    return np.concatenate([np.zeros(count, dtype=complex), scipy.linalg.eigvals(rest, under).reshape(-1)])
 
 
 def _preimage(M: Matrix, X: Matrix, rtol: float, decisions: list[RankDecision]) -> Matrix:
@@ -328,9 +340,9 @@ def _assembled(
             f"{max(condition, worst):.2g}): a finite pole is as good as infinite; drop the fastest dynamics from the "
             "model or rescale it"
         )
-    P = np.linalg.solve(left, np.eye(n))
-    PEQ, PAQ = P @ p.E @ Q, P @ p.A @ Q
-    A1, N = PAQ[:k, :k], PEQ[k:, k:]
+    P: Matrix = np.asarray(np.linalg.solve(left, np.eye(n)), dtype=float)
+    # What is rounding of its terms would be a pole near zero, which has a size of its own.
+    A1, N = without_rounding(P[:k], p.A, V), (P @ p.E @ Q)[k:, k:]
     target_E, target_A = np.zeros((n, n)), np.zeros((n, n))
     target_E[:k, :k], target_A[:k, :k], target_A[k:, k:] = np.eye(k), A1, np.eye(n - k)
     nilpotent, start = np.zeros_like(N), 0
