@@ -172,6 +172,8 @@ _EARLIER = [
     ("stiff", 41000, designs._filters),
     # the response was looked at for a zero where another has a pole
     ("stiff", 42002, designs._observers),
+    # in the limit a state that one sensor alone reads had any unit beside the rest, and a constant fault of it none
+    ("stiff", 14068, None),
 ]
 
 
