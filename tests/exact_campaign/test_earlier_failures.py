@@ -174,6 +174,8 @@ _EARLIER = [
     ("stiff", 42002, designs._observers),
     # in the limit a state that one sensor alone reads had any unit beside the rest, and a constant fault of it none
     ("stiff", 14068, None),
+    # what rounding left of a gain that divides out disturbances was a coupling of states
+    ("singular E", 7097, designs._decoupled),
 ]
 
 
