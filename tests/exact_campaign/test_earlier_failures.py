@@ -178,6 +178,8 @@ _EARLIER = [
     ("singular E", 7097, designs._decoupled),
     # what rounding left of a free part of a decoupling was read, and compared with itself
     ("singular E", 8307, designs._scheme_banks),
+    # what a projection left of a gain was read, and all that a residual read
+    ("sparse", 16003, designs._scheme_banks),
 ]
 
 

@@ -80,7 +80,9 @@ class ObservablePart:
         for _ in range(2):  # outputs in very different units make one projection inexact
             lost = (K - projected) @ self.C @ self.pseudo_inverse
             projected = projected + (lost @ basis) @ basis.T
-        return np.where(np.any(self.C, axis=1), projected, 0.0)  # of an empty row all is left null
+        projected = np.where(np.any(self.C, axis=1), projected, 0.0)  # of an empty row all is left null
+        # what the projection leaves of nothing would be a gain on outputs that the others do without
+        return without_rounded_gains(projected / self.form.outputs) * self.form.outputs
 
 
 @cached_by_contents
