@@ -635,8 +635,7 @@ class Monitor:
     def __getstate__(self) -> dict[str, Any]:
         """Return what a copy, which has a lock and a state of its own, takes over: all between two blocks."""
         with self._lock:
-            content = {name: value for name, value in self.__dict__.items() if name != "_lock"}
-            return content | {"_live": self._live.apart()}
+            return {**self.__dict__, "_lock": None, "_live": self._live.apart()}
 
     def __setstate__(self, content: dict[str, Any]) -> None:
         """Take over everything but the lock."""
@@ -656,10 +655,9 @@ class Monitor:
         with self._lock:
             if self._generator is None:
                 self._use(self.design.discretize(dt))
-                return
-        if abs(dt - self._generator.dt) > 1e-3 * self._generator.dt:
+        if abs(dt - self.generator.dt) > 1e-3 * self.generator.dt:
             raise DataError(
-                f"the monitor runs at dt={self._generator.dt:g} s, the recording has {dt:g} s: resample it, "
+                f"the monitor runs at dt={self.generator.dt:g} s, the recording has {dt:g} s: resample it, "
                 "or design for this step"
             )
 
