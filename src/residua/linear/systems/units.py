@@ -370,7 +370,7 @@ def _with_rate(
     return v - rate * through, rate
 
 
-def _origins(edges: NDArray[np.float64]) -> NDArray[np.int_]:
+def _origins(edges: NDArray) -> NDArray[np.int_]:
     """Return the first node of each connected part of a graph, by how many edges lead from one node to another."""
     if np.count_nonzero(edges) <= _FEW:  # faster in lists
         first = list(range(len(edges)))
