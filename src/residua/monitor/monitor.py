@@ -572,7 +572,8 @@ class Monitor:
 
     def reset(self) -> None:
         """Forget all data seen so far; thresholds stay."""
-        self._state = None
+        with self._lock:
+            self._state = None
 
     def save(self, path: str | Path) -> None:
         """Write the monitor, its thresholds and its running state as JSON.
@@ -632,8 +633,10 @@ class Monitor:
                 self._state = state
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave out the lock, which belongs to the object: a copy has one of its own."""
-        return {name: value for name, value in self.__dict__.items() if name != "_lock"}
+        """Return what a copy, which has a lock and a state of its own, takes over: all between two blocks."""
+        with self._lock:
+            content = {name: value for name, value in self.__dict__.items() if name != "_lock"}
+            return content | {"_live": self._live.apart()}
 
     def __setstate__(self, content: dict[str, Any]) -> None:
         """Take over everything but the lock."""

@@ -227,11 +227,15 @@ class Work:
             self.steps[self._done]()
             self._done += 1
 
-    def own(self) -> None:
-        """Be ready to go on later, when the caller may have changed its signals."""
+    def wait(self) -> None:
+        """Wait for the threads that are at it, and let no other one begin."""
         for job in self.jobs:
             if job.parts is not None:
                 job.parts.wait()
+
+    def own(self) -> None:
+        """Be ready to go on later, when the caller may have changed its signals."""
+        self.wait()
         if self.is_begun:
             for job in self.jobs:
                 job.own()
@@ -267,6 +271,7 @@ class Worker:
         work = self._work
         if work is None:
             return
+        work.wait()  # an interruption may have come in the middle of this, too
         if work.is_begun:
             if any(job.is_borrowed and not job.is_done for job in work.jobs):
                 raise DataError(
