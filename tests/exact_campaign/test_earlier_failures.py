@@ -173,6 +173,10 @@ _EARLIER = [
     ("stiff", 41000, designs._filters),
     # the response was looked at for a zero where another has a pole
     ("stiff", 42002, designs._observers),
+    # in the limit a state that one sensor alone reads had any unit beside the rest, and a constant fault of it none
+    ("stiff", 14068, None),
+    # what rounding left of a gain that divides out disturbances was a coupling of states
+    ("singular E", 7097, designs._decoupled),
 ]
 
 

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from residua.errors import ModelError
 from residua.linear.subspaces.rank import decide_rank, equilibrated
+from residua.linear.systems.balancing import evened
+from residua.linear.systems.units import bordered
 from residua.plant import Plant
 from residua.plant.comparable_units import canonical_units, in_unit_of_rates
 from residua.tolerances import TINY
@@ -59,7 +61,7 @@ def in_canonical_units(plant: Plant) -> Plant:
 
 def visible_columns(plant: Plant, points: NDArray, rtol: float, rank: int | None = None) -> Visible:
     """Return what the disturbances leave of each fault at each point; ``rank`` overrides the decision."""
-    parts = _parts(plant)
+    parts = _parts(plant, _row_units(plant))
     spectra, left = [], []
     for s in points:
         U, values = _left_vectors(parts.at(s))
@@ -79,10 +81,10 @@ def limit_columns(plant: Plant, rtol: float, rank: int) -> Visible:
     annihilate the pencil around the point too: that begin a series ``x0 + x1 s + ...`` with ``x (P0 + s P1) = 0`` up to
     any power of ``s``. Powers are added until as many are left as there are elsewhere, which ``rank`` tells.
     """
-    parts = _parts(plant)
-    here = parts.at(1.0 if plant.is_discrete else 0.0)
+    parts = _parts(plant, _row_units_in_the_limit(plant))
+    here = parts.at(_limit_point(plant))
     along = np.zeros_like(here)
-    along[: plant.n_states, : plant.n_states] = -parts.size * parts.dynamic
+    along[: plant.n_states, : plant.n_states] = -_size(plant) * parts.dynamic
     scale = np.maximum(np.linalg.norm(here, axis=0), np.linalg.norm(along, axis=0))
     here, along = (M / np.where(scale > 0, scale, 1.0) for M in (here, along))
     wanted = len(here) - rank
@@ -132,15 +134,12 @@ class _Parts:
     static, dynamic : ndarray
         ``[A; C]`` and ``E``.
     disturbances, faults : ndarray
-    size : float
-        Of ``s``, where the dynamics of the plant are.
     """
 
     static: NDArray[np.float64]
     dynamic: NDArray[np.float64]
     disturbances: NDArray[np.float64]
     faults: NDArray[np.float64]
-    size: float
 
     def at(self, s: complex) -> NDArray:
         """Return the pencil with the columns of the disturbances at a point."""
@@ -149,20 +148,29 @@ class _Parts:
         return np.hstack([states, self.disturbances])
 
 
-def _parts(plant: Plant) -> _Parts:
-    n = plant.n_states
-    E = np.eye(n) if plant.E is None else plant.E
-    size = float(np.abs(generic_points(plant)).max())
-    row = _row_units(plant, size)[:, None]
+def _dynamic(plant: Plant) -> NDArray[np.float64]:
+    return np.eye(plant.n_states) if plant.E is None else plant.E
+
+
+def _size(plant: Plant) -> float:
+    """Return the size of ``s`` where the dynamics of the plant are."""
+    return float(np.abs(generic_points(plant)).max())
+
+
+def _limit_point(plant: Plant) -> float:
+    return 1.0 if plant.is_discrete else 0.0
+
+
+def _parts(plant: Plant, row_units: NDArray) -> _Parts:
+    row = row_units[:, None]
     Fd, Ff = (row * np.vstack([B, D]) for B, D in ((plant.Bd, plant.Dd), (plant.Bf, plant.Df)))
     Fd, Ff = (F / np.maximum(np.linalg.norm(F, axis=0), TINY) for F in (Fd, Ff))
-    return _Parts(row * np.vstack([plant.A, plant.C]), row[:n] * E, Fd, Ff, size)
+    return _Parts(row * np.vstack([plant.A, plant.C]), row[: plant.n_states] * _dynamic(plant), Fd, Ff)
 
 
-def _row_units(plant: Plant, size: float) -> NDArray[np.float64]:
+def _row_units(plant: Plant) -> NDArray[np.float64]:
     """Return factors for the rows of the pencil that make its entries comparable, whatever the units."""
-    E = np.eye(plant.n_states) if plant.E is None else plant.E
-    top = np.hstack([size * np.abs(E) + np.abs(plant.A), np.abs(plant.Bd), np.abs(plant.Bf)])
+    top = np.hstack([_size(plant) * np.abs(_dynamic(plant)) + np.abs(plant.A), np.abs(plant.Bd), np.abs(plant.Bf)])
     M = np.vstack([top, np.abs(np.hstack([plant.C, plant.Dd, plant.Df]))])
     row = np.ones(len(M))
     for _ in range(10):
@@ -172,6 +180,19 @@ def _row_units(plant: Plant, size: float) -> NDArray[np.float64]:
         M = M / height[:, None] / np.where(width > 0, width, 1.0)
         row /= height
     return row
+
+
+def _row_units_in_the_limit(plant: Plant) -> NDArray[np.float64]:
+    """Return the same at ``s = 0`` (``z = 1``), where ``E`` takes part only in rows and columns that have nothing else.
+
+    From least squares on: a state that one sensor alone reads, and that sensor, could have any unit there if only the
+    largest entries of rows and columns had to be one.
+    """
+    E = _dynamic(plant)
+    here = np.abs(plant.A - _limit_point(plant) * E)
+    silent = np.logical_or.outer(~np.any(here, axis=1), ~np.any(np.vstack([here, plant.C]), axis=0))
+    inputs, through = np.hstack([plant.Bd, plant.Bf]), np.hstack([plant.Dd, plant.Df])
+    return evened(bordered(here + np.where(silent, _size(plant) * np.abs(E), 0.0), inputs, plant.C, through))[0]
 
 
 def check_regular(plant: Plant, points: NDArray) -> None:

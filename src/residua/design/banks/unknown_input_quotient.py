@@ -107,7 +107,7 @@ def unknown_input_quotient(parts: ExplicitParts, rtol: float) -> Quotient:
     U, Vh = without_noise(U), without_noise(Vh)  # a reading of rounding would couple states to the residual
     direct = decide_rank(parts.D, rtol=rtol, scale=1.0)
     k = direct.rank
-    G = parts.B @ (Vh[:k].T / s[:k]) @ U[:, :k].T
+    G = without_rounding(parts.B, Vh[:k].T / s[:k], U[:, :k].T)  # of nothing it would leave couplings
     W = _left_null_rows(parts.D, rtol, 1.0)
     A = without_rounding(np.hstack([np.eye(len(parts.A)), -G]), np.vstack([parts.A, parts.C]))
     C = without_rounding(W, parts.C)
