@@ -177,6 +177,8 @@ _EARLIER = [
     ("stiff", 14068, None),
     # what rounding left of a gain that divides out disturbances was a coupling of states
     ("singular E", 7097, designs._decoupled),
+    # what rounding left of a free part of a decoupling was read, and compared with itself
+    ("singular E", 8307, designs._scheme_banks),
 ]
 
 

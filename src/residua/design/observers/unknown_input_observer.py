@@ -30,7 +30,7 @@ from residua.linear.poles.placement import Placement
 from residua.linear.subspaces.far_gain import refuse_far_gain
 from residua.linear.subspaces.observability import staircase
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision
-from residua.linear.systems.balancing import without_rounding
+from residua.linear.systems.balancing import sum_without_rounding, without_rounding
 from residua.plant import Plant
 from residua.tolerances import IDENTITY, TINY, above_rounding
 from residua.words import counted
@@ -195,7 +195,7 @@ def _of_singular_plant(
     needed = seen < staircase(A1, C1, rtol=rtol).n_observable  # or else the smallest T is the best
     placed = place(A1, C1 if needed else form.C, poles, margin, plant.dt, rtol)
     K1, Z = placed.gain[:, :p], placed.gain[:, p:] if needed else np.zeros((len(A1), len(free.N)))
-    T, H = free.T - Z @ free.N, (free.H - Z @ free.M) @ form.W
+    T, H = free.T - Z @ free.N, without_rounding(free.H - Z @ free.M, form.W)
     made = assemble(parts.measured, form, T, H, replace(placed, gain=K1), existence)
     return in_units_of_the_plant(without_measured_equations(made, even, parts.equations), plant, parts.even)
 
@@ -227,7 +227,7 @@ def assemble(
     existence: UnknownInputExistence,
 ) -> Observer:
     """Return the observer of a decoupling and a placed gain, with its identities checked."""
-    K1 = placed.gain @ form.W + T @ form.G
+    K1 = sum_without_rounding((placed.gain, form.W), (T, form.G))  # of nothing it would couple states
     F = without_rounding(np.hstack([T, -K1]), np.vstack([plant.A, plant.C]))
     K = above_rounding(K1 + F @ H, np.abs(K1) + np.abs(F) @ np.abs(H))  # nothing, where H leaves nothing of an output
     # where nothing is left of T, or of a column, what counts is what it is the rounding of
