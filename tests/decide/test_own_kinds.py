@@ -28,7 +28,7 @@ from residua.decide import (
     register,
 )
 from residua.decide.kinds import ISOLATIONS, TESTS
-from residua.errors import AccuracyError, FileFormatError, SettingError
+from residua.errors import AccuracyError, DataError, FileFormatError, SettingError
 from residua.recording.clock import Clock
 from residua.testing import check_isolation, check_test
 from residua.testing.kinds import _generator, _recording
@@ -206,6 +206,33 @@ def test_a_fleet(monitor: rs.Monitor) -> None:
     found = monitor.run(np.stack([u, u]), np.stack([y, y]))
     assert isinstance(found, list)
     assert [one.named for one in found] == [(("y1 sensor",),)] * 2
+
+
+def test_a_block_within_a_block_is_refused() -> None:
+    """It was called interrupted, or, after an error, was begun again and again until the stack had no room."""
+    u, y = faulty()
+    made = rs.Monitor(_generator(), test=NormThreshold(threshold=3.0), isolate=NearestCentroid(size=0.8))
+    fleet = rs.Fleet(rs.Monitor(_generator(), test=PageHinkley()).fit(u[:150], y[:150]), plants=["one"])
+
+    def stepping(*arguments: Any) -> None:
+        made.step(u[0], y[0])
+
+    def ticking(*arguments: Any) -> None:
+        fleet.tick(None, u[:1], y[:1])
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(NearestTest, "run", stepping)
+        patch.setattr(PageHinkleyTest, "run", ticking)
+        for _ in range(3):
+            with pytest.raises(DataError, match="a block is under way"):
+                made.update(u[:10], y[:10])
+            with pytest.raises(DataError, match="a block is under way"):
+                fleet.tick(None, u[:1], y[:1])
+    made.step(u[10], y[10])  # after the rest of the first block
+    fleet.tick(None, u[:1], y[:1])
+    assert made._state is not None
+    assert made._state.count == 11
+    assert fleet._blocks[""].state.count == 1
 
 
 # ------------------------------------------------------------------ what its author is told

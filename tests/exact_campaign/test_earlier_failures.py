@@ -157,6 +157,7 @@ _EARLIER = [
     ("delays", 7061, None),
     # zeros and ranks of plants that integrate were computed in the caller's unit of time
     ("integrators", 7119, None),
+    ("integrators", 7125, None),
     ("integrators", 13019, None),
     ("integrators", 13021, None),
     # the units of a state that only one output reads, and nothing moves, were without end

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, cast
@@ -14,6 +15,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 import residua as rs
+from residua.design import ResidualGenerator
 from residua.errors import DesignError
 from residua.linear import StateSpace
 from residua.linear.poles.matrix_poles import _kept_poles, explicit_poles
@@ -115,7 +117,7 @@ def test_the_first_node_of_each_connected_part_is_that_of_scipy():
         row, column = rng.integers(0, count, edges), rng.integers(0, count, edges)
         graph = coo_array((np.ones(edges), (row, column)), shape=(count, count))
         part = connected_components(graph, directed=False)[1]
-        assert np.array_equal(_origins(row, column, count), np.sort(np.unique(part, return_index=True)[1]))
+        assert np.array_equal(_origins(graph.toarray()), np.sort(np.unique(part, return_index=True)[1]))
 
 
 def test_contents_tell_types_signs_and_last_bits_apart():
@@ -373,6 +375,7 @@ def test_what_is_handed_out_can_be_changed_and_what_is_kept_does_not_follow(dt):
     plant = rs.Plant(0.5 * np.eye(2) - np.eye(2) * (dt == 0), np.ones((2, 1)), [[1, 0], [0, 1], [1, 1]], dt=dt)
     plant = plant.with_sensor_faults()
     relations = rs.design.parity_relations(plant).relations
+    assert relations is not None
 
     def generator(made):
         return made.evidence, made.subspaces, made.state_map, made.static_map, made.steady
@@ -401,7 +404,7 @@ def test_mappings_of_evidence_that_are_handed_out_are_the_users_own(dt):
     relations = rs.design.parity_relations(plant).relations
     assert relations is not None
 
-    def mappings(made: rs.ResidualGenerator) -> list[dict[str, Any]]:
+    def mappings(made: ResidualGenerator) -> list[dict[str, Any]]:
         evidence = made.evidence
         found = [evidence.decoupling, evidence.conditions, evidence.ranks, made.subspaces]
         assert all(isinstance(one, dict) for one in found)
@@ -411,6 +414,47 @@ def test_mappings_of_evidence_that_are_handed_out_are_the_users_own(dt):
         for mapping in mappings(ask()):
             mapping["changed"] = 1.0
         assert not any("changed" in mapping for mapping in mappings(ask()))
+
+
+class Interrupted(array_cache.Latest[np.ndarray]):
+    """Lets go of its results, but for their count."""
+
+    is_interrupted = False
+
+    def _count(self, size: int) -> None:
+        if self.is_interrupted and size < 0:
+            raise KeyboardInterrupt
+        super()._count(size)
+
+
+def test_interruptions_between_results_and_their_count_let_the_next_one_end():
+    """The results of all functions were looked through without end for what was to go, and none was there."""
+    forget()
+    latest, numbers = Interrupted(), array_cache._MOST_BYTES * 3 // 4 // 8
+    latest.of("large", lambda: np.zeros(numbers))
+    latest.is_interrupted = True
+    with pytest.raises(KeyboardInterrupt):
+        latest.forget()
+    with pytest.raises(KeyboardInterrupt):
+        latest.of("large", lambda: np.zeros(numbers))
+    latest.is_interrupted = False
+    assert latest.of("small", lambda: np.ones(1)) == 1.0
+    assert latest.bytes == 0
+
+
+def test_the_handler_of_a_signal_may_ask_for_results():
+    """It waited for the lock of the very thread that it had interrupted."""
+    function, calls = counting()
+    asked: list[object] = []
+
+    def in_the_middle() -> None:
+        with array_cache._lock:
+            asked.append(function(np.eye(1), np.eye(1)))
+
+    thread = threading.Thread(target=in_the_middle, daemon=True)
+    thread.start()
+    thread.join(20)
+    assert len(asked) == len(calls) == 1
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are not forked here")

@@ -71,6 +71,14 @@ def test_equal_poles_with_every_state_seen_give_a_multiple_of_the_identity():
     assert placed.condition < 10  # that of the rounding around it
 
 
+def test_the_condition_is_that_of_the_eigenvectors_of_the_closed_loop():
+    A, C = np.diag([-1.0, -2.0]) + np.eye(2, k=1), np.array([[1.0, 0.0]])
+    placed = place_observer_poles(A, C, [-3.0, -3.001])
+    np.testing.assert_allclose(np.sort(np.linalg.eigvals(placed.block)), [-3.001, -3.0], rtol=1e-9)
+    assert placed.condition == np.linalg.cond(np.linalg.eig(placed.block)[1]) > 1e3
+    assert place_observer_poles(A, np.zeros((1, 2)), []).condition == 1.0  # nothing to place
+
+
 @pytest.mark.parametrize("n", [3, 4])
 def test_gain_ignores_left_null_directions_of_the_outputs(n):
     A, C = pair(2, n, 2)

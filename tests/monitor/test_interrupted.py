@@ -218,6 +218,31 @@ def test_what_was_interrupted_twice_before_its_signals_were_saved_is_not_guessed
 
 
 @pytest.mark.skipif(fused._kernel is None, reason="no compiled kernel")
+def test_a_thread_that_goes_on_after_two_interruptions_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The state was taken for what it had been before the block, and some plants had their sample after that."""
+    u, y = data(9, 60)
+    fleet = rs.Fleet.restore(of_one_monitor().snapshot(), NORM, threads=2)
+    run, there, on = whole_blocks.Job.run, threading.Event(), threading.Event()
+
+    def interrupted(*arguments: Any) -> None:
+        if threading.current_thread() is threading.main_thread():
+            assert there.wait(60)
+            raise KeyboardInterrupt
+        there.set()
+        assert on.wait(60)
+        run(*arguments)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(whole_blocks.Job, "run", interrupted)
+        patch.setattr(whole_blocks.Parts, "wait", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            missing(fleet, u, y)
+    threading.Timer(0.2, on.set).start()
+    with pytest.raises(DataError, match="interrupted, and again"):
+        fleet.snapshot()
+
+
+@pytest.mark.skipif(fused._kernel is None, reason="no compiled kernel")
 @pytest.mark.parametrize("started", [0, 1])
 def test_without_threads_the_calling_one_does_it_all(started: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """The parts of the threads that did start had been run, and an error left the others as they were."""

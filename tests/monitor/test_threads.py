@@ -15,7 +15,7 @@ import pytest
 
 import residua as rs
 from residua.library import three_tank
-from residua.monitor import monitor as monitor_module
+from residua.monitor import live, monitor as monitor_module
 from residua.monitor.fitting import fitted_test
 from running_examples import plant, recording
 
@@ -109,6 +109,34 @@ def test_no_sample_is_taken_in_the_middle_of_a_fit(monkeypatch: pytest.MonkeyPat
         step.result()
     assert monitor._state is not None
     assert monitor._state.count == 1
+
+
+@pytest.mark.parametrize("made", [copy.copy, copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one))])
+def test_a_copy_waits_for_the_block_that_is_under_way(made: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It had the count of the samples before the block, and the state of its middle."""
+    monitor = rs.Monitor(rs.design.kalman_filter(plant()))
+    inside, on = threading.Event(), threading.Event()
+    go_on = live.Live.go_on
+
+    def held(*arguments: Any) -> Any:
+        inside.set()
+        assert on.wait(60)
+        return go_on(*arguments)
+
+    monkeypatch.setattr(live.Live, "go_on", held)
+    u, y = recording(600)
+    with ThreadPoolExecutor(2) as pool:
+        block = pool.submit(monitor.update, u, y)
+        assert inside.wait(60)
+        copies = pool.submit(made, monitor)
+        assert not wait([copies], timeout=0.2).done
+        on.set()
+        block.result()
+        other = copies.result()
+    assert other._state.count == 600
+    other.step(u[0], y[0])
+    assert monitor._state is not None
+    assert monitor._state.count == 600
 
 
 def test_a_stream_does_not_follow_a_recording_that_ran_with_other_thresholds() -> None:

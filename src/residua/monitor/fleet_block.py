@@ -233,8 +233,10 @@ class FleetBlock:
         standing: StandingAlarms | None = None,
         skipped: SkippedSamples | None = None,
     ) -> None:
-        self.spec, self.generator, self.ids = monitor._specification(), monitor.generator, list(ids)
+        monitor._specification()  # what runs is made once for all blocks
         self.monitor = copy(monitor)  # as it is now: it may be fitted anew while the plants run
+        self.monitor.reset()
+        self.spec, self.generator, self.ids = self.monitor._specification(), self.monitor.generator, list(ids)
         self.rows = {plant: row for row, plant in enumerate(self.ids)}
         if len(self.rows) < len(self.ids):
             twice = next(plant for row, plant in enumerate(self.ids) if self.rows[plant] != row)

@@ -63,6 +63,12 @@ class Live:
         """Leave out the kernel, which belongs to the arrays of this very object."""
         return {"inputs": self.inputs, "_kept": self.state, "_run": None}
 
+    def apart(self) -> Live:
+        """Return the same with arrays of its own, which no later block changes."""
+        other = Live(self.inputs)
+        other.state = copied(self.state)
+        return other
+
     def go_on(
         self, spec: Specification, data: NDArray[np.float64], keep: Sequence[str] | None = None
     ) -> tuple[Decisions, State]:

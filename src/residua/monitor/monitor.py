@@ -572,7 +572,8 @@ class Monitor:
 
     def reset(self) -> None:
         """Forget all data seen so far; thresholds stay."""
-        self._state = None
+        with self._lock:
+            self._state = None
 
     def save(self, path: str | Path) -> None:
         """Write the monitor, its thresholds and its running state as JSON.
@@ -632,8 +633,9 @@ class Monitor:
                 self._state = state
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave out the lock, which belongs to the object: a copy has one of its own."""
-        return {name: value for name, value in self.__dict__.items() if name != "_lock"}
+        """Return what a copy, which has a lock and a state of its own, takes over: all between two blocks."""
+        with self._lock:
+            return {**self.__dict__, "_lock": None, "_live": self._live.apart()}
 
     def __setstate__(self, content: dict[str, Any]) -> None:
         """Take over everything but the lock."""
@@ -653,10 +655,9 @@ class Monitor:
         with self._lock:
             if self._generator is None:
                 self._use(self.design.discretize(dt))
-                return
-        if abs(dt - self._generator.dt) > 1e-3 * self._generator.dt:
+        if abs(dt - self.generator.dt) > 1e-3 * self.generator.dt:
             raise DataError(
-                f"the monitor runs at dt={self._generator.dt:g} s, the recording has {dt:g} s: resample it, "
+                f"the monitor runs at dt={self.generator.dt:g} s, the recording has {dt:g} s: resample it, "
                 "or design for this step"
             )
 

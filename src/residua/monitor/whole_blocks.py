@@ -214,7 +214,7 @@ class Work:
 
     def __init__(self, steps: Sequence[Callable[[], object]], jobs: Sequence[Job], within: Sequence[Work] = ()) -> None:
         self.steps, self.jobs, self._within = steps, jobs, within
-        self._done = 0
+        self._done, self.is_under_way = 0, False
 
     @property
     def is_begun(self) -> bool:
@@ -223,15 +223,24 @@ class Work:
 
     def go_on(self) -> None:
         """Do what is left."""
-        while self._done < len(self.steps):
-            self.steps[self._done]()
-            self._done += 1
+        try:
+            self.is_under_way = True
+            while self._done < len(self.steps):
+                self.steps[self._done]()
+                self._done += 1
+        finally:
+            self.is_under_way = False
 
-    def own(self) -> None:
-        """Be ready to go on later, when the caller may have changed its signals."""
+    def wait(self) -> None:
+        """Wait for the threads that are at it, and let no other one begin."""
         for job in self.jobs:
             if job.parts is not None:
                 job.parts.wait()
+
+    def own(self) -> None:
+        """Be ready to go on later, when the caller may have changed its signals."""
+        self.is_under_way = False  # where an interruption came just before that was written
+        self.wait()
         if self.is_begun:
             for job in self.jobs:
                 job.own()
@@ -262,18 +271,25 @@ class Worker:
         Raises
         ------
         DataError
-            If that was interrupted so often that the signals are not there any longer.
+            If that was interrupted so often that the signals are not there any longer, or is being done: a step has
+            called what it is a step of.
         """
         work = self._work
         if work is None:
             return
+        if work.is_under_way:
+            raise DataError(
+                "a block is under way: a test or an isolation of your own calls the monitor or the fleet that it runs "
+                "in, or two threads share a fleet. Take what it needs before the block, or a copy of the monitor"
+            )
+        work.wait()  # an interruption may have come in the middle of this, too
         if work.is_begun:
             if any(job.is_borrowed and not job.is_done for job in work.jobs):
                 raise DataError(
                     "a block was interrupted, and again before the rest of its signals was saved: some of the plants "
                     "have had it, and others have not. Go on from a snapshot, or from a saved monitor"
                 )
-            work.go_on()
+            self.do(work)
         self._work = None
 
 

@@ -274,7 +274,8 @@ def _kalman_gain(quotient: Quotient, plant: Plant) -> Placement:
     G, J = quotient.process_noise, quotient.measurement_noise
     riccati = filter_riccati(quotient.A, quotient.C, G @ G.T, J @ J.T, G @ J.T, dt=plant.dt)
     none, K = np.zeros(0, dtype=complex), np.asarray(riccati.gain)
-    return Placement(K, none, np.asarray(riccati.poles, dtype=complex), none, 0.0, 1.0, float(np.linalg.norm(K)))
+    block, poles = quotient.A - K @ quotient.C, np.asarray(riccati.poles, dtype=complex)
+    return Placement(K, none, poles, none, 0.0, block, float(np.linalg.norm(K)))
 
 
 def rounding_share(generator: ResidualGenerator) -> float:

@@ -148,7 +148,7 @@ def _placed(C: NDArray, A: NDArray, poles: object, margin: float | None, plant: 
     if poles is not None and np.size(np.asarray(poles)):
         raise DesignError("there is nothing to place: the measurements determine all states, the order is 0")
     none = np.zeros(0, dtype=complex)
-    return Placement(np.zeros((0, len(C))), none, none, none, 0.0, 1.0, 0.0)
+    return Placement(np.zeros((0, len(C))), none, none, none, 0.0, np.zeros((0, 0)), 0.0)
 
 
 def _full_rank_columns(D: NDArray, terms: NDArray, rtol: float) -> NDArray:

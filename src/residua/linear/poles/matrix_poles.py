@@ -18,7 +18,12 @@ def explicit_poles(A: NDArray) -> NDArray[np.complex128]:
 
 @cached_by_entries
 def _kept_poles(A: NDArray) -> NDArray[np.complex128]:
-    return np.concatenate([np.zeros(0, dtype=complex), *(_poles_of_part(A[np.ix_(i, i)]) for i in strong_parts(A))])
+    parts = strong_parts(A)
+    if len(parts) == 1:
+        return _poles_of_part(A)
+    # parts have been asked for by themselves, or those of another matrix are the same
+    of_parts = (_poles_of_part(A[np.ix_(i, i)]) if len(i) == 1 else _kept_poles(A[np.ix_(i, i)]) for i in parts)
+    return np.concatenate([np.zeros(0, dtype=complex), *of_parts])
 
 
 def strong_parts(A: NDArray) -> list[NDArray[np.intp]]:

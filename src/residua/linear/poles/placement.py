@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -44,8 +45,8 @@ class Placement:
     error : float
         Largest distance between a pole and its request: relative in continuous time, absolute in sampled time;
         for a multiple pole, the distance of the mean of its cluster. Zero for a margin.
-    condition : float
-        Condition number of the eigenvectors of the observable part, in balanced units. Large for multiple poles.
+    block : ndarray, shape (k, k)
+        The observable block of ``A - K C`` in balanced units.
     norm : float
         Spectral norm of ``gain``.
     """
@@ -55,8 +56,13 @@ class Placement:
     achieved: Poles
     fixed: Poles
     error: float
-    condition: float
+    block: Matrix
     norm: float
+
+    @cached_property
+    def condition(self) -> float:
+        """Condition number of the eigenvectors of the observable part, in balanced units. Large for multiple poles."""
+        return float(np.linalg.cond(np.linalg.eig(self.block)[1])) if self.block.size else 1.0
 
 
 def _checked_poles(poles: ArrayLike, dt: float) -> Poles:
@@ -137,17 +143,7 @@ def _closed_loop(problem: ObservablePart, K: Matrix) -> tuple[Matrix, float]:
 def _placement(
     problem: ObservablePart, K: Matrix, requested: Poles, error: float, achieved: Poles, block: Matrix
 ) -> Placement:
-    vectors = np.linalg.eig(block)[1]
-    condition = float(np.linalg.cond(vectors)) if vectors.size else 1.0
-    return Placement(
-        K,
-        requested,
-        achieved,
-        problem.fixed.copy(),
-        error,
-        condition,
-        spectral_norm(K),
-    )
+    return Placement(K, requested, achieved, problem.fixed.copy(), error, block, spectral_norm(K))
 
 
 def place_observer_poles(
@@ -213,7 +209,7 @@ def place_observer_poles(
     n = problem.A.shape[0]
     if problem.order == 0:
         K = np.zeros((n, problem.C.shape[0]))
-        return Placement(K, wanted, wanted, problem.fixed.copy(), 0.0, 1.0, 0.0)
+        return Placement(K, wanted, wanted, problem.fixed.copy(), 0.0, np.zeros((0, 0)), 0.0)
     if problem.H.shape[0] == problem.order == n:
         gains = [_direct_gain(problem, wanted)]
     else:
@@ -351,7 +347,7 @@ def place_observer_margin(
     none = np.zeros(0, dtype=complex)
     if problem.order == 0:
         K = np.zeros((problem.A.shape[0], problem.C.shape[0]))
-        return Placement(K, none, none, problem.fixed.copy(), 0.0, 1.0, 0.0)
+        return Placement(K, none, none, problem.fixed.copy(), 0.0, np.zeros((0, 0)), 0.0)
     tried: list[Matrix] = []
     for weight in (1.0, 100.0, 1e-2, 1e4):
         L = _shifted_riccati(problem, margin, weight)
@@ -386,19 +382,21 @@ def _shifted_riccati(problem: ObservablePart, margin: float, weight: float) -> M
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the caller checks the outcome
-            L = _shifted_gain(problem.F, problem.H, problem.dt, margin, weight)
+            L = _shifted_gain(problem, margin, weight)
     except (np.linalg.LinAlgError, ValueError):
         return None
     return L if np.all(np.isfinite(L)) else None
 
 
-def _shifted_gain(F: Matrix, H: Matrix, dt: float, margin: float, weight: float) -> Matrix:
+def _shifted_gain(problem: ObservablePart, margin: float, weight: float) -> Matrix:
+    F, H, dt = problem.F, problem.H, problem.dt
     eye_states, eye_outputs = np.eye(F.shape[0]), np.eye(H.shape[0])
     if dt:
         shifted = F * np.exp(margin * dt)
         P = filter_covariance(shifted, H, weight * eye_states, eye_outputs, dt=dt)
         return np.asarray(np.linalg.solve(H @ P @ H.T + eye_outputs, H @ P @ F.T).T, dtype=np.float64)
-    rate = max(margin, default_margin(F))
+    # where nothing is split off, the poles of F are those of A, which are known
+    rate = max(margin, default_margin(F if problem.fixed.size else problem.A))
     noise = weight * rate**2 * eye_states
     P = filter_covariance(F + margin * eye_states, H, noise, eye_outputs, dt=dt)
     return np.asarray(P @ H.T, dtype=np.float64)

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua import arrays
 from residua.errors import AccuracyError
+from residua.linear.poles.deflation import Matrices, deflated
 from residua.linear.poles.matrix_poles import is_rounding_of_zero
 from residua.linear.poles.zero_structure import rounding_of, without_zero_eigenvalues
 from residua.linear.subspaces.parts import part_numbers, triangular_parts
@@ -39,9 +40,6 @@ class InvariantZeros:
     zeros: NDArray[np.complex128]
     normal_rank: int
     decisions: tuple[RankDecision, ...]
-
-
-Matrices = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 
 
 def _checked(
@@ -119,35 +117,6 @@ def _balanced(M: Matrices) -> tuple[Matrices, float]:
     size = spectral_norm(b.A)
     unit = float(power_of_two(np.array(size))) if size else 1.0
     return (b.A / unit, b.B / unit, b.C / unit, b.D / unit), rate * unit
-
-
-def _deflate(M: Matrices, rtol: float, scale: float, decisions: list[RankDecision]) -> Matrices:
-    """Remove infinite zeros and left null structure until ``D`` has full row rank."""
-    A, B, C, D = M
-
-    def decide(X: NDArray[np.float64]) -> tuple[NDArray[np.float64], int, NDArray[np.float64]]:
-        if not X.size:
-            return np.eye(X.shape[0]), 0, np.eye(X.shape[1])
-        U, s, Vh = np.linalg.svd(X)
-        rank = int(np.count_nonzero(s > rtol * scale))
-        decisions.append(RankDecision(rank, s, rtol * scale))
-        return U, rank, Vh
-
-    while True:
-        U, rank, _ = decide(D)
-        if rank == C.shape[0]:
-            return A, B, C, D
-        C, D = U.T @ C, U.T @ D
-        silent, C, D = C[rank:], C[:rank], D[:rank]
-        _, mu, Vh = decide(silent)
-        if mu == 0:
-            return A, B, C, D
-        # The silent outputs force mu states to zero; their equations become outputs in turn.
-        V = np.roll(Vh, -mu, axis=0).T
-        A, B, C = V.T @ A @ V, V.T @ B, C @ V
-        k = A.shape[0] - mu
-        C, D = np.vstack([C[:, :k], A[k:, :k]]), np.vstack([D, B[k:]])
-        A, B = A[:k, :k], B[:k]
 
 
 def invariant_zeros(
@@ -269,10 +238,8 @@ def _zeros_of_whole(M: Matrices, rtol: float, decisions: list[RankDecision]) -> 
     M, unit = _balanced(M)
     whole = bordered(*M)
     scale = spectral_norm(whole) if whole.size else 1.0
-    before = len(decisions)
-    M = _deflate(M, rtol, scale, decisions)
-    A, B, C, D = (x.T for x in M)
-    A, B, C, D = _deflate((A, C, B, D), rtol, scale, decisions)
+    (A, B, C, D), made = deflated(M, rtol, scale)
+    decisions += made
     rank = D.shape[0]
     if D.shape[0] != D.shape[1]:
         raise AccuracyError(
@@ -280,7 +247,7 @@ def _zeros_of_whole(M: Matrices, rtol: float, decisions: list[RankDecision]) -> 
             f"with rtol={rtol:.3g} was not clear; see pencil_rank_at, or choose another rtol"
         )
     # What was dropped tells how much rounding there is, where couplings are weak more than of the steps themselves.
-    dropped = max((decision.largest_dropped for decision in decisions[before:]), default=0.0)
+    dropped = max((decision.largest_dropped for decision in made), default=0.0)
     rounding = max(rounding_of(len(whole)) * scale, _BEYOND_DROPPED * dropped)
     return unit * _finite_zeros((A, B, C, D), rounding), rank
 

@@ -8,6 +8,7 @@ entries differ in their last digits go through the same steps: a coupling that d
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,13 +18,14 @@ from residua.linear.subspaces.rank import RankDecision, spectral_norm
 _EPS = float(np.finfo(float).eps)
 #: Couplings above this, relative to the size of all, are never rounding: steps that amplify it so much end in one that
 #: is weak before.
-_WEAK = 2.0**-10
+WEAK = 2.0**-10
 #: Copies of a pair, and by how many units in the last place their entries differ at most.
 _COPIES, _LAST_PLACES = 2, 4
 #: A coupling is real where it is as many times what copies differ by.
-_SURELY = 4.0
+SURELY = 4.0
 
 Pair = tuple[NDArray[np.float64], NDArray[np.float64]]
+T = TypeVar("T", bound=tuple[NDArray[np.float64], ...])
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,14 +96,19 @@ def _steps(A: NDArray[np.float64], C: NDArray[np.float64], rtol: float, compare:
     sizes = _Sizes.of(A, C, rtol)
     found = _taken([(A, C)], sizes, rtol, compare)
     if found is None:
-        rng = np.random.default_rng(0)
-
-        def like(M: NDArray[np.float64]) -> NDArray[np.float64]:
-            return M * (1 + _EPS * rng.integers(-_LAST_PLACES, _LAST_PLACES + 1, M.shape))
-
-        found = _taken([(A, C), *((like(A), like(C)) for _ in range(_COPIES))], sizes, rtol, compare)
+        found = _taken([(A, C), *copies_of((A, C))], sizes, rtol, compare)
     assert found is not None
     return found
+
+
+def copies_of(matrices: T) -> list[T]:
+    """Return matrices a few times more, each time with other last digits, which are the same in every call."""
+    rng = np.random.default_rng(0)
+
+    def like(M: NDArray[np.float64]) -> NDArray[np.float64]:
+        return M * (1 + _EPS * rng.integers(-_LAST_PLACES, _LAST_PLACES + 1, M.shape))
+
+    return [cast("T", tuple(like(M) for M in matrices)) for _ in range(_COPIES)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,10 +143,10 @@ def _taken(pairs: list[Pair], sizes: _Sizes, rtol: float, compare: bool) -> Step
         tolerance = rtol * size
         rank = int(np.count_nonzero(s > tolerance))
         rounding = 10 * _EPS * (sizes.A if one.seen else sizes.C) + turned * sizes.shifted
-        if compare and rank and s[rank - 1] < min(_WEAK * size, _SURELY * rounding):
+        if compare and rank and s[rank - 1] < min(WEAK * size, SURELY * rounding):
             if not copies:
                 return None
-            tolerance = max(tolerance, _SURELY * max(one.distance(other) for other in copies))
+            tolerance = max(tolerance, SURELY * max(one.distance(other) for other in copies))
             rank = int(np.count_nonzero(s > tolerance))
         decisions.append(RankDecision(rank, s, tolerance))
         if s.size > rank and size:

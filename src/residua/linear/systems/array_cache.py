@@ -15,7 +15,7 @@ from functools import cache, cached_property, wraps
 from hashlib import blake2b
 from itertools import count
 from sys import getsizeof
-from threading import Lock
+from threading import RLock
 from typing import Any, Generic, TypeVar, cast
 from weakref import WeakSet
 
@@ -43,8 +43,9 @@ _LARGE = 1024
 
 _all: WeakSet[Latest[Any]] = WeakSet()
 _uses = count()
-#: One for all functions: it is held for moments only, never while a result is computed.
-_lock = Lock()
+#: One for all functions: it is held for moments only, never while a result is computed. In such a moment Python may
+#: call the handler of a signal, and that another of these functions: the thread that holds it goes on.
+_lock = RLock()
 if hasattr(os, "register_at_fork"):  # a process is not forked while a thread holds it
     os.register_at_fork(before=_lock.acquire, after_in_parent=_lock.release, after_in_child=_lock.release)
 
@@ -194,6 +195,10 @@ def _drop_to_limit() -> None:
     _kept_at_most.bytes = sum([one.bytes for one in functions])
     while _kept_at_most.bytes > _MOST_BYTES:
         oldest = min(functions, key=lambda one: one._oldest_use)
+        if not oldest._results:  # nor has any other: an interruption has come between a result and its count
+            _kept_at_most.bytes = 0
+            for one in functions:
+                one.bytes = 0
         # all of one that are older than those of the others
         others = min([one._oldest_use for one in functions if one is not oldest], default=float("inf"))
         while _kept_at_most.bytes > _MOST_BYTES and oldest._oldest_use < others:

@@ -163,9 +163,7 @@ def balance_system(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> Ba
     W = without_residue(bordered(A, B, C, D))
     # Only couplings count in a sweep; the diagonal of A does not change with the units of the states.
     np.fill_diagonal(W[:n, :n], 0.0)
-    # The units of channels are free: they are brought to what no units of states change.
-    radius = float(np.abs(explicit_poles(A0)).max(initial=0.0))
-    level = float(power_of_two(np.array(max(radius, system_level(A0, B0, C0, D0)))))
+    level = _level(A0, B0, C0, D0) if _has_free_side(W, n) else 1.0
     scaled = W.copy()
     left, right, settled = _factors(scaled, n, level, _length)
     if not settled or _vanished(scaled):
@@ -179,6 +177,17 @@ def balance_system(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> Ba
         c = 2.0 ** np.round(size / max(len(T) + len(Y), 1))
         u = Units(T / c, U / c, Y * c)
     return BalancedSystem(*_in_units(A0, B0, C0, D0, u), u.states, u.inputs, u.outputs)
+
+
+def _has_free_side(W: NDArray[np.float64], n: int) -> bool:
+    """Tell whether there are channels, or states of which nothing is left of a row or a column, to bring to a level."""
+    return W.shape != (n, n) or not (W.any(axis=0).all() and W.any(axis=1).all())
+
+
+def _level(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> float:
+    """Return the power of two that the units of channels, which are free, are brought to: no units change it."""
+    radius = float(np.abs(explicit_poles(A)).max(initial=0.0))
+    return float(power_of_two(np.array(max(radius, system_level(A, B, C, D)))))
 
 
 def _in_units(A: NDArray, B: NDArray, C: NDArray, D: NDArray, u: Units) -> tuple[NDArray, NDArray, NDArray, NDArray]:

@@ -87,7 +87,7 @@ def solver(A: Real, E: Real | None, points: Complex) -> Callable[[Complex], Comp
 
         return solved
     with _poles_named():
-        factors = list(_factored(A, E, points))
+        factors = list(_each(*_all_factors(A, E, points)))
 
     def eliminated(B: Complex) -> Complex:
         rows = B.swapaxes(1, 2).copy()
@@ -118,30 +118,56 @@ _latest: Latest[tuple[Complex, NDArray]] = Latest(kept=4)
 
 
 def _factored(A: Real, E: Real | None, points: Complex) -> Iterator[tuple[Complex, NDArray]]:
-    """Yield for each point the triangular factors of ``s E - A`` and the order of its rows.
+    """Return for each point the triangular factors of ``s E - A`` and the order of its rows, to use before the next.
 
     The latest are kept: a check of a design often asks for the points of the one before it.
     """
-    if 2 * A.nbytes * len(points) > _MOST_BYTES:
-        blocks = (_factors(A, E, points[[k]]) for k in range(len(points)))
-    else:
-        blocks = iter([_latest.of(entries(A, E, points), lambda: _factors(A, E, points))])
-    for factors, pivots in blocks:
-        yield from zip(factors.swapaxes(1, 2), pivots, strict=True)
+    if _are_many(A, points):
+        return _eliminated(A, E, points)
+    return _each(*_all_factors(A, E, points))
+
+
+def _are_many(A: Real, points: Complex) -> bool:
+    return 2 * A.nbytes * len(points) > _MOST_BYTES
+
+
+def _all_factors(A: Real, E: Real | None, points: Complex) -> tuple[Complex, NDArray]:
+    """Return the factors at all points; if they are not too many they are kept."""
+    if _are_many(A, points):
+        return _factors(A, E, points)
+    return _latest.of(entries(A, E, points), lambda: _factors(A, E, points))
+
+
+def _each(factors: Complex, pivots: NDArray) -> Iterator[tuple[Complex, NDArray]]:
+    return zip(factors.swapaxes(1, 2), pivots, strict=True)
 
 
 def _factors(A: Real, E: Real | None, points: Complex) -> tuple[Complex, NDArray]:
     """Return the transposes of the triangular factors of ``s E - A`` at each point, and the orders of its rows."""
-    M, pivots = _at_each(-A.T, points), np.zeros((len(points), len(A)), dtype=np.int32)  # LAPACK wants columns
-    if E is None:
-        M[:, np.arange(len(A)), np.arange(len(A))] = points[:, None] - A.diagonal()
-    else:
-        M += points[:, None, None] * E.T
-    for k, of_point in enumerate(M):
-        _, pivots[k], info = lapack.zgetrf(of_point.T, overwrite_a=1)  # in place
+    M, pivots = np.empty((len(points), *A.shape), dtype=complex), np.zeros((len(points), len(A)), dtype=np.int32)
+    for k, (_, order) in enumerate(_eliminated(A, E, points, M)):
+        pivots[k] = order
+    return M, pivots
+
+
+def _eliminated(
+    A: Real, E: Real | None, points: Complex, place: Complex | None = None
+) -> Iterator[tuple[Complex, NDArray]]:
+    """Yield the factors at each point and the orders of rows: each in its place, or each in that of the one before."""
+    constant = (-A.T).astype(complex, order="C")  # LAPACK wants columns
+    n, diagonal = len(A), A.diagonal()
+    one = np.empty(A.shape, dtype=complex)
+    for k, s in enumerate(points):
+        M = one if place is None else place[k]
+        M[...] = constant
+        if E is None:
+            M.ravel()[:: n + 1] = s - diagonal
+        else:
+            M += s * E.T
+        _, pivots, info = lapack.zgetrf(M.T, overwrite_a=1)  # in place
         if info > 0:
             raise np.linalg.LinAlgError("Singular matrix")
-    return M, pivots
+        yield M.T, pivots
 
 
 def _solve(factors: tuple[Complex, NDArray], right: Complex, transposed: int) -> None:

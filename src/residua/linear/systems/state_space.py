@@ -210,7 +210,8 @@ class StateSpace:
             if len(rows) < self.n_inputs:  # from the side that has fewer solutions
                 values[:, rows] += solutions(A, E, points, B[:, :0], C)[1] @ B
             else:
-                values[:, rows] += C @ solutions(A, E, points, B)[0]
+                X = solutions(A, E, points, B)[0]
+                values[:, rows] += X if _are_states(C) else C @ X
         return values
 
     def dc_gain(self) -> NDArray[np.float64]:
@@ -364,9 +365,17 @@ class StateSpace:
         )
 
 
+#: States from which a product takes longer than to see that it is none.
+_LARGE = 32
 _FIELDS = dict.fromkeys(("A", "B", "C", "D", "E", "dt", "inputs", "outputs", "states"))
 #: The fields of no other system: nothing that a user passes is one of them.
 _NOTHING = dict.fromkeys(_FIELDS, object())
+
+
+def _are_states(C: NDArray) -> bool:
+    """Tell whether outputs are all the states of a large system, in order: a product with them would take a while."""
+    n = len(C)
+    return n >= _LARGE and C.shape == (n, n) and np.count_nonzero(C) == n and bool((C.diagonal() == 1.0).all())
 
 
 def square(value: ArrayLike, name: str) -> NDArray[np.float64]:

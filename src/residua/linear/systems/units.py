@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import lapack
 
 from residua.linear.subspaces.parts import connected_parts
 from residua.linear.systems.array_cache import cached_by_entries
@@ -131,9 +132,10 @@ def _rated_potentials(
     q, p = W.shape[1] - n, W.shape[0] - n
     row_node = np.concatenate([np.arange(n), n + q + np.arange(p)])
     v, rate = np.zeros(n + q + p), None
+    column_node = np.arange(n + q)
+    dynamic = np.arange(len(W)) < n
     for _ in range(_ROUNDS):
-        i, j = np.nonzero(W)
-        v, rate = _with_rate(row_node[i], j, np.log2(W[i, j]), i < n, n + q + p, least)
+        v, rate = _with_rate(W, row_node, column_node, dynamic, n + q + p, least)
         if rate is None:
             break
         scaled = W * np.exp2(v[: n + q] - v[row_node][:, None])
@@ -247,9 +249,12 @@ def bordered(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> NDArray[np.float
 def _is_far(W: NDArray[np.float64], rows: NDArray[np.float64], columns: NDArray[np.float64]) -> bool:
     """Tell whether residue has drawn a fit off: the largest entry is left far above the one in the middle."""
     scaled = rows[:, None] * W * columns
-    present = np.sort(scaled[scaled > 0])
+    present = scaled[scaled > 0]
     count = present.size
-    return bool(count and present[-1] > _FAR * (0.5 * (present[(count - 1) // 2] + present[count // 2])))
+    if not count or present.max() <= _FAR * present.min():
+        return False
+    present.sort()
+    return bool(present[-1] > _FAR * (0.5 * (present[(count - 1) // 2] + present[count // 2])))
 
 
 def _without_wide_residue(W: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -293,8 +298,8 @@ def _potentials(W: NDArray[np.float64], row_node: NDArray, column_node: NDArray,
     W = W.copy()
     v = np.zeros(count)
     for _ in range(_ROUNDS):
-        i, j = np.nonzero(W)
-        v = _least_squares(row_node[i], column_node[j], np.log2(W[i, j])[:, None], count)[:, 0]
+        present, logarithms = _logarithms(W)
+        v = _least_squares(present, row_node, column_node, [logarithms], count)[:, 0]
         scaled = W * np.exp2(v[column_node][None, :] - v[row_node][:, None])
         keep = _real(scaled, scaled)
         if np.array_equal(keep, W > 0):
@@ -303,51 +308,73 @@ def _potentials(W: NDArray[np.float64], row_node: NDArray, column_node: NDArray,
     return v
 
 
-def _least_squares(row: NDArray, column: NDArray, values: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+def _logarithms(W: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+    """Return where there are entries, and their binary logarithms, zero elsewhere."""
+    present = W != 0
+    return present, np.log2(np.where(present, W, 1.0))
+
+
+def _least_squares(
+    present: NDArray[np.bool_],
+    row_node: NDArray,
+    column_node: NDArray,
+    values: list[NDArray[np.float64]],
+    count: int,
+) -> NDArray[np.float64]:
     """Minimise the sum of squares of ``values + v[column] - v[row]``, the first node of each part at zero.
 
-    Of each connected part only the differences of ``v`` matter; with the first at zero they are whole numbers apart
-    for units that are powers of two. For each column of ``values`` there is one of ``v``.
+    Every entry that is present is an edge from the node of its row to that of its column. Of each connected part only
+    the differences of ``v`` matter; with the first at zero they are whole numbers apart for units that are powers of
+    two. For each of ``values``, zero where there is no entry, there is a column of ``v``. No entry is looked at by
+    itself: the normal equations are made of sums over rows and over columns.
     """
-    free = np.ones(count, dtype=bool)
-    free[_origins(row, column, count)] = False
-    v = np.zeros((count, values.shape[1]))
-    if free.any():
-        edges = np.bincount(row * count + column, minlength=count * count).reshape(count, count)
-        ends = np.concatenate([row, column])
-        L = (np.diag(np.bincount(ends, minlength=count)) - edges - edges.T).astype(float)  # the Laplacian of the graph
-        b = [np.bincount(ends, weights=np.concatenate([one, -one]), minlength=count) for one in values.T]
-        v[free] = np.linalg.solve(L[free][:, free], np.array(b).T[free])
+    places = (row_node[:, None] * count + column_node).ravel()
+    edges = np.bincount(places, weights=present.ravel(), minlength=count * count).reshape(count, count)
+    origins = _origins(edges)
+    v = np.zeros((count, len(values)))
+    if len(origins) < count:
+        L = -edges - edges.T  # the Laplacian of the graph
+        L.ravel()[:: count + 1] -= L.sum(axis=1)
+        b = [
+            np.bincount(row_node, weights=one.sum(axis=1), minlength=count)
+            - np.bincount(column_node, weights=one.sum(axis=0), minlength=count)
+            for one in values
+        ]
+        # one after the first of each part is free; the factor of what is left, positive definite, needs no pivots
+        free = slice(1, None) if len(origins) == 1 else np.delete(np.arange(count), origins)
+        v[free] = lapack.dposv(L[free][:, free], np.array(b).T[free])[1]
     return v
 
 
 def _with_rate(
-    row: NDArray,
-    column: NDArray,
-    logarithms: NDArray[np.float64],
+    W: NDArray[np.float64],
+    row_node: NDArray,
+    column_node: NDArray,
     dynamic: NDArray[np.bool_],
     count: int,
     least: float = -np.inf,
 ) -> tuple[NDArray[np.float64], float | None]:
-    """Minimise the same with one unknown more, by which the logarithms of dynamic entries are larger; if it matters.
+    """Minimise the same with one unknown more, by which the logarithms in dynamic rows are larger; if it matters.
 
     It is no smaller than ``least``.
     """
-    shared = dynamic.astype(float)
-    v, through = _least_squares(row, column, np.array([logarithms, shared]).T, count).T
+    present, logarithms = _logarithms(W)
+    shared = (present & dynamic[:, None]).astype(float)
+    v, through = _least_squares(present, row_node, column_node, [logarithms, shared], count).T
     # minus what the potentials make of either
-    left = shared + through[column] - through[row]
-    own = float(left @ left)
+    left = shared + present * (through[column_node] - through[row_node][:, None])
+    own = float(np.vdot(left, left))
     if own <= _NO_RATE * max(float(shared.sum()), 1.0):
         return v, None
-    rate = max(float(left @ (logarithms + v[column] - v[row])) / own, least)
+    rate = max(float(np.vdot(left, logarithms + v[column_node] - v[row_node][:, None])) / own, least)
     return v - rate * through, rate
 
 
-def _origins(row: NDArray, column: NDArray, count: int) -> NDArray[np.int_]:
-    """Return the first node of each connected part."""
-    if len(row) <= _FEW:  # faster in lists
-        first = list(range(count))
+def _origins(edges: NDArray) -> NDArray[np.int_]:
+    """Return the first node of each connected part of a graph, by how many edges lead from one node to another."""
+    if np.count_nonzero(edges) <= _FEW:  # faster in lists
+        first = list(range(len(edges)))
+        row, column = np.nonzero(edges)
         for i, j in zip(row.tolist(), column.tolist(), strict=True):
             while first[i] != i:
                 i = first[i]
@@ -355,18 +382,12 @@ def _origins(row: NDArray, column: NDArray, count: int) -> NDArray[np.int_]:
                 j = first[j]
             first[max(i, j)] = min(i, j)
         return np.array([i for i, origin in enumerate(first) if origin == i], dtype=int)
-    coupled = np.zeros((count, count), dtype=bool)
-    coupled[row, column] = True
-    return np.array([part[0] for part in connected_parts(coupled)], dtype=int)
+    return np.array([part[0] for part in connected_parts(edges != 0)], dtype=int)
 
 
 def _pencil_potentials(a: NDArray[np.float64], e: NDArray[np.float64]) -> tuple[NDArray[np.float64], float | None]:
     """Return the potentials of rows and columns of a pencil, and the logarithm of the unit of ``s``, if it has one."""
     p, q = a.shape
-    places = [np.nonzero(M) for M in (a, e)]
-    row = np.concatenate([at[0] for at in places])
-    column = p + np.concatenate([at[1] for at in places])
-    logarithms = np.log2(np.concatenate([M[at] for M, at in zip((a, e), places, strict=True)]))
-    dynamic = np.arange(len(row)) >= len(places[0][0])
-    v, rate = _with_rate(row, column, logarithms, dynamic, p + q)
+    rows = np.concatenate([np.arange(p), np.arange(p)])
+    v, rate = _with_rate(np.vstack([a, e]), rows, p + np.arange(q), np.arange(2 * p) >= p, p + q)
     return v, None if rate is None else -rate
