@@ -463,19 +463,14 @@ def test_copies_that_rounding_sets_apart_are_one() -> None:
 
 
 @trips("plant.input_output_realization:_smallest_part")
-def test_unclear_order_is_refused() -> None:
-    """Five slow modes and five fast ones: each model has ten states, or is refused; some because of their number."""
-    refused = []
-    for fast in (210.0, 240.0, 270.0, 300.0):
-        for seed in (3, 5, 7):
-            rng = np.random.default_rng(seed)
-            poles = -np.concatenate([np.logspace(0, 0.5, 5), fast * np.logspace(0, 0.5, 5)])
-            plant = rs.Plant(np.diag(poles), rng.standard_normal((10, 2)), rng.standard_normal((3, 10)))
-            try:
-                assert input_output_from_plant(plant).to_plant().n_states == 10
-            except AccuracyError as error:
-                refused.append(str(error))
-    assert any("the order of the plant is not clear" in text for text in refused)
+@pytest.mark.parametrize("seed", [3, 5, 7])
+def test_unclear_order_is_refused(seed: int) -> None:
+    """Six slow modes and six that are 210 times as fast: rounding of the coefficients hides which are copies."""
+    rng = np.random.default_rng(seed)
+    poles = -np.concatenate([np.logspace(0, 0.5, 6), 210 * np.logspace(0, 0.5, 6)])
+    io = input_output_from_plant(rs.Plant(np.diag(poles), rng.standard_normal((12, 2)), rng.standard_normal((3, 12))))
+    with pytest.raises(AccuracyError, match="the order of the plant is not clear"):
+        io.to_plant()
 
 
 def test_names_units_and_operating_point_stay() -> None:
