@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.linalg
+from scipy.sparse.csgraph import connected_components
 
 from residua.errors import ModelError
 from residua.linear import StateSpace
 from residua.linear.poles import doubling
 from residua.linear.poles.doubling import filter_covariance
+from residua.linear.poles.matrix_poles import strong_parts
 from residua.linear.subspaces.parts import connected_parts
 from residua.linear.systems import resolvent
 from residua.linear.systems.resolvent import solutions, solver
@@ -181,3 +183,14 @@ def test_units_are_the_least_squares_over_all_entries(n, density):
     best = np.linalg.lstsq(edges, -np.log2(W[i, j]))[0]
     assert rate is not None
     np.testing.assert_allclose(edges @ np.append(v, rate), edges @ best, atol=1e-10)
+
+
+def test_strong_parts_are_those_of_scipy_in_its_order():
+    rng = np.random.default_rng(4)
+    for _ in range(300):
+        n, alone = int(rng.integers(0, 9)), int(rng.integers(0, 4))
+        A = rng.standard_normal((n, n)) * (rng.random((n, n)) < rng.choice([0.3, 1.0]))
+        A[:alone] *= np.eye(n)[:alone]
+        parts = strong_parts(A)
+        count, part = connected_components(A != 0, connection="strong")
+        assert [p.tolist() for p in parts] == [np.flatnonzero(part == i).tolist() for i in range(count)]

@@ -28,11 +28,15 @@ def _kept_poles(A: NDArray) -> NDArray[np.complex128]:
 
 def strong_parts(A: NDArray) -> list[NDArray[np.intp]]:
     """Return the states in groups that act on one another, however far round: each has poles of its own."""
-    if not len(A) or np.all(A):  # all states are one part: to find them is slower than to see that
-        return [np.arange(len(A))] if len(A) else []
+    present = A != 0
+    # leading states that no others act on, and all the others one part: to find that is slower than to see it
+    alone = next((i for i, row in enumerate(present) if row[:i].any() or row[i + 1 :].any()), len(A))
+    if present[alone:, alone:].all():
+        parts = [np.array([i]) for i in range(alone)]
+        return [*parts, np.arange(alone, len(A))] if alone < len(A) else parts
     from scipy.sparse.csgraph import connected_components  # slow to import
 
-    count, part = connected_components(A != 0, connection="strong")
+    count, part = connected_components(present, connection="strong")
     return [np.flatnonzero(part == i) for i in range(count)]
 
 
