@@ -207,7 +207,7 @@ def test_what_earlier_versions_wrote_goes_on(kind: str, kernel: bool, monkeypatc
         tick = one.tick(None, u[:, k], y[:, k])
         assert tick.alarm.tolist() == after[kind]["alarm"][k]
         statistic[:, k] = tick.statistic
-    # the start of a plant is a least squares problem, which another processor's LAPACK rounds otherwise (5e-10 was seen)
+    # a start is a least squares problem, which the LAPACK of another processor rounds otherwise: 5e-10 was seen
     np.testing.assert_allclose(statistic, values(after[kind]["statistic"]).T, rtol=1e-8)
     np.testing.assert_array_equal(made.statistic[0], statistic[1])  # type: ignore[union-attr]
 
