@@ -141,15 +141,19 @@ def filter_riccati(
             f"the Riccati equation was not solved: relative residual {residual:.3g} (limit {_RESIDUAL_LIMIT:.0e}), "
             f"poles {describe_modes(poles)}; scale the noise covariances nearer to one another"
         )
-    P, K = _without_rounding(P, K)
+    P, K = _without_rounding(P, K, terms, dt)
     return RiccatiSolution(T * P * T.T, T * K * Y.T, innovation / Y / Y.T, poles, residual)
 
 
-def _without_rounding(P: Matrix, K: Matrix) -> tuple[Matrix, Matrix]:
+def _without_rounding(
+    P: Matrix, K: Matrix, terms: tuple[Matrix, Matrix, Matrix, Matrix, Matrix], dt: float
+) -> tuple[Matrix, Matrix]:
     """Return covariance and gain, in even units, without what rounding leaves of correlations that there are not."""
+    A, C, _, _, S = terms
     size = np.sqrt(np.abs(np.diag(P)))
     P = np.where(np.abs(P) > RESIDUE * np.outer(size, size), P, 0.0)
-    return P, without_rounded_gains(K)
+    told = ((A @ P if dt else P) @ C.T + S).any(axis=1, keepdims=True)  # a state that no innovation tells of
+    return P, np.where(told, without_rounded_gains(K), 0.0)
 
 
 def _covariance(M: ArrayLike, name: str, n: int) -> Matrix:
