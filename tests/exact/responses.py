@@ -161,8 +161,9 @@ def paths(filter: Any, plant: Any, y: NDArray[np.float64], w: list[float]) -> Pa
             q = np.abs(_floats(Q))
             inside = (of_filter.terms[:, m:] / y).max(axis=1, initial=0.0)
             own.append((q[:, m:] / y).max(axis=1, initial=0.0) / np.where(inside > 0, inside, 1.0))
-            made = _made_of(of_filter, filter.B, filter.C)[:, :m]  # with what cancels in the states of the filter
-            direct = np.where(q[:, :m] < _NO_RESPONSE * made, made, q[:, :m])  # not what it rounds
+            # a control that no residual reads is no response either, though its ways cancel in the states of the filter
+            made = _made_of(of_filter, filter.B, filter.C)[:, :m]
+            direct = np.where(q[:, :m] < _NO_RESPONSE * made, made, q[:, :m])
             direct = np.hstack([direct, np.zeros((rows, B.shape[1] - m))])
             total.append(_floats(whole))
             terms.append(direct + q[:, m:] @ r)
