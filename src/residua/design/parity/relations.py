@@ -27,6 +27,7 @@ from residua.linear.systems.array_cache import cached_by_contents
 from residua.linear.systems.balancing import descriptor_units, power_of_two
 from residua.plant import Plant
 from residua.plant.comparable_units import PlantUnits, canonical_units
+from residua.plant.input_output_entries import in_other_time
 from residua.tolerances import POLYNOMIAL_LEAKAGE, RESIDUE, above_rounding
 from residua.words import counted
 
@@ -122,9 +123,7 @@ class ParityRelations:
 
     def _in_this_time(self, own: PolynomialMatrix, unit: float, lower: int = 0) -> PolynomialMatrix:
         """Return rows of the relations in that unit as in the unit of these, of a degree that is so much lower."""
-        degrees = np.array(self.orders, dtype=float) - lower
-        powers = unit ** (degrees - np.arange(own.degree + 1.0)[:, None])
-        return PolynomialMatrix(own.coefficients * powers[:, :, None])
+        return in_other_time(own, unit, [order - lower for order in self.orders])
 
     def _response(self, role: str) -> PolynomialMatrix:
         """Return ``p B + q D`` in powers, without what rounding leaves of nothing."""
