@@ -11,8 +11,7 @@ from residua.errors import ModelError
 from residua.linear import StateSpace
 from residua.linear.poles import doubling
 from residua.linear.poles.doubling import filter_covariance
-from residua.linear.poles.matrix_poles import strong_parts
-from residua.linear.subspaces.parts import connected_parts
+from residua.linear.subspaces.parts import connected_parts, strong_parts
 from residua.linear.systems import resolvent
 from residua.linear.systems.resolvent import solutions, solver
 from residua.linear.systems.response_terms import accurate_response, response_terms

@@ -7,6 +7,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from residua.linear.poles.zero_structure import rounding_of, scatter_of, without_zero_eigenvalues
+from residua.linear.subspaces.parts import strong_parts
 from residua.linear.systems.array_cache import cached_by_entries
 from residua.linear.systems.units import state_units_and_rate
 
@@ -24,20 +25,6 @@ def _kept_poles(A: NDArray) -> NDArray[np.complex128]:
     # parts have been asked for by themselves, or those of another matrix are the same
     of_parts = (_poles_of_part(A[np.ix_(i, i)]) if len(i) == 1 else _kept_poles(A[np.ix_(i, i)]) for i in parts)
     return np.concatenate([np.zeros(0, dtype=complex), *of_parts])
-
-
-def strong_parts(A: NDArray) -> list[NDArray[np.intp]]:
-    """Return the states in groups that act on one another, however far round: each has poles of its own."""
-    present = A != 0
-    # leading states that no others act on, and all the others one part: to find that is slower than to see it
-    alone = next((i for i, row in enumerate(present) if row[:i].any() or row[i + 1 :].any()), len(A))
-    if present[alone:, alone:].all():
-        parts = [np.array([i]) for i in range(alone)]
-        return [*parts, np.arange(alone, len(A))] if alone < len(A) else parts
-    from scipy.sparse.csgraph import connected_components  # slow to import
-
-    count, part = connected_components(present, connection="strong")
-    return [np.flatnonzero(part == i) for i in range(count)]
 
 
 def _poles_of_part(A: NDArray[np.float64]) -> NDArray[np.complex128]:

@@ -6,8 +6,9 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
-from residua.linear.poles.matrix_poles import is_rounding_of_zero, strong_parts
+from residua.linear.poles.matrix_poles import is_rounding_of_zero
 from residua.linear.poles.zero_structure import rounding_of, scatter_of, without_zero_eigenvalues
+from residua.linear.subspaces.parts import strong_parts
 from residua.tolerances import TINY
 
 _EPS = float(np.finfo(float).eps)

@@ -110,6 +110,20 @@ def part_numbers(present: NDArray[np.bool_]) -> tuple[NDArray[np.int_], NDArray[
     return numbers[:rows], numbers[rows:]
 
 
+def strong_parts(A: NDArray) -> list[NDArray[np.intp]]:
+    """Return the states in groups that act on one another, however far round: each has modes of its own."""
+    present = A != 0
+    # leading states that no others act on, and all the others one part: to find that is slower than to see it
+    alone = next((i for i, row in enumerate(present) if row[:i].any() or row[i + 1 :].any()), len(A))
+    if present[alone:, alone:].all():
+        parts = [np.array([i]) for i in range(alone)]
+        return [*parts, np.arange(alone, len(A))] if alone < len(A) else parts
+    from scipy.sparse.csgraph import connected_components  # slow to import
+
+    count, part = connected_components(present, connection="strong")
+    return [np.flatnonzero(part == i) for i in range(count)]
+
+
 def triangular_parts(present: NDArray[np.bool_]) -> list[tuple[Indices, Indices]]:
     """Return the rows and columns of each diagonal block of the block triangular form of a matrix.
 
@@ -166,9 +180,4 @@ def _connected(
 
 def _irreducible(present: NDArray[np.bool_], rows: Indices, columns: Indices) -> list[tuple[Indices, Indices]]:
     """Return the parts of a square block, its rows and columns matched in order, that ways connect both ways."""
-    if not len(rows):
-        return []
-    from scipy.sparse.csgraph import connected_components
-
-    count, part = connected_components(present[np.ix_(rows, columns)], connection="strong")
-    return [(rows[part == k], columns[part == k]) for k in range(count)]
+    return [(rows[part], columns[part]) for part in strong_parts(present[np.ix_(rows, columns)])]
