@@ -37,14 +37,14 @@ class UnitOfRates:
         return self.value
 
 
-_unit: ContextVar[UnitOfRates] = ContextVar("unit of rates", default=UnitOfRates(1.0))
+_unit: ContextVar[UnitOfRates | None] = ContextVar("unit of rates", default=None)
 
 
 @contextmanager
 def rates_in(unit: float) -> Iterator[UnitOfRates]:
     """Within this, rates are worked on in that many 1/s; texts say them in 1/s all the same."""
     around = _unit.get()
-    here = UnitOfRates(around.value * unit, around)
+    here = UnitOfRates(unit if around is None else around.value * unit, around)
     token = _unit.set(here)
     try:
         yield here
@@ -54,7 +54,8 @@ def rates_in(unit: float) -> Iterator[UnitOfRates]:
 
 def unit_of_rates() -> float:
     """Return the unit in which rates are worked on here, in 1/s: what texts multiply them by."""
-    return _unit.get().ask()
+    here = _unit.get()
+    return 1.0 if here is None else here.ask()
 
 
 def as_given(value: Any, power: float = 1.0) -> Any:
