@@ -37,6 +37,7 @@ ROOMS = (
         "arrays",
         "kernels",
         "facade",
+        "forks",
         "progress",
         "files",
         "partial_files",
