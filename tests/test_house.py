@@ -38,6 +38,7 @@ ROOMS = (
         "arrays",
         "kernels",
         "facade",
+        "forks",
         "progress",
         "files",
         "partial_files",

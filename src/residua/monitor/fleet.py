@@ -49,7 +49,8 @@ class Fleet:
     Notes
     -----
     A fleet belongs to one thread of the caller at a time. A tick, or a block, that is interrupted (by Ctrl-C, or for
-    want of memory) happens whole or not at all: what is left of it is done before the fleet does, or says, anything.
+    want of memory) happens whole or not at all: what is left of it is done before the fleet does, or says, anything. In
+    a process that is forked while another thread is within a block, the fleet refuses to go on.
 
     See Also
     --------

@@ -6,7 +6,6 @@ members, for every check of the result. The functions are pure, so that a kept r
 
 from __future__ import annotations
 
-import os
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterator
 from copy import copy
@@ -15,7 +14,6 @@ from functools import cache, cached_property, wraps
 from hashlib import blake2b
 from itertools import count
 from sys import getsizeof
-from threading import RLock
 from typing import Any, Generic, TypeVar, cast
 from weakref import WeakSet
 
@@ -23,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import ResiduaError
+from residua.forks import forkable_lock
 from residua.words import rates_in
 
 R = TypeVar("R")
@@ -45,9 +44,7 @@ _all: WeakSet[Latest[Any]] = WeakSet()
 _uses = count()
 #: One for all functions: it is held for moments only, never while a result is computed. In such a moment Python may
 #: call the handler of a signal, and that another of these functions: the thread that holds it goes on.
-_lock = RLock()
-if hasattr(os, "register_at_fork"):  # a process is not forked while a thread holds it
-    os.register_at_fork(before=_lock.acquire, after_in_parent=_lock.release, after_in_child=_lock.release)
+_lock = forkable_lock()
 
 
 def forget() -> None:
