@@ -30,7 +30,7 @@ _BEHIND: dict[str, tuple[Any, str]] = {
     "kalman_filter": (kalman_filter, "filter_riccati"),
     "decoupled_residual": (decoupled_residual, "_designed"),
 }
-_PLANTS = [("dense", 3), ("sparse", 19027), ("companion", 8), ("oscillators", 30003), ("delays", 2)]
+_PLANTS = [("dense", 3), ("sparse", 19027), ("companion", 8), ("planted zeros", 30003), ("delays", 2)]
 
 
 def digits(systems: Systems) -> list[NDArray[np.float64]]:

@@ -163,9 +163,9 @@ def in_unit_of_rates(plant: Plant) -> tuple[Plant, float]:
 
 def own_units(plant: Plant) -> EvenPlant:
     """Return a plant in its own units, for a design that is asked for as its equations say."""
-    ones = [np.ones(k) for k in (plant.n_states, plant.n_states, plant.n_outputs)]
-    signals = [np.ones(M.shape[1]) for M in (plant.Bu, plant.Bd, plant.Bf)]
-    return EvenPlant(plant, PlantUnits(*ones, *signals), even=False)
+    states, outputs = np.ones(plant.n_states), np.ones(plant.n_outputs)
+    inputs, disturbances, faults = (np.ones(M.shape[1]) for M in (plant.Bu, plant.Bd, plant.Bf))
+    return EvenPlant(plant, PlantUnits(states, states, outputs, inputs, disturbances, faults), even=False)
 
 
 def even_plant(plant: Plant, *, explicit: bool = False) -> EvenPlant:
