@@ -66,7 +66,8 @@ class _Filter:
             known = np.concatenate([units.faults, units.disturbances])
             known = np.concatenate([known, np.full(form.n_inputs - len(known), units.noise)])
             form = form.replaced(B=form.B * known, D=form.D * known)
-        return _Filter(system, *(None if M is None else M / units.equations for M in (self.T, self.V)), form)
+        T, V = (None if M is None else M / units.equations for M in (self.T, self.V))
+        return _Filter(system, T, V, form)
 
     def in_units(self, states: Factors, residuals: Factors) -> _Filter:
         """Return the filter with its states divided, and its residuals multiplied, by factors."""
