@@ -157,13 +157,12 @@ def _deadbeat(M: Matrix, H: Matrix, rtol: float, scale: float) -> tuple[Matrix, 
     inside, reach = At, Bt  # in the complement of X, of which Y is a basis
     steps: list[tuple[int, NDArray]] = []
     while X.shape[1] < c:
-        basis, decision = range_basis(reach, rtol=rtol, scale=scale_B)
+        basis, inverse = _range_and_inverse(reach, rtol * scale_B)
         kernel = _kernel(inside - basis @ (basis.T @ inside), rtol, scale_A)
         count = kernel.shape[1]
         if not count:
             return None
-        large = float(decision.singular_values.max(initial=0.0))
-        inverse = np.linalg.pinv(reach, rcond=rtol * scale_B / max(large, rtol * scale_B)) @ Y.T
+        inverse = inverse @ Y.T
         fresh = Y @ kernel
         fresh = np.linalg.qr(fresh - X @ (X.T @ fresh))[0]
         steps.append((X.shape[1], inverse))
@@ -178,6 +177,15 @@ def _deadbeat(M: Matrix, H: Matrix, rtol: float, scale: float) -> tuple[Matrix, 
             lost = lost - X[:, :start] @ (X[:, :start].T @ lost)
             F = F - inverse @ lost @ fresh.T
     return F.T, X, levels
+
+
+def _range_and_inverse(M: Matrix, tolerance: float) -> tuple[Matrix, Matrix]:
+    """Return an orthonormal basis of the column space of a matrix and its inverse there, by one decomposition."""
+    if not M.size:
+        return np.zeros((len(M), 0)), np.zeros(M.shape[::-1])
+    U, s, Vh = np.linalg.svd(M, full_matrices=False)
+    rank = int(np.count_nonzero(s > tolerance))
+    return without_noise(U[:, :rank]), (Vh[:rank].T / s[:rank]) @ U[:, :rank].T
 
 
 def _complement(kernel: Matrix, Y: Matrix, inside: Matrix, reach: Matrix) -> tuple[Matrix, Matrix, Matrix]:
