@@ -79,10 +79,7 @@ class _Filter:
         return _Filter(system, None if self.T is None else self.T / F, None if self.V is None else R * self.V, form)
 
     def own_states(self, units: PlantUnits) -> Factors:
-        """Return the units of its states: those of the plant's states, whose equations it repeats, or by its maps.
-
-        Without a map they stay what they are.
-        """
+        """Return the units of its states: those of the plant's states, whose equations it repeats, or by its maps."""
         if self.T is None:
             return np.ones(self.system.n_states)
         n = len(units.states)
@@ -130,17 +127,19 @@ def checked(
     state_map: NDArray[np.float64] | None = None,
     static_map: NDArray[np.float64] | None = None,
     form: StateSpace | None = None,
+    state_units: Factors | None = None,
 ) -> Checked:
     """Return what is measured of a filter with a state map or an internal form of its own, or raise when it fails.
 
     Powers of two take it to the units of the plant's own and back, so that nothing is rounded on the way; equal
-    filters for the same plant in other units are checked once.
+    filters for the same plant in other units are checked once. Of a filter without a state map the units of its states
+    are those given, or else they stay what they are.
     """
     decoupled = promise if isinstance(promise, Decoupled) else None
     leaks = _NONE if decoupled else promise.leaks(system, plant, evidence)
     units = canonical_units(plant)
     one = _Filter(system, state_map, static_map, form).for_scaled(units)
-    states = one.own_states(units)
+    states = one.own_states(units) if state_units is None else state_units
     residuals = one.own_residuals(states, units)
     own, scaled = _own_plant(plant, units), one.in_units(states, residuals)
     s, known = scaled.system, scaled.form
