@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residua.design.core.canonical_checks import checked, checked_by_form
+from residua.design.core.canonical_checks import checked
 from residua.design.core.decoupling import Approximate, Decoupled, Promise
 from residua.design.core.evidence import Evidence, format_pole, measured_from, of_sampling
 from residua.design.core.internal_form import (
@@ -450,6 +450,7 @@ def make_generator(
     state_map: NDArray[np.float64] | None = None,
     static_map: NDArray[np.float64] | None = None,
     known_form: StateSpace | None = None,
+    state_units: NDArray[np.float64] | None = None,
     observer: Observer | None = None,
     members: tuple[Member, ...] = (),
     codes: NDArray[np.bool_] | None = None,
@@ -460,18 +461,14 @@ def make_generator(
 
     Every design passes here, and no other place makes a generator of a filter. ``decouples`` says what must not reach
     the residual, which is measured here, or which entry of the evidence says how far it does. A filter whose states
-    are no linear function of the plant's brings its internal form, ``known_form``; an approximate one need not.
+    are no linear function of the plant's brings its internal form, ``known_form``; an approximate one need not. Of
+    such ``state_units`` are those of its states, powers of two, if it was written in other ones.
     """
     if not system.is_stable():
         raise AccuracyError(f"the filter is not stable: poles {', '.join(map(format_pole, system.poles()))}")
-    if state_map is not None and known_form is None:
-        found = checked(system, plant, evidence, decouples, state_map, static_map)
-    else:
-        if known_form is None and not isinstance(decouples, Approximate):
-            raise TypeError("make_generator needs a state_map or a known_form of an exact design")
-        # as known form of an approximate design the driven filter would say that control inputs do nothing
-        form = internal_form(system, plant) if known_form is None else known_form
-        found = checked_by_form(system, plant, evidence, decouples, form, state_map, static_map)
+    if state_map is None and known_form is None and not isinstance(decouples, Approximate):
+        raise TypeError("make_generator needs a state_map or a known_form of an exact design")
+    found = checked(system, plant, evidence, decouples, state_map, static_map, known_form, state_units)
     bases = {name: signature.basis(found.residuals) for name, signature in found.signatures.items()}
     if isinstance(decouples, Decoupled):  # what is left of the faults that are ignored has passed the check
         bases |= {name: np.zeros((system.n_outputs, 0)) for name in decouples.faults}

@@ -21,7 +21,7 @@ from residua.linear.subspaces.rank import (
     without_rounded_gains,
 )
 from residua.linear.systems.units import pencil_units
-from residua.tolerances import IDENTITY, RESIDUE, ROUNDING
+from residua.tolerances import IDENTITY, RESIDUE, ROUNDING, above_rounding
 from residua.words import unit_of_rates
 
 Matrix = NDArray[np.float64]
@@ -305,6 +305,9 @@ def _finished(p: _Problem, Z: Matrix, X: Matrix, levels: list[int]) -> PerfectGa
     T = G[:, : p.n]
     missed = float(np.linalg.norm(G @ p.R - np.eye(len(G))))
     back = p.columns[:, None] * G * p.rows
+    # what rounding leaves of an error that is always nothing would be all that there is of an output
+    errors, terms = p.left.T - p.R @ (G @ p.left.T), np.abs(p.R) @ (np.abs(G) @ np.abs(p.left.T))
+    errors = above_rounding(errors, np.abs(p.left.T) + terms)
     return PerfectGain(
         back[:, : p.n],
         back[:, p.n :],
@@ -313,7 +316,7 @@ def _finished(p: _Problem, Z: Matrix, X: Matrix, levels: list[int]) -> PerfectGa
         kept / p.unit,
         X.T / p.columns,
         p.left * p.rows,
-        (p.left.T - p.R @ (G @ p.left.T)) / p.rows[:, None],
+        errors / p.rows[:, None],
         nilpotency_index(kept),
         float(np.linalg.cond(T)) if T.size else 1.0,
         missed,
