@@ -24,7 +24,7 @@ from residua.design.core.own_time import has_rates
 from residua.design.core.responses import covariance_of_sums, steady_responses
 from residua.design.core.signals import discretized_filter, run_signals, sampled_filter
 from residua.errors import AccuracyError
-from residua.linear import StateSpace, decide_rank
+from residua.linear import RankDecision, StateSpace, decide_rank
 from residua.linear.systems.response_terms import in_even_units
 from residua.plant import Plant
 from residua.tolerances import POLYNOMIAL_LEAKAGE
@@ -33,6 +33,10 @@ if TYPE_CHECKING:
     from residua.design.observers.observer import Observer
     from residua.design.parity.equivalence import Equivalence
     from residua.design.parity.relations import ParityRelations, Poles
+
+
+#: Frequencies that often tell by themselves that all residuals are independent.
+_FEW = 6
 
 
 @dataclass(frozen=True)
@@ -166,12 +170,10 @@ class ResidualGenerator:
             own, w = in_even_units(self.system), leak_frequencies(self.system, self.plant)
             factors = own.equations / even.equations
             system = system.replaced(A=own.system.A, B=factors[:, None] * system.B, C=system.C / factors)
-        scaled = system.frequency_response(w)
-        for axes in ((0, 1), (0, 2)):  # each input, then each residual, has its own units
-            units = np.abs(scaled).max(axis=axes, keepdims=True, initial=0.0)
-            scaled = scaled / np.where(units > 0, units, 1.0)
-        flat = scaled.transpose(1, 0, 2).reshape(self.n_residuals, -1)
-        return decide_rank(np.hstack([flat.real, flat.imag]), rtol=1e-6).rank
+        few = _rank_of_rows(system, w[:: -(-len(w) // _FEW)])
+        if few.rank == self.n_residuals and few.is_clear:  # at further frequencies they are no less independent
+            return few.rank
+        return _rank_of_rows(system, w).rank
 
     @cached_property
     def structure(self) -> NDArray[np.bool_]:
@@ -426,6 +428,16 @@ class ResidualGenerator:
             f"ResidualGenerator({self.method}: {self.n_residuals} residuals, {self.system.n_states} states, "
             f"{len(self.faults)} faults, {kind})"
         )
+
+
+def _rank_of_rows(system: StateSpace, w: NDArray[np.float64]) -> RankDecision:
+    """Return how many outputs of a system are independent at some frequencies, inputs and outputs in own units."""
+    scaled = system.frequency_response(w)
+    for axes in ((0, 1), (0, 2)):  # each input, then each output
+        units = np.abs(scaled).max(axis=axes, keepdims=True, initial=0.0)
+        scaled = scaled / np.where(units > 0, units, 1.0)
+    flat = scaled.transpose(1, 0, 2).reshape(system.n_outputs, -1)
+    return decide_rank(np.hstack([flat.real, flat.imag]), rtol=1e-6)
 
 
 def make_generator(

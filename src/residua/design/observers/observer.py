@@ -182,7 +182,7 @@ class Observer:
         alive = _more_than(through / Y, terms / Y) | _path(static / R, read * S, J / S[:, None] / R)
         if not alive.any():
             raise DesignError(self._why_blind())
-        keep = alive if self.V is not None else alive | self._copies(states, through)
+        keep = alive if self.V is not None or alive.all() else alive | self._copies(states, through)
         # of a control that enters nothing rounding would be all that there is
         sizes = terms @ np.abs(p.Du) + (np.abs(V) + np.abs(read) @ np.abs(J)) @ np.abs(p.Bu)
         direct = above_rounding(-through @ p.Du - static @ p.Bu, sizes)[keep]

@@ -21,6 +21,8 @@ from residua.tolerances import RESIDUE
 
 #: What rounding leaves of the next zeros, as a multiple of what it left of those that were dropped.
 _BEYOND_DROPPED = 10.0
+#: With a rate of less, inputs have units by which what is divided by it stays far from the largest numbers.
+_SLOWEST = 2.0**-600
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +115,9 @@ def _balanced(M: Matrices) -> tuple[Matrices, float]:
     """
     A, B, C, D = M
     rate = system_rate(A, B, C, D) or 1.0
+    if rate < _SLOWEST:
+        inputs = float(power_of_two(np.sqrt(rate)))
+        B, D = B * inputs, D * inputs
     b = balance_system(A / rate, B / rate, C, D)
     size = spectral_norm(b.A)
     unit = float(power_of_two(np.array(size))) if size else 1.0
