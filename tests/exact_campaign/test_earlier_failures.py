@@ -190,6 +190,8 @@ EARLIER = [
     ("singular E", 18022, designs._observers),
     # a gain that rounding left of no correlation was the only rate that a filter of delays had
     ("delays", 18011, designs._noise),
+    # whether a coefficient of a derivative is rounding was decided in units of the caller
+    ("sparse", 19027, designs._perfect),
 ]
 
 

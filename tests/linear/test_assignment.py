@@ -40,9 +40,10 @@ def test_poles_at_the_ends_of_the_range_of_numbers_are_paired() -> None:
     assert len(set(order)) == 2
 
 
-def test_a_design_does_not_wait_for_optimisers_to_be_imported() -> None:
+def test_a_design_does_not_wait_for_optimisers_and_graphs_to_be_imported() -> None:
     program = (
-        "import sys, residua as rs; rs.design.luenberger_observer(rs.library.gertler()); "
-        "assert 'scipy.optimize' not in sys.modules"
+        "import sys, residua as rs; plant = rs.library.gertler(); rs.design.luenberger_observer(plant); "
+        "rs.design.parity_relations(plant); "
+        "assert not {'scipy.optimize', 'scipy.sparse'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", program], check=True)

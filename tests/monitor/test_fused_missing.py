@@ -16,6 +16,7 @@ from residua.monitor import fused
 from residua.monitor.fused import OUTPUTS, FusedRun, copied, plan_of
 from residua.monitor.running import initial_state, rows_of, run_reference, written_rows
 from residua.monitor.specification import Specification
+from residua.monitor.whole_blocks import Job
 
 needs_kernel = pytest.mark.skipif(fused._kernel is None, reason="there is no compiled kernel")
 
@@ -100,7 +101,7 @@ def test_ticks_have_the_bits_of_numpy(
         for k in range(data.shape[1]):
             rows = rng.permutation(plants)[: int(rng.integers(1, plants + 1))]
             sample, outs = data[rows, k : k + 1], run.outputs(len(rows), 1, keep)
-            run.run(sample[..., :inputs], sample[..., inputs:], outs, rows, threads=int(rng.integers(1, 3)))
+            run.run(Job(sample[..., :inputs], sample[..., inputs:], outs, rows, threads=int(rng.integers(1, 3))))
             with np.errstate(all="ignore"):
                 after, expected = run_reference(spec, rows_of(state, rows), sample)
             state = written_rows(copied(state), rows, after)

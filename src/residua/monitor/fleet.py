@@ -259,7 +259,8 @@ class Fleet:
         -------
         list of AlarmEvent
             Alarms that were raised and that have ended, plant by plant in their order, each as it would be in
-            :attr:`alarms` after a :meth:`tick` with that very sample: the same however time is cut into blocks.
+            :attr:`alarms` after a :meth:`tick` with that very sample: the same however time is cut into blocks. Those
+            of a block that was interrupted come first with the next block of its model.
 
         Raises
         ------

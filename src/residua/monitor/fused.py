@@ -23,15 +23,10 @@ from residua.monitor.plant_records import SELDOM, takes_no_memory
 from residua.monitor.running import Decisions, State, run_reference, written_rows
 from residua.monitor.specification import Specification
 from residua.monitor.starting import MOVED_FROM
-from residua.monitor.whole_blocks import Job, Parts, Work, Worker
+from residua.monitor.whole_blocks import OUTPUTS, Job, Parts, Work, Worker
 
 _kernel = kernel("residua.monitor._fused")
 
-#: What a block leaves, in the order of the kernel.
-OUTPUTS = (
-    *("residuals", "missing", "aside", "usable", "statistic", "exceeded", "alarm", "up", "whitened", "scores", "ready"),
-    *("member_statistics", "fired", "code"),
-)
 _OF_PARTS = ("member_statistics", "fired", "code")
 _TYPES = {
     "ready": bool,
@@ -355,53 +350,17 @@ class FusedRun:
             out[name] = np.zeros(shape, dtype=_TYPES.get(name, np.float64)) if kept else None
         return out
 
-    def run(
-        self,
-        u: NDArray[np.float64],
-        y: NDArray[np.float64],
-        outputs: dict[str, NDArray | None],
-        rows: NDArray[np.int64] | None = None,
-        *,
-        threads: int = 1,
-        joined: NDArray[np.float64] | None = None,
-    ) -> None:
+    def run(self, job: Job) -> None:
         """Go on with a block.
-
-        Parameters
-        ----------
-        u, y : ndarray, shape (plants, time, channels)
-        outputs : dict
-            As :meth:`outputs` makes them.
-        rows : ndarray of int, shape (plants,), optional
-            Whose data they are: each row of the state once. All rows in order when omitted.
-        threads : int
-            The plants are shared among so many.
-        joined : ndarray, shape (plants, time, channels), optional
-            Where to put u and y side by side.
 
         An error leaves all plants as they were, or a block of which :meth:`finish`, or whatever looks at the state
         next, does the rest.
         """
         self.finish()
-        job = self.job(u, y, outputs, rows, threads=threads)
-        job.joined = joined
-        self._do(job)
+        self._worker.do(self._work(job))
 
-    def job(
-        self,
-        u: NDArray[np.float64],
-        y: NDArray[np.float64],
-        outputs: dict[str, NDArray | None],
-        rows: NDArray[np.int64] | None = None,
-        *,
-        threads: int = 1,
-        then: Callable[[], None] | None = None,
-    ) -> Job:
-        """Return a block to go on with, as :meth:`run`; ``then``: what comes after it."""
-        return Job(u, y, tuple(outputs[name] for name in OUTPUTS), rows, threads, then)
-
-    def _do(self, job: Job) -> None:
-        self._worker.do(Work([lambda: self.perform(job)], [job]))
+    def _work(self, job: Job, undo: Callable[[], None] | None = None) -> Work:
+        return Work([lambda: self.perform(job)], [job], undo=undo)
 
     def finish(self) -> None:
         """Do what an interruption has left of a block."""
@@ -432,19 +391,24 @@ class FusedRun:
 
     def block(self, data: NDArray[np.float64], outputs: dict[str, NDArray | None]) -> Decisions:
         """Go on with a block of (plants, time, channels), and return what was decided, isolation included."""
-        before = self.state
-        count, decisions, named = before.count.copy(), decisions_of(outputs), []
+        decisions, u, y = decisions_of(outputs), data[..., : self._inputs], data[..., self._inputs :]
+        if self.plan.names:
+            self.run(Job(u, y, outputs))
+            return decisions
+        before, named = copied(self.state), []
 
         def name() -> None:
-            block = Block(decisions.residuals, _there(outputs["ready"]), count)
+            block = Block(decisions.residuals, _there(outputs["ready"]), before.count)
             isolation, scores = self.spec.isolation.run(before.isolation, block, decisions.tested)
             named.append(scores)
             state, runner, one = self._on
             self._on = (replace(state, isolation=isolation), runner, one)
 
-        u, y = data[..., : self._inputs], data[..., self._inputs :]
-        self._do(self.job(u, y, outputs, then=None if self.plan.names else name))
-        return replace(decisions, named=named[-1]) if named else decisions
+        def undo() -> None:  # an isolation of the user's may raise each time
+            self._use(before, self._on[2])
+
+        self._worker.do(self._work(Job(u, y, outputs, then=name), undo))
+        return replace(decisions, named=named[-1])
 
     # ------------------------------------------------------------------------ one sample
 

@@ -17,6 +17,7 @@ from residua.monitor.decision import Decision, decision_from
 from residua.monitor.fused import OUTPUTS, FusedRun, copied, decisions_of, plan_of
 from residua.monitor.running import Decisions, State, initial_state, joined_decisions, run_reference
 from residua.monitor.specification import Specification
+from residua.monitor.whole_blocks import Job
 from residua.visible import echo, listed
 
 #: Samples per piece when a recording is run: bounds memory and lets progress be shown.
@@ -135,7 +136,7 @@ def run_whole(
     for start in range(0, time, PIECE):
         piece = slice(start, start + PIECE)
         places = {name: None if values is None else values[:, piece] for name, values in out.items()}
-        run.run(u[:, piece], y[:, piece], places, joined=data[:, piece])
+        run.run(Job(u[:, piece], y[:, piece], places, joined=data[:, piece]))
         if progress is not None:
             progress(min(start + PIECE, time), time)
     return run.state, decisions_of(out), data
@@ -163,7 +164,7 @@ def _run_stacked(
             parts.append(decisions)
         elif whole:
             places = {n: None if v is None else v[:, start : start + PIECE] for n, v in out.items()}
-            run.run(part, part[..., :0], places)
+            run.run(Job(part, part[..., :0], places))
         else:
             parts.append(run.block(part, run.outputs(part.shape[0], part.shape[1])))
         if progress is not None:

@@ -57,7 +57,7 @@ def _rescaled(
     equations = units.equations**power
     known = made.known_form if known is None else known
     if known is not None:
-        noises = np.ones(known.n_inputs - len(units.faults) - len(units.disturbances))
+        noises = np.full(known.n_inputs - len(units.faults) - len(units.disturbances), 1 / units.noise)
         through = np.concatenate([1 / units.faults, 1 / units.disturbances, noises]) ** power
         known = known.replaced(B=known.B * through, D=known.D * through)
     return replace(

@@ -21,7 +21,7 @@ from residua.linear.subspaces.rank import (
     without_rounded_gains,
 )
 from residua.linear.systems.units import pencil_units
-from residua.tolerances import IDENTITY, RESIDUE, ROUNDING
+from residua.tolerances import IDENTITY, RESIDUE, ROUNDING, above_rounding
 from residua.words import unit_of_rates
 
 Matrix = NDArray[np.float64]
@@ -157,13 +157,12 @@ def _deadbeat(M: Matrix, H: Matrix, rtol: float, scale: float) -> tuple[Matrix, 
     inside, reach = At, Bt  # in the complement of X, of which Y is a basis
     steps: list[tuple[int, NDArray]] = []
     while X.shape[1] < c:
-        basis, decision = range_basis(reach, rtol=rtol, scale=scale_B)
+        basis, inverse = _range_and_inverse(reach, rtol * scale_B)
         kernel = _kernel(inside - basis @ (basis.T @ inside), rtol, scale_A)
         count = kernel.shape[1]
         if not count:
             return None
-        large = float(decision.singular_values.max(initial=0.0))
-        inverse = np.linalg.pinv(reach, rcond=rtol * scale_B / max(large, rtol * scale_B)) @ Y.T
+        inverse = inverse @ Y.T
         fresh = Y @ kernel
         fresh = np.linalg.qr(fresh - X @ (X.T @ fresh))[0]
         steps.append((X.shape[1], inverse))
@@ -178,6 +177,15 @@ def _deadbeat(M: Matrix, H: Matrix, rtol: float, scale: float) -> tuple[Matrix, 
             lost = lost - X[:, :start] @ (X[:, :start].T @ lost)
             F = F - inverse @ lost @ fresh.T
     return F.T, X, levels
+
+
+def _range_and_inverse(M: Matrix, tolerance: float) -> tuple[Matrix, Matrix]:
+    """Return an orthonormal basis of the column space of a matrix and its inverse there, by one decomposition."""
+    if not M.size:
+        return np.zeros((len(M), 0)), np.zeros(M.shape[::-1])
+    U, s, Vh = np.linalg.svd(M, full_matrices=False)
+    rank = int(np.count_nonzero(s > tolerance))
+    return without_noise(U[:, :rank]), (Vh[:rank].T / s[:rank]) @ U[:, :rank].T
 
 
 def _complement(kernel: Matrix, Y: Matrix, inside: Matrix, reach: Matrix) -> tuple[Matrix, Matrix, Matrix]:
@@ -297,6 +305,9 @@ def _finished(p: _Problem, Z: Matrix, X: Matrix, levels: list[int]) -> PerfectGa
     T = G[:, : p.n]
     missed = float(np.linalg.norm(G @ p.R - np.eye(len(G))))
     back = p.columns[:, None] * G * p.rows
+    # what rounding leaves of an error that is always nothing would be all that there is of an output
+    errors, terms = p.left.T - p.R @ (G @ p.left.T), np.abs(p.R) @ (np.abs(G) @ np.abs(p.left.T))
+    errors = above_rounding(errors, np.abs(p.left.T) + terms)
     return PerfectGain(
         back[:, : p.n],
         back[:, p.n :],
@@ -305,7 +316,7 @@ def _finished(p: _Problem, Z: Matrix, X: Matrix, levels: list[int]) -> PerfectGa
         kept / p.unit,
         X.T / p.columns,
         p.left * p.rows,
-        (p.left.T - p.R @ (G @ p.left.T)) / p.rows[:, None],
+        errors / p.rows[:, None],
         nilpotency_index(kept),
         float(np.linalg.cond(T)) if T.size else 1.0,
         missed,

@@ -11,7 +11,7 @@ from collections.abc import Callable, Hashable, Iterator
 from copy import copy
 from dataclasses import dataclass
 from functools import cache, cached_property, wraps
-from hashlib import blake2b
+from hashlib import sha256
 from itertools import count
 from sys import getsizeof
 from typing import Any, Generic, TypeVar, cast
@@ -217,7 +217,7 @@ def entries(*matrices: NDArray | None) -> Hashable:
     present = [M for M in matrices if M is not None]
     if sum([M.nbytes for M in present]) <= _LARGE:
         return shapes, tuple([M.tobytes() for M in present])
-    digest = blake2b(digest_size=32)
+    digest = sha256()
     for M in map(np.ascontiguousarray, present):
         digest.update(M.data if M.size else b"")
     return shapes, digest.digest()
