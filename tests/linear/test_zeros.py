@@ -156,3 +156,12 @@ def test_a_coupling_that_rounding_made_over_a_weak_one_takes_no_zero_away():
         found = invariant_zeros(A / 4096, inputs, C)
         assert found.normal_rank == inputs.shape[1]
         assert found.zeros.tolist() == [0, 0, 0]
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("size", [1e-200, 1e-300, 1e-310])
+def test_entries_near_the_smallest_numbers_are_rates_like_any(size):
+    found = invariant_zeros([[size, size], [size, -size]], [[1], [1]], [[1, 1]])
+    assert found.normal_rank == 1
+    assert not found.zeros.imag.any()
+    np.testing.assert_allclose(found.zeros.real / size, [-1], rtol=1e-9)

@@ -1,9 +1,5 @@
 """Infinite zeros and null structure of a system taken out by orthogonal steps, until ``D`` has full row rank.
 
-Rounding turns the bases of a step over its weakest coupling, and makes couplings in the next where there are none.
-Where a weak coupling may be no more than that, copies of the system whose entries differ in their last digits go
-through the same steps, as in the observability staircase: a coupling that differs by its own size is rounding.
-
 References
 ----------
 Emami-Naeini and Van Dooren, Computation of zeros of linear multivariable systems, Automatica 18 (1982) 415-430.
@@ -16,13 +12,10 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.linear.subspaces.rank import RankDecision
-from residua.linear.subspaces.staircase_steps import SURELY, WEAK, copies_of
+from residua.linear.subspaces.weak_couplings import UnclearRankError, WeakCouplings, copies_of
 
 Matrix = NDArray[np.float64]
 Matrices = tuple[Matrix, Matrix, Matrix, Matrix]
-
-_EPS = float(np.finfo(float).eps)
 
 
 class _Run:
@@ -93,18 +86,13 @@ class _ComparedRun(_Run):
         self._rows, self._states = np.hstack([self._rows[:, :rank], equations]), turned[:, :k]
 
 
-class _UnclearRankError(Exception):
-    """A weak coupling may be rounding, which copies tell."""
-
-
 class _Steps:
     """The steps of a system, or of it and its copies with the ranks of the first."""
 
     def __init__(self, one: _Run, compared: list[_ComparedRun], rtol: float, scale: float) -> None:
         self.one, self.compared = one, compared
         self.runs: list[_Run] = [*compared] or [one]
-        self.decisions: list[RankDecision] = []
-        self._tolerance, self._scale, self._turned = rtol * scale, scale, 0.0
+        self.decided, self._scale = WeakCouplings(rtol), scale
 
     def take(self) -> None:
         """Take the steps of the rows, and then of the columns."""
@@ -115,18 +103,10 @@ class _Steps:
 
     def _decide(self, values: Matrix, couplings: Callable[[_ComparedRun], Matrix]) -> int:
         """Return how many singular values are no rounding."""
-        tolerance, rounding = self._tolerance, (10 * _EPS + self._turned) * self._scale
-        rank = int(np.count_nonzero(values > tolerance))
-        if rank and values[rank - 1] < min(WEAK * self._scale, SURELY * rounding):
-            if not self.compared:
-                raise _UnclearRankError
-            one, *copies = (couplings(run) for run in self.compared)
-            tolerance = max(tolerance, SURELY * max(float(np.linalg.norm(one - other)) for other in copies))
-            rank = int(np.count_nonzero(values > tolerance))
-        self.decisions.append(RankDecision(rank, values, tolerance))
-        if rank:
-            self._turned += rounding / float(values[rank - 1])
-        return rank
+        scale = self._scale
+        return self.decided.rank(
+            values, scale, of=scale, turning=scale, couplings=lambda: [couplings(run) for run in self.compared]
+        )
 
     def _deflate(self) -> None:
         """Take steps until ``D`` has full row rank."""
@@ -148,8 +128,8 @@ class _Steps:
                 run.force(rank, np.roll(Vh, -mu, axis=0).T, mu)
 
 
-def deflated(M: Matrices, rtol: float, scale: float) -> tuple[Matrices, list[RankDecision]]:
-    """Return the dual of the part of a system with its finite zeros, and the decisions about ranks.
+def deflated(M: Matrices, rtol: float, scale: float) -> tuple[Matrices, WeakCouplings]:
+    """Return the dual of the part of a system with its finite zeros, and what was decided on the way.
 
     Parameters
     ----------
@@ -162,16 +142,17 @@ def deflated(M: Matrices, rtol: float, scale: float) -> tuple[Matrices, list[Ran
     -------
     M : tuple of ndarray
         ``D`` is square and invertible, if all decisions were clear.
-    decisions : list of RankDecision
+    decided : WeakCouplings
+        The decisions about ranks.
     """
     steps = _Steps(_Run(M), [], rtol, scale)
     try:
         steps.take()
-    except _UnclearRankError:
+    except UnclearRankError:
         runs = [_ComparedRun(one) for one in (M, *copies_of(M))]
         steps = _Steps(runs[0], runs, rtol, scale)
         steps.take()
-    return steps.one.M, steps.decisions
+    return steps.one.M, steps.decided
 
 
 def _singular_vectors(X: Matrix) -> tuple[Matrix, Matrix, Matrix]:

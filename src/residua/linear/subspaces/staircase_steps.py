@@ -1,31 +1,19 @@
-"""The steps of an observability staircase, with ranks decided beside what rounding of the steps before has made.
-
-Rounding turns the basis of the states seen so far by itself over the weakest coupling so far, which couples states that
-nothing couples, and more so step after step. Where a weak coupling may be no more than that, copies of the pair whose
-entries differ in their last digits go through the same steps: a coupling that differs by its own size is rounding.
-"""
+"""The steps of an observability staircase, with ranks decided beside what rounding of the steps before has made."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from residua.linear.subspaces.rank import RankDecision, spectral_norm
+from residua.linear.subspaces.weak_couplings import UnclearRankError, WeakCouplings, copies_of
+from residua.tolerances import RANK
 
 _EPS = float(np.finfo(float).eps)
-#: Couplings above this, relative to the size of all, are never rounding: steps that amplify it so much end in one that
-#: is weak before.
-WEAK = 2.0**-10
-#: Copies of a pair, and by how many units in the last place their entries differ at most.
-_COPIES, _LAST_PLACES = 2, 4
-#: A coupling is real where it is as many times what copies differ by.
-SURELY = 4.0
 
 Pair = tuple[NDArray[np.float64], NDArray[np.float64]]
-T = TypeVar("T", bound=tuple[NDArray[np.float64], ...])
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +29,8 @@ class Steps:
     decisions : tuple of RankDecision
     dropped : float
         The largest coupling that was called zero; one with outputs as if these were as large as ``A``.
+    in_doubt : bool
+        Whether a decision may have been made by rounding.
     """
 
     Q: NDArray[np.float64]
@@ -48,6 +38,7 @@ class Steps:
     n_seen: int
     decisions: tuple[RankDecision, ...]
     dropped: float
+    in_doubt: bool = False
 
 
 def states_with_a_path(A: NDArray, C: NDArray) -> NDArray[np.bool_]:
@@ -86,7 +77,7 @@ def staircase_steps(A: NDArray[np.float64], C: NDArray[np.float64], rtol: float,
     Q = np.zeros_like(A)
     Q[np.ix_(order[:k], np.arange(k))] = found.Q
     Q[order[k:], np.arange(k, len(A))] = 1.0
-    return Steps(Q, found.n_observable, found.n_seen, found.decisions, found.dropped)
+    return Steps(Q, found.n_observable, found.n_seen, found.decisions, found.dropped, found.in_doubt)
 
 
 def _steps(A: NDArray[np.float64], C: NDArray[np.float64], rtol: float, compare: bool) -> Steps:
@@ -94,21 +85,10 @@ def _steps(A: NDArray[np.float64], C: NDArray[np.float64], rtol: float, compare:
     if not len(A):
         return Steps(np.eye(0), 0, 0, (), 0.0)
     sizes = _Sizes.of(A, C, rtol)
-    found = _taken([(A, C)], sizes, rtol, compare)
-    if found is None:
-        found = _taken([(A, C), *copies_of((A, C))], sizes, rtol, compare)
-    assert found is not None
-    return found
-
-
-def copies_of(matrices: T) -> list[T]:
-    """Return matrices a few times more, each time with other last digits, which are the same in every call."""
-    rng = np.random.default_rng(0)
-
-    def like(M: NDArray[np.float64]) -> NDArray[np.float64]:
-        return M * (1 + _EPS * rng.integers(-_LAST_PLACES, _LAST_PLACES + 1, M.shape))
-
-    return [cast("T", tuple(like(M) for M in matrices)) for _ in range(_COPIES)]
+    try:
+        return _taken([(A, C)], sizes, rtol, compare)
+    except UnclearRankError:
+        return _taken([(A, C), *copies_of((A, C))], sizes, rtol, compare)
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,34 +110,28 @@ class _Sizes:
         return _Sizes(spectral_norm(C), size, shifted, max(shifted, min(size, floor)))
 
 
-def _taken(pairs: list[Pair], sizes: _Sizes, rtol: float, compare: bool) -> Steps | None:
-    """Take the steps of a pair and its copies; or of a pair alone, and return nothing where it needs copies."""
+def _taken(pairs: list[Pair], sizes: _Sizes, rtol: float, compare: bool) -> Steps:
+    """Take the steps of a pair, with its copies if there are any."""
     n = len(pairs[0][0])
     runs = [_Run(A, C, np.eye(n)) for A, C in pairs]
-    one, copies = runs[0], runs[1:]
-    decisions: list[RankDecision] = []
-    first, dropped, turned = 0, 0.0, 0.0
+    one, decided = runs[0], WeakCouplings(rtol)
+
+    def couplings() -> list[NDArray[np.float64]]:
+        return [run.couplings() for run in runs] if len(runs) > 1 else []
+
+    first, dropped = 0, 0.0
     while one.seen < n:
-        size = sizes.couplings if one.seen else sizes.C
-        s = one.s
-        tolerance = rtol * size
-        rank = int(np.count_nonzero(s > tolerance))
-        rounding = 10 * _EPS * (sizes.A if one.seen else sizes.C) + turned * sizes.shifted
-        if compare and rank and s[rank - 1] < min(WEAK * size, SURELY * rounding):
-            if not copies:
-                return None
-            tolerance = max(tolerance, SURELY * max(one.distance(other) for other in copies))
-            rank = int(np.count_nonzero(s > tolerance))
-        decisions.append(RankDecision(rank, s, tolerance))
-        if s.size > rank and size:
-            dropped = max(dropped, float(s[rank]) / size)
+        size, of = (sizes.couplings, sizes.A) if one.seen else (sizes.C, sizes.C)
+        rank = decided.rank(one.s, size, of=of, turning=sizes.shifted, couplings=couplings if compare else None)
+        if one.s.size > rank and size:
+            dropped = max(dropped, float(one.s[rank]) / size)
         if rank == 0:
             break
         first = first or rank
-        turned += rounding / s[rank - 1]
         for run in runs:
             run.take(rank)
-    return Steps(one.Q, one.seen, first, tuple(decisions), dropped * sizes.couplings)
+    in_doubt = decided.in_doubt or (one.seen < n and decided.turned > RANK)
+    return Steps(one.Q, one.seen, first, tuple(decided.decisions), dropped * sizes.couplings, in_doubt)
 
 
 class _Run:
@@ -177,10 +151,6 @@ class _Run:
         """Return these couplings in the coordinates of the pair, which have no choice of a basis in them."""
         M = self._block @ self.Q[:, self.seen :].T
         return M if self._left is None else self._left @ M
-
-    def distance(self, other: _Run) -> float:
-        """Return by how much the couplings of a copy differ."""
-        return float(np.linalg.norm(self.couplings() - other.couplings()))
 
     def take(self, rank: int) -> None:
         """Go on to what is coupled most."""

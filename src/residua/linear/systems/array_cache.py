@@ -11,7 +11,7 @@ from collections.abc import Callable, Hashable, Iterator
 from copy import copy
 from dataclasses import dataclass
 from functools import cache, cached_property, wraps
-from hashlib import blake2b
+from hashlib import sha256
 from itertools import count
 from sys import getsizeof
 from typing import Any, Generic, TypeVar, cast
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from residua.errors import ResiduaError
 from residua.forks import forkable_lock
-from residua.words import times_unit_was_asked, unit_of_rates, unit_of_rates_unasked
+from residua.words import rates_in
 
 R = TypeVar("R")
 #: Numbers and words whose value says all, once their type is known.
@@ -114,21 +114,19 @@ class Latest(Generic[R]):
         an answer, and is kept.
         """
         known = self._kept_under(key)
-        if known is None:
-            own = unit_of_rates_unasked(), key
+        if known is not None:
+            return _answer(known.result)
+        with rates_in(1.0) as unit:  # one of our own, which says whether it was asked for here
+            own = unit.value, key
             known = self._kept_under(own)
             if known is not None:
-                unit_of_rates()  # what this result becomes part of has the unit in it too
-        if known is not None:
-            if isinstance(known.result, ResiduaError):
-                raise copy(known.result)  # each with a traceback of its own
-            return known.result
-        before = times_unit_was_asked()
-        try:
-            result, error = compute(), None
-        except ResiduaError as refusal:
-            result, error = cast("R", copy(refusal)), refusal
-        result = self._keep(key if times_unit_was_asked() == before else own, result)
+                unit.ask()  # what this result becomes part of has the unit in it too
+                return _answer(known.result)
+            try:
+                result, error = compute(), None
+            except ResiduaError as refusal:
+                result, error = cast("R", copy(refusal)), refusal
+        result = self._keep(own if unit.asked else key, result)
         if error is not None:
             raise error
         return result
@@ -181,6 +179,13 @@ class Latest(Generic[R]):
                 last.bytes, last.size = size, _fields_of(last.growing)
 
 
+def _answer(kept: R) -> R:
+    """Return a kept result, or raise it if it is a refusal."""
+    if isinstance(kept, ResiduaError):
+        raise copy(kept)  # each with a traceback of its own
+    return kept
+
+
 def _fields_of(growing: list[dict[str, Any]]) -> int:
     """Return how many fields there are now."""
     return sum([len(one) for one in growing])
@@ -212,7 +217,7 @@ def entries(*matrices: NDArray | None) -> Hashable:
     present = [M for M in matrices if M is not None]
     if sum([M.nbytes for M in present]) <= _LARGE:
         return shapes, tuple([M.tobytes() for M in present])
-    digest = blake2b(digest_size=32)
+    digest = sha256()
     for M in map(np.ascontiguousarray, present):
         digest.update(M.data if M.size else b"")
     return shapes, digest.digest()
