@@ -16,6 +16,7 @@ from exact_campaign.kinds import case_of
 from residua.design.banks import decoupled_residual
 from residua.design.estimation import fault_estimator
 from residua.design.observers import kalman_filter, perfect_observer
+from residua.design.parity import relations
 from residua.errors import ResiduaError
 from residua.linear.systems.array_cache import forget
 from residua.plant import Plant
@@ -37,6 +38,9 @@ _DESIGNS: dict[str, Callable[[Plant], Systems]] = {
     "kalman_filter": lambda p: [rs.design.kalman_filter(p).system],
     "decoupled_residual": lambda p: [rs.design.decoupled_residual(p).system],
     "fault_estimator": lambda p: of_estimator(rs.design.fault_estimator(p, faults=p.faults[:1])),
+    "primary_residuals": lambda p: [rs.design.primary_residuals(p).system],
+    "parity_relations": lambda p: [rs.design.parity_relations(p).system],
+    "structured_parity": lambda p: [rs.design.structured_parity(p, ["1" * len(p.faults)]).generator.system],
     "perfect_observer": lambda p: of_perfect(rs.design.perfect_observer(p)),
     "perfect_observer, least order": lambda p: of_perfect(rs.design.perfect_observer(p, least_order=True)),
 }
@@ -45,6 +49,9 @@ _BEHIND: dict[str, tuple[Any, str]] = {
     "kalman_filter": (kalman_filter, "filter_riccati"),
     "decoupled_residual": (decoupled_residual, "_designed"),
     "fault_estimator": (fault_estimator, "unknown_input_observer"),
+    "primary_residuals": (relations, "realize_relation"),
+    "parity_relations": (relations, "realize_relation"),
+    "structured_parity": (relations, "realize_relation"),
     "perfect_observer": (perfect_observer, "full_rank_gain"),
     "perfect_observer, least order": (perfect_observer, "least_order_gain"),
 }
