@@ -298,16 +298,19 @@ def partition(A: NDArray, C: NDArray, events: Sequence[FaultEvent], dt: float) -
     DesignError
         If a fault cannot be kept in a direction even alone; the message says why.
     """
-    for event in events:
-        why = obstacle(A, C, [event], dt)
-        if why:
-            raise DesignError(f"no stable directional filter exists: {why}")
     known: dict[frozenset[int], bool] = {}
 
     def fits(members: frozenset[int]) -> bool:
         if members not in known:
             known[members] = obstacle(A, C, [events[i] for i in sorted(members)], dt) is None
         return known[members]
+
+    if fits(frozenset(range(len(events)))):  # then every part of them does
+        return [list(events)]
+    for event in events:
+        why = obstacle(A, C, [event], dt)
+        if why:
+            raise DesignError(f"no stable directional filter exists: {why}")
 
     def fill(i: int, groups: list[frozenset[int]], limit: int) -> list[frozenset[int]] | None:
         if i == len(events):
