@@ -153,6 +153,22 @@ def test_the_shortest_relation_of_an_aircraft_whose_model_holds_residue(shared_d
     assert rs.design.structured_bank(plant, ["11110000"]).structure.tolist() == [[True] * 4 + [False] * 4]
 
 
+def test_diagnosability_of_an_aircraft_needs_no_coordinates_that_nobody_asks_for(shared_data: Path) -> None:
+    """Its hidden modes are known in balanced units; in those of the plant its hidden directions are not, to 4e-4."""
+    plant = aircraft(shared_data)
+    found = rs.diagnosability(plant)
+    assert found.detectable.all()
+    assert found.isolable.sum() == 8 * 7
+    assert rs.coding.mutually_isolable(plant).matrix.tolist() == found.isolable.tolist()
+    for name in ("actuator 18", "actuator 19"):  # what a design shows
+        made = rs.design.decoupled_residual(plant, insensitive_to=name)
+        assert made.structure.any(axis=0).tolist() == found.isolable[:, plant.faults.index(name)].tolist()
+    existence = found.unknown_input_observer
+    assert existence is not None
+    assert not existence
+    assert np.count_nonzero(existence.fixed_poles == 0) == 1
+
+
 def test_a_relation_that_exists_and_is_lost_to_rounding_is_no_missing_one(shared_data: Path) -> None:
     """With the feedback of the wrong sign: attainable, and refused for accuracy instead of denied."""
     plant = aircraft(shared_data)

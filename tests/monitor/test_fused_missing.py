@@ -13,7 +13,7 @@ import residua as rs
 from fused_examples import same, same_in_pieces
 from residua.decide import NormThreshold
 from residua.monitor import fused
-from residua.monitor.fused import OUTPUTS, FusedRun, copied, plan_of
+from residua.monitor.fused import ALARM, DECIDED, MISSING, OUTPUTS, FusedRun, copied, plan_of
 from residua.monitor.running import initial_state, rows_of, run_reference, written_rows
 from residua.monitor.specification import Specification
 from residua.monitor.whole_blocks import Job
@@ -124,7 +124,9 @@ def test_steps_have_the_bits_of_the_recording(
         state, expected = run_reference(spec, initial_state(spec, 1), data)
     run, found = FusedRun(spec, plan, copied(initial_state(spec, 1)), inputs), []
     for row in data[0]:
-        found.append((*run.step(row[:inputs], row[inputs:]), run.last_residual()))
+        flags, statistic = run.step(row[:inputs], row[inputs:])
+        told = [flags & flag != 0 for flag in (ALARM, DECIDED, MISSING)]
+        found.append((*told, statistic, run.last_residual()))
     for k, name in enumerate(("alarm", "usable", "missing", "statistic", "residuals")):
         same(np.array([one[k] for one in found]), getattr(expected, name)[0], name)
     same(run.state, state, "state")

@@ -206,7 +206,7 @@ def test_what_was_interrupted_twice_before_its_signals_were_saved_is_not_guessed
     for at in range(0, steps.seen, STRIDE):
         fleet = rs.Fleet.restore(before, NORM)
         Interruption(KeyboardInterrupt, at).call(lambda fleet=fleet: missing(fleet, u, y))
-        if fleet._worker._work is None and fleet._blocks[""]._worker._work is None:
+        if fleet._worker.work is None and fleet._blocks[""]._worker.work is None:
             continue
         with suppress(DataError):
             assert fleet.snapshot() in (before, after.snapshot())

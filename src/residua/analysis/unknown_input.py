@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.arrays import frozen
+from residua.linear.poles.settled_zeros import settled
 from residua.linear.poles.spectrum import describe_modes
+from residua.linear.poles.stability import dies_out
 from residua.linear.subspaces.observability import Detectability, detectability
 from residua.linear.subspaces.rank import (
     DEFAULT_RTOL,
@@ -24,7 +26,7 @@ from residua.linear.systems.balancing import descriptor_units, evened, without_r
 from residua.plant import OperatingPoint, Plant
 from residua.plant.comparable_units import EvenPlant, even_plant, in_unit_of_rates
 from residua.plant.disturbances import factor_disturbance
-from residua.tolerances import RESIDUE, TINY, above_rounding
+from residua.tolerances import RANK, RESIDUE, TINY, above_rounding
 from residua.words import rates_in
 
 
@@ -189,14 +191,31 @@ def decomposed_existence(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> Unknown
         return UnknownInputExistence(False, (reason,), rank_CE, form.rank_E, none, useful)
     parts = _ordinary_decoupling(even, form, basis)
     seen = detectability(parts.A22, parts.C2, dt=plant.dt, rtol=rtol)
-    reasons = () if seen.detectable else (_unstable_fixed_pole(seen, q),)
-    return UnknownInputExistence(
-        not reasons, reasons, rank_CE, form.rank_E, seen.unobservable_modes, useful, None if reasons else parts
-    )
+    fixed, unstable = _settled_fixed_poles(even.plant, form, seen, rtol)
+    reasons = (_unstable_fixed_pole(unstable, q),) if unstable.size else ()
+    return UnknownInputExistence(not reasons, reasons, rank_CE, form.rank_E, fixed, useful, None if reasons else parts)
 
 
-def _unstable_fixed_pole(seen: Detectability, q: int) -> str:
-    bad = describe_modes(seen.unstable_modes)
+def _settled_fixed_poles(
+    plant: Plant, form: OutputFreeForm, seen: Detectability, rtol: float
+) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """Return the fixed poles and those that are not stable: where rounding leaves a doubt, zeros of the plant itself.
+
+    What it was cut into has rounding of its own.
+    """
+    if not seen.in_doubt or rtol > RANK:
+        return seen.unobservable_modes, seen.unstable_modes
+    rank = form.E.shape[1] + plant.n_outputs - len(form.W)
+    found = rank, seen.unobservable_modes
+    zeros = settled((plant.A, plant.Bd, plant.C, plant.Dd), found)[1]
+    if zeros is None or zeros is seen.unobservable_modes:
+        return seen.unobservable_modes, seen.unstable_modes
+    stable = dies_out(zeros, np.zeros(len(zeros)), plant.dt, seen.size)
+    return zeros, zeros[~stable]
+
+
+def _unstable_fixed_pole(unstable: NDArray[np.complex128], q: int) -> str:
+    bad = describe_modes(unstable)
     if not q:
         return f"(C, A) is not detectable: no measurement sees the mode {bad}; add a sensor"
     return (

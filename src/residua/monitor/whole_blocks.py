@@ -278,7 +278,8 @@ class Worker:
     """Does one piece of work after the other; what an interruption leaves of one is done before anything else."""
 
     def __init__(self) -> None:
-        self._work: Work | None = None
+        #: What is under way, or was interrupted.
+        self.work: Work | None = None
 
     def do(self, work: Work) -> None:
         """Do all of some work.
@@ -286,12 +287,12 @@ class Worker:
         An error leaves nothing changed, or work of which :meth:`finish` does the rest.
         """
         try:
-            self._work = work
+            self.work = work
             work.go_on()
         except BaseException:
             work.own()
             raise
-        self._work = None
+        self.work = None
 
     def finish(self) -> None:
         """Do what an interruption has left, if anything was changed.
@@ -302,7 +303,7 @@ class Worker:
             If that was interrupted so often that the signals are not there any longer, or is being done: a step has
             called what it is a step of.
         """
-        work = self._work
+        work = self.work
         if work is None:
             return
         if work.is_under_way:
@@ -318,7 +319,7 @@ class Worker:
                     "have had it, and others have not. Go on from a snapshot, or from a saved monitor"
                 )
             self.do(work)
-        self._work = None
+        self.work = None
 
 
 __all__ = ["OUTPUTS", "Job", "Parts", "Work", "Worker"]

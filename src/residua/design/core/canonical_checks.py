@@ -87,10 +87,8 @@ class _Filter:
             return np.resize(units.states, len(self.T))
         return power_of_two(np.abs(self.T).max(axis=1, initial=0.0))
 
-    def own_residuals(self, states: Factors, units: PlantUnits) -> Factors:
-        """Return the factors of its residuals: those of the outputs, of which there are as many, or by their sizes."""
-        if self.T is not None and self.system.n_outputs == len(units.outputs):
-            return units.outputs
+    def own_residuals(self, states: Factors) -> Factors:
+        """Return the factors that bring its residuals to sizes near one."""
         whole = np.hstack([self.system.C * states, self.system.D])
         return 1 / power_of_two(np.abs(whole).max(axis=1, initial=0.0))
 
@@ -140,7 +138,7 @@ def checked(
     units = canonical_units(plant)
     one = _Filter(system, state_map, static_map, form).for_scaled(units)
     states = one.own_states(units) if state_units is None else state_units
-    residuals = one.own_residuals(states, units)
+    residuals = one.own_residuals(states)
     own, scaled = _own_plant(plant, units), one.in_units(states, residuals)
     s, known = scaled.system, scaled.form
     key = (

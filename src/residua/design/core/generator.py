@@ -22,6 +22,7 @@ from residua.design.core.internal_form import (
 )
 from residua.design.core.own_time import has_rates
 from residua.design.core.responses import covariance_of_sums, steady_responses
+from residua.design.core.sampled_form import sampled_form
 from residua.design.core.signals import discretized_filter, run_signals, sampled_filter
 from residua.errors import AccuracyError
 from residua.linear import RankDecision, StateSpace, decide_rank
@@ -84,7 +85,7 @@ class ResidualGenerator:
     static_map : ndarray or None, shape (residuals, states of the plant)
         ``V`` with ``V E = 0``: the algebraic equations of a singular plant that the residual reads.
     known_form : StateSpace or None
-        The internal form of a filter that has no state map.
+        The internal form of a filter that has no state map, or of a sampled one that had one before.
     codes : ndarray of bool or None, shape (members, faults)
         For a bank: which of its members each fault fires, as its structure promises.
     estimated : tuple of str
@@ -187,7 +188,8 @@ class ResidualGenerator:
 
         ``None`` when the plant has no noise, or is continuous (white measurement noise has no finite
         variance there: sample the generator first), or the residual has no stationary covariance, as with a
-        sampled continuous design on an unstable plant.
+        sampled continuous design on an unstable plant, or one with three integrators in a row before an output: noise
+        then bends what the filter takes to run straight from sample to sample, more and more.
         """
         return self.covariance_of_sums(1)
 
@@ -236,7 +238,8 @@ class ResidualGenerator:
         if own and not controls:
             return self._internal_form
         plant = self.plant if plant is None else plant
-        if own and self.known_form is not None and self.evidence.decoupling.get("control", 0.0) < POLYNOMIAL_LEAKAGE:
+        leaks = [self.evidence.decoupling.get(name, 0.0) for name in ("control", *of_sampling({"control": 0.0}))]
+        if own and self.known_form is not None and max(leaks) < POLYNOMIAL_LEAKAGE:
             return with_silent_inputs(self.known_form, plant.inputs)
         maps = (self.state_map, self.static_map) if own else (None, None)
         return internal_form(self.system, plant, *maps, with_controls=controls)
@@ -295,6 +298,9 @@ class ResidualGenerator:
         """
         system = discretized_filter(self.system, self.plant, dt, hold_outputs)
         plant = self.plant.discretize(dt)
+        known = None
+        if self.state_map is not None and plant.n_states == self.plant.n_states:
+            known = sampled_form(self.system, self.state_map, self.plant, system, plant, hold_outputs)
         w = leak_frequencies(system, plant)
         cost = of_sampling(leakage(system, plant, w))
         note = (
@@ -317,7 +323,7 @@ class ResidualGenerator:
             state_map=None,
             static_map=None,
             relations=None,
-            known_form=None,  # noise of the sampled plant is not that of the continuous one, held between samples
+            known_form=known,  # noise of the sampled plant is not that of the continuous one, held between samples
             steady=self.steady_directions,
         )
 

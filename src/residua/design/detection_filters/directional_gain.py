@@ -23,6 +23,7 @@ from residua.linear.subspaces.detection_space import (
 from residua.linear.subspaces.far_gain import refuse_far_gain
 from residua.linear.subspaces.observability import detectability, observability_form
 from residua.linear.subspaces.rank import DEFAULT_RTOL, decide_rank
+from residua.linear.systems.array_cache import cached_by_contents
 from residua.linear.systems.balancing import without_rounding
 from residua.words import as_given, counted
 
@@ -65,6 +66,7 @@ class DirectionalGain:
     note: str = ""
 
 
+@cached_by_contents
 def fault_events(
     A: NDArray, C: NDArray, events: Mapping[str, NDArray], *, rtol: float = DEFAULT_RTOL
 ) -> tuple[list[FaultEvent], list[str]]:
@@ -157,6 +159,7 @@ def scalar_pole(A: NDArray, C: NDArray, poles: Poles, margin: float | None, dt: 
     return pole
 
 
+@cached_by_contents
 def block_gain(
     A: NDArray,
     C: NDArray,
@@ -288,6 +291,7 @@ def _without(wanted: NDArray, fixed: NDArray) -> NDArray:
     return np.asarray(left, dtype=complex)
 
 
+@cached_by_contents
 def partition(A: NDArray, C: NDArray, events: Sequence[FaultEvent], dt: float) -> list[list[FaultEvent]]:
     """Split the events over as few filters as keep them apart.
 

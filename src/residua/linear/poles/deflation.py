@@ -12,7 +12,6 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.linear.subspaces.rank import RankDecision
 from residua.linear.subspaces.weak_couplings import UnclearRankError, WeakCouplings, copies_of
 
 Matrix = NDArray[np.float64]
@@ -129,8 +128,8 @@ class _Steps:
                 run.force(rank, np.roll(Vh, -mu, axis=0).T, mu)
 
 
-def deflated(M: Matrices, rtol: float, scale: float) -> tuple[Matrices, list[RankDecision]]:
-    """Return the dual of the part of a system with its finite zeros, and the decisions about ranks.
+def deflated(M: Matrices, rtol: float, scale: float) -> tuple[Matrices, WeakCouplings]:
+    """Return the dual of the part of a system with its finite zeros, and what was decided on the way.
 
     Parameters
     ----------
@@ -143,7 +142,8 @@ def deflated(M: Matrices, rtol: float, scale: float) -> tuple[Matrices, list[Ran
     -------
     M : tuple of ndarray
         ``D`` is square and invertible, if all decisions were clear.
-    decisions : list of RankDecision
+    decided : WeakCouplings
+        The decisions about ranks.
     """
     steps = _Steps(_Run(M), [], rtol, scale)
     try:
@@ -152,7 +152,7 @@ def deflated(M: Matrices, rtol: float, scale: float) -> tuple[Matrices, list[Ran
         runs = [_ComparedRun(one) for one in (M, *copies_of(M))]
         steps = _Steps(runs[0], runs, rtol, scale)
         steps.take()
-    return steps.one.M, steps.decided.decisions
+    return steps.one.M, steps.decided
 
 
 def _singular_vectors(X: Matrix) -> tuple[Matrix, Matrix, Matrix]:

@@ -12,12 +12,13 @@ from residua import arrays
 from residua.errors import AccuracyError
 from residua.linear.poles.deflation import Matrices, deflated
 from residua.linear.poles.matrix_poles import is_rounding_of_zero
+from residua.linear.poles.settled_zeros import may_have_moved, settled
 from residua.linear.poles.zero_structure import rounding_of, without_zero_eigenvalues
 from residua.linear.subspaces.parts import part_numbers, triangular_parts
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, decide_rank, spectral_norm
 from residua.linear.systems.balancing import balance_system, descriptor_units, power_of_two, without_rounding
 from residua.linear.systems.units import bordered, matrix_units, system_rate
-from residua.tolerances import RESIDUE
+from residua.tolerances import RANK, RESIDUE
 
 #: What rounding leaves of the next zeros, as a multiple of what it left of those that were dropped.
 _BEYOND_DROPPED = 10.0
@@ -243,18 +244,27 @@ def _zeros_of_whole(M: Matrices, rtol: float, decisions: list[RankDecision]) -> 
     M, unit = _balanced(M)
     whole = bordered(*M)
     scale = spectral_norm(whole) if whole.size else 1.0
-    (A, B, C, D), made = deflated(M, rtol, scale)
-    decisions += made
-    rank = D.shape[0]
-    if D.shape[0] != D.shape[1]:
+    left, decided = deflated(M, rtol, scale)
+    decisions += decided.decisions
+    # What was dropped tells how much rounding there is, where couplings are weak more than of the steps themselves.
+    dropped = max((decision.largest_dropped for decision in decided.decisions), default=0.0)
+    rounding = max(rounding_of(len(whole)) * scale, _BEYOND_DROPPED * dropped)
+    square = left[3].shape[0] == left[3].shape[1]
+    found = left[3].shape[0], (_finite_zeros(left, rounding) if square else None)
+    if rtol <= RANK:
+        if decided.in_doubt or may_have_moved(found[1], len(M[0]), scale):
+            found = settled(M, found)
+        elif decided.turned > RANK and found[1] is not None and found[1].size:
+            found = settled(M, found, unless_alike=True)
+    rank, zeros = found
+    if zeros is None:
         raise AccuracyError(
-            f"the compressed pencil is not square (D is {D.shape[0]} x {D.shape[1]}): a rank decision "
+            f"the compressed pencil is not square (D is {left[3].shape[0]} x {left[3].shape[1]}): a rank decision "
             f"with rtol={rtol:.3g} was not clear; see pencil_rank_at, or choose another rtol"
         )
-    # What was dropped tells how much rounding there is, where couplings are weak more than of the steps themselves.
-    dropped = max((decision.largest_dropped for decision in made), default=0.0)
-    rounding = max(rounding_of(len(whole)) * scale, _BEYOND_DROPPED * dropped)
-    return unit * _finite_zeros((A, B, C, D), rounding), rank
+    if not np.all(np.isfinite(zeros)):
+        raise AccuracyError("a zero of the compressed pencil came out infinite: a rank decision was not clear")
+    return unit * zeros, rank
 
 
 def _finite_zeros(M: Matrices, rounding: float) -> NDArray[np.complex128]:
@@ -270,10 +280,7 @@ def _finite_zeros(M: Matrices, rounding: float) -> NDArray[np.complex128]:
     scale = rounding / rounding_of(k)
     A, E, count, regular = without_zero_eigenvalues(A, E, scale)
     found = [np.zeros(count, dtype=complex), _eigenvalues(A, E, scale, regular)]
-    zeros: NDArray[np.complex128] = np.concatenate(found)
-    if not np.all(np.isfinite(zeros)):
-        raise AccuracyError("a zero of the compressed pencil came out infinite: a rank decision was not clear")
-    return zeros
+    return np.concatenate(found)
 
 
 def _eigenvalues(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -12,12 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua import arrays
 from residua.errors import AccuracyError
+from residua.linear.poles.settled_zeros import settled_hidden_part
 from residua.linear.poles.stability import dies_out, hidden_modes
-from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, spectral_norm
+from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, spectral_norm, without_noise
 from residua.linear.subspaces.staircase_steps import staircase_steps
 from residua.linear.systems.array_cache import cached_by_contents, copied
 from residua.linear.systems.balancing import balance_system
-from residua.tolerances import RESIDUE, ROUNDING, above_rounding
+from residua.tolerances import RANK, RESIDUE, ROUNDING, above_rounding
 
 _EPS = float(np.finfo(float).eps)
 #: How much of ``norm(A)`` the staircase may drop in the caller's coordinates before it is called a failure.
@@ -46,6 +47,8 @@ class ObservabilityForm:
         Largest norm of what was set to zero, relative to the norm of ``A0`` or ``C0``.
     size : float
         Spectral norm of ``A0`` in balanced units.
+    in_doubt : bool
+        Whether rounding may have decided a rank, or moved a mode by more than 1e-10 of ``size``.
     """
 
     transformation: NDArray[np.float64]
@@ -57,6 +60,7 @@ class ObservabilityForm:
     mode_uncertainty: NDArray[np.float64]
     residual: float
     size: float
+    in_doubt: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,13 +72,31 @@ class Detectability:
     detectable : bool
     unobservable_modes, unstable_modes : ndarray of complex
         All unobservable modes, and those of them that are not stable (the boundary counts as unstable).
-    form : ObservabilityForm
+    size : float
+        Spectral norm of ``A`` in balanced units.
+    in_doubt : bool
+        Whether rounding may have decided a rank, or moved a mode by more than 1e-10 of ``size``.
+    A, C : ndarray
+        What was asked about.
+    rtol : float
     """
 
     detectable: bool
     unobservable_modes: NDArray[np.complex128]
     unstable_modes: NDArray[np.complex128]
-    form: ObservabilityForm
+    size: float
+    in_doubt: bool
+    A: NDArray[np.float64] = field(repr=False)
+    C: NDArray[np.float64] = field(repr=False)
+    rtol: float = DEFAULT_RTOL
+
+    @cached_property
+    def form(self) -> ObservabilityForm:
+        """The pair in coordinates in which what is seen stands first; see `observability_form`, which may refuse.
+
+        The answer does not need them: modes are those of balanced units.
+        """
+        return copied(_kept_form(self.A, self.C, rtol=self.rtol))
 
     def __bool__(self) -> bool:
         return self.detectable
@@ -93,6 +115,15 @@ class Staircase:
     states: NDArray[np.float64]
     outputs: NDArray[np.float64]
     dropped: float
+    known_modes: NDArray[np.complex128] | None = None
+    in_doubt: bool = False
+
+    @cached_property
+    def hidden_modes(self) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
+        """The modes of the hidden part, and what rounding may have done to each."""
+        if self.known_modes is not None:
+            return self.known_modes, 4 * _EPS * np.abs(self.known_modes)
+        return hidden_modes(self.A, self.Q, self.n_observable, self.rounding)
 
     @property
     def rounding(self) -> float:
@@ -143,7 +174,24 @@ def staircase(
         scaled = balance_system(A, np.zeros((n, 0)), C, np.zeros((p, 0)))
         A, C, T, Y = scaled.A, scaled.C, scaled.states, scaled.outputs
     steps = staircase_steps(A, C, rtol, compare=compare)
-    return Staircase(A, C, steps.Q, steps.n_observable, steps.n_seen, steps.decisions, T, Y, steps.dropped)
+    form = Staircase(A, C, steps.Q, steps.n_observable, steps.n_seen, steps.decisions, T, Y, steps.dropped)
+    return _settled(form, steps.in_doubt) if compare and rtol <= RANK and units == "balanced" else form
+
+
+def _settled(form: Staircase, in_doubt: bool) -> Staircase:
+    """Return a staircase with what is hidden from rational numbers, where rounding leaves a doubt."""
+    k, n = form.n_observable, len(form.A)
+    if not in_doubt and (k == n or form.hidden_modes[1].max() <= RANK * form.size):
+        return form
+    found = settled_hidden_part(form.A, form.C, form.hidden_modes[0])
+    if found is None:
+        return replace(form, in_doubt=True)
+    Q, modes = form.Q, found.modes
+    if in_doubt:
+        k = n - found.basis.shape[1]
+        Q = np.roll(without_noise(np.linalg.qr(found.basis, mode="complete")[0]), k, axis=1) if k < n else np.eye(n)
+    dropped = max(spectral_norm(Q[:, :k].T @ form.A @ Q[:, k:]), spectral_norm(form.C @ Q[:, k:]))
+    return replace(form, Q=Q, n_observable=k, dropped=dropped, known_modes=modes, in_doubt=modes is None)
 
 
 def _same_units(form: Staircase) -> bool:
@@ -247,9 +295,7 @@ def observability_form(A: ArrayLike, C: ArrayLike, *, rtol: float = DEFAULT_RTOL
     >>> form.n_observable, form.unobservable_modes
     (1, array([-2.+0.j]))
     """
-    A = arrays.matrix(A, "A", (None, None))
-    A = arrays.matrix(A, "A", (A.shape[0], A.shape[0]))
-    C = arrays.matrix(C, "C", (None, A.shape[0]))
+    A, C = _pair(A, C)
     form = staircase(A, C, rtol=rtol)
     k = form.n_observable
     Q, residual = _in_units_of_caller(form, A, C, rtol)
@@ -261,11 +307,27 @@ def observability_form(A: ArrayLike, C: ArrayLike, *, rtol: float = DEFAULT_RTOL
         )
     At[:k, k:] = 0.0
     Ct[:, k:] = 0.0
-    modes, uncertainty = hidden_modes(form.A, form.Q, k, form.rounding)
-    return ObservabilityForm(Q, At, Ct, k, form.decisions, modes, uncertainty, residual, form.size)
+    modes, uncertainty = form.hidden_modes
+    return ObservabilityForm(Q, At, Ct, k, form.decisions, modes, uncertainty, residual, form.size, form.in_doubt)
 
 
 _kept_form = cached_by_contents(observability_form)
+
+
+def _pair(A: ArrayLike, C: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return matrices that go together, as floats."""
+    A = arrays.matrix(A, "A", (None, None))
+    A = arrays.matrix(A, "A", (A.shape[0], A.shape[0]))
+    return A, arrays.matrix(C, "C", (None, A.shape[0]))
+
+
+@cached_by_contents
+def _kept_modes(
+    A: NDArray[np.float64], C: NDArray[np.float64], *, rtol: float
+) -> tuple[NDArray[np.complex128], NDArray[np.float64], float, bool]:
+    """Return the modes that no output sees, what rounding may have done to each, the size of ``A``, and a doubt."""
+    form = staircase(A, C, rtol=rtol)
+    return *form.hidden_modes, form.size, form.in_doubt
 
 
 def detectability(A: ArrayLike, C: ArrayLike, *, dt: float = 0, rtol: float = DEFAULT_RTOL) -> Detectability:
@@ -293,7 +355,8 @@ def detectability(A: ArrayLike, C: ArrayLike, *, dt: float = 0, rtol: float = DE
     >>> bool(detectability([[-1.0, 0.0], [0.0, 0.0]], [[1.0, 0.0]]))
     False
     """
-    form = copied(_kept_form(A, C, rtol=rtol))
-    stable = dies_out(form.unobservable_modes, form.mode_uncertainty, dt, form.size)
-    unstable = form.unobservable_modes[~stable]
-    return Detectability(not unstable.size, form.unobservable_modes, unstable, form)
+    A, C = _pair(A, C)
+    modes, uncertainty, size, in_doubt = copied(_kept_modes(A, C, rtol=rtol))
+    unstable = modes[~dies_out(modes, uncertainty, dt, size)]
+    own = A.copy(), C.copy()  # theirs may change
+    return Detectability(not unstable.size, modes, unstable, size, in_doubt, *own, rtol)

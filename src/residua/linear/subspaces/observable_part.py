@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from residua import arrays
 from residua.errors import DesignError
 from residua.linear.poles.spectrum import describe_modes
-from residua.linear.poles.stability import dies_out, hidden_modes
+from residua.linear.poles.stability import dies_out
 from residua.linear.subspaces.observability import Staircase, staircase
 from residua.linear.subspaces.rank import without_rounded_gains
 from residua.linear.systems.array_cache import cached_by_contents
@@ -121,7 +121,7 @@ def observable_part(A: ArrayLike, C: ArrayLike, dt: float, rtol: float) -> Obser
     U, s, _ = np.linalg.svd(form.C) if form.C.size else (np.eye(C.shape[0]), np.zeros(0), None)
     to_outputs = np.zeros((0, C.shape[0])) if not r else U[:, :r].T / s[:r, None]
     H = to_outputs @ form.C @ Q1
-    fixed, uncertainty = hidden_modes(form.A, form.Q, k, form.rounding)
+    fixed, uncertainty = form.hidden_modes
     stable = dies_out(fixed, uncertainty, dt, form.size)
     if not stable.all():
         raise UndetectableError(

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from residua.linear.subspaces.rank import RankDecision, spectral_norm
 from residua.linear.subspaces.weak_couplings import UnclearRankError, WeakCouplings, copies_of
+from residua.tolerances import RANK
 
 _EPS = float(np.finfo(float).eps)
 
@@ -28,6 +29,8 @@ class Steps:
     decisions : tuple of RankDecision
     dropped : float
         The largest coupling that was called zero; one with outputs as if these were as large as ``A``.
+    in_doubt : bool
+        Whether a decision may have been made by rounding.
     """
 
     Q: NDArray[np.float64]
@@ -35,6 +38,7 @@ class Steps:
     n_seen: int
     decisions: tuple[RankDecision, ...]
     dropped: float
+    in_doubt: bool = False
 
 
 def states_with_a_path(A: NDArray, C: NDArray) -> NDArray[np.bool_]:
@@ -73,7 +77,7 @@ def staircase_steps(A: NDArray[np.float64], C: NDArray[np.float64], rtol: float,
     Q = np.zeros_like(A)
     Q[np.ix_(order[:k], np.arange(k))] = found.Q
     Q[order[k:], np.arange(k, len(A))] = 1.0
-    return Steps(Q, found.n_observable, found.n_seen, found.decisions, found.dropped)
+    return Steps(Q, found.n_observable, found.n_seen, found.decisions, found.dropped, found.in_doubt)
 
 
 def _steps(A: NDArray[np.float64], C: NDArray[np.float64], rtol: float, compare: bool) -> Steps:
@@ -126,7 +130,8 @@ def _taken(pairs: list[Pair], sizes: _Sizes, rtol: float, compare: bool) -> Step
         first = first or rank
         for run in runs:
             run.take(rank)
-    return Steps(one.Q, one.seen, first, tuple(decided.decisions), dropped * sizes.couplings)
+    in_doubt = decided.in_doubt or (one.seen < n and decided.turned > RANK)
+    return Steps(one.Q, one.seen, first, tuple(decided.decisions), dropped * sizes.couplings, in_doubt)
 
 
 class _Run:

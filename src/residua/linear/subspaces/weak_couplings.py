@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.linear.subspaces.rank import RankDecision
+from residua.tolerances import RESIDUE
 
 _EPS = float(np.finfo(float).eps)
 #: Couplings above this, relative to the size of all, are never rounding: steps that amplify it so much end in one that
@@ -22,7 +23,7 @@ _WEAK = 2.0**-10
 #: Copies, and by how many units in the last place their entries differ at most.
 _COPIES, _LAST_PLACES = 2, 4
 #: A coupling is real where it is as many times what copies differ by.
-_SURELY = 4.0
+SURELY = 4.0
 
 Matrix = NDArray[np.float64]
 T = TypeVar("T", bound=tuple[Matrix, ...])
@@ -48,11 +49,17 @@ class WeakCouplings:
     Attributes
     ----------
     decisions : list of RankDecision
+    in_doubt : bool
+        Whether a coupling may be rounding, or one that was left out is more than plain rounding.
+    turned : float
+        How far rounding has turned the bases by now, at most: a coupling that was left out is known to no more.
     """
 
     def __init__(self, rtol: float) -> None:
         self.decisions: list[RankDecision] = []
-        self._rtol, self._turned = rtol, 0.0
+        self.in_doubt = False
+        self.turned = 0.0
+        self._rtol = rtol
 
     def rank(
         self,
@@ -82,15 +89,17 @@ class WeakCouplings:
         UnclearRankError
             If a coupling may be rounding, and there are no copies.
         """
-        tolerance, rounding = self._rtol * size, 10 * _EPS * of + self._turned * turning
+        tolerance, rounding = self._rtol * size, 10 * _EPS * of + self.turned * turning
         rank = int(np.count_nonzero(values > tolerance))
-        if couplings is not None and rank and values[rank - 1] < min(_WEAK * size, _SURELY * rounding):
+        if couplings is not None and rank and values[rank - 1] < min(_WEAK * size, SURELY * rounding):
             one, *copies = couplings() or (None,)
             if one is None:
                 raise UnclearRankError
-            tolerance = max(tolerance, _SURELY * max(float(np.linalg.norm(one - other)) for other in copies))
+            tolerance = max(tolerance, SURELY * max(float(np.linalg.norm(one - other)) for other in copies))
             rank = int(np.count_nonzero(values > tolerance))
         self.decisions.append(RankDecision(rank, values, tolerance))
+        if (rank and values[rank - 1] < SURELY * rounding) or (len(values) > rank and values[rank] > RESIDUE * size):
+            self.in_doubt = True
         if rank:
-            self._turned += rounding / float(values[rank - 1])
+            self.turned += rounding / float(values[rank - 1])
         return rank

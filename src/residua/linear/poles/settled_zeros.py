@@ -1,0 +1,132 @@
+"""When zeros that rounding may have moved, lost or made are taken from rational numbers instead.
+
+Numbers of few digits are exact, and what they give in rational numbers is the answer. Others may be rounded ones, which
+make a structure less degenerate, never more: of them what is more degenerate than what was found is taken.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.linear.poles.deflation import Matrices, Matrix
+from residua.linear.poles.rational_zeros import (
+    MODULAR,
+    RATIONAL,
+    characteristic_polynomial,
+    rational_roots,
+    reduced,
+)
+from residua.linear.poles.zero_structure import scatter_of
+
+#: Rank of the transfer matrix, and its zeros; none where they could not be computed.
+Found = tuple[int, NDArray[np.complex128] | None]
+
+#: Numbers of states and channels up to which it takes milliseconds.
+_SMALL = 24
+#: Numbers of no more binary digits, of the 53 that they have, are exact.
+_DIGITS = 32
+
+
+def may_have_moved(zeros: NDArray[np.complex128] | None, n: int, scale: float) -> bool:
+    """Tell whether zeros are not there, or so near to one another that rounding may have scattered one that they are.
+
+    So many of a system with ``n`` states as are within the reach of the rounding of one of that multiplicity.
+    """
+    if zeros is None or not np.all(np.isfinite(zeros)):
+        return True
+    others = zeros[zeros != 0]
+    if not others.size:
+        return False
+    reach = np.array([scatter_of(m, n, scale) for m in range(2, max(len(zeros), 2) + 1)])
+    if np.abs(others).min() <= reach[0]:
+        return True
+    apart = np.sort(np.abs(others[:, None] - zeros), axis=1)[:, 1:]
+    return bool(np.any(apart <= 2 * reach[: apart.shape[1]]))
+
+
+def settled(M: Matrices, found: Found, *, unless_alike: bool = False) -> Found:
+    """Return the zeros and the rank of a system in comparable units from rational numbers, or those found.
+
+    Parameters
+    ----------
+    M : tuple of ndarray
+    found : tuple
+        What floating-point numbers gave.
+    unless_alike : bool
+        Whether to leave as many zeros as there are where they were found.
+    """
+    n, (rank, zeros) = len(M[0]), found
+    if n + max(M[3].shape) > _SMALL:
+        return found
+    structure = _structure(M)
+    if unless_alike and zeros is not None and structure == (rank, len(zeros)):
+        return found
+    if not are_exact(*M) and (zeros is None or not _is_more_degenerate(structure, (rank, len(zeros)), M[3].shape)):
+        return found
+    exact = _exact_zeros(M)
+    return found if exact is None else (structure[0], exact)
+
+
+def are_exact(*matrices: Matrix) -> bool:
+    """Tell whether all numbers have so few digits that none of them was rounded."""
+    whole = np.concatenate([np.frexp(M)[0].ravel() for M in matrices]) * 2.0**_DIGITS
+    return bool(np.all(whole == np.rint(whole)))
+
+
+def _exact_zeros(M: Matrices) -> NDArray[np.complex128] | None:
+    """Return the zeros of a system from rational numbers, if their roots are found."""
+    return rational_roots(characteristic_polynomial(reduced(*M, RATIONAL).A, RATIONAL))
+
+
+@dataclass(frozen=True, eq=False)
+class HiddenPart:
+    """What no output sees of a pair.
+
+    Attributes
+    ----------
+    basis : ndarray, shape (n, hidden)
+    modes : ndarray of complex, shape (hidden,), or None
+        None where the numbers may be rounded, and the modes with them.
+    """
+
+    basis: Matrix
+    modes: NDArray[np.complex128] | None
+
+
+def settled_hidden_part(A: Matrix, C: Matrix, modes: NDArray[np.complex128]) -> HiddenPart | None:
+    """Return the hidden part of a pair in comparable units from rational numbers, or nothing to go by that found.
+
+    Parameters
+    ----------
+    A : ndarray, shape (n, n)
+    C : ndarray, shape (p, n)
+    modes : ndarray of complex
+        The hidden modes that floating-point numbers gave.
+    """
+    n = len(A)
+    if n + len(C) > _SMALL:
+        return None
+    M = A, np.zeros((n, 0)), C, np.zeros((len(C), 0))
+    exact = are_exact(A, C)
+    count = _structure(M)[1]
+    if not exact and count <= len(modes):
+        return None
+    basis = np.array([[float(x) for x in row] for row in reduced(*M, RATIONAL).basis]).reshape(n, count)
+    return HiddenPart(basis, _exact_zeros(M) if exact else None)
+
+
+def _structure(M: Matrices) -> tuple[int, int]:
+    """Return the normal rank and the number of zeros."""
+    left = reduced(*M, MODULAR)
+    return left.rank, len(left.A)
+
+
+def _is_more_degenerate(exact: tuple[int, int], found: tuple[int, int], shape: tuple[int, int]) -> bool:
+    """Tell whether rounding of the numbers could not have made what is there of what was found."""
+    if exact[0] != found[0]:
+        return exact[0] < found[0]
+    # a square system has the more finite zeros the fewer are infinite; of others any is one too many
+    return exact[1] < found[1] if shape == (exact[0], exact[0]) else exact[1] > found[1]
