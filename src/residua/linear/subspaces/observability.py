@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from residua import arrays
 from residua.errors import AccuracyError
 from residua.linear.poles.settled_zeros import settled_hidden_part
-from residua.linear.poles.stability import dies_out, hidden_modes
+from residua.linear.poles.stability import dies_out, hidden_modes, may_die_out
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, spectral_norm, without_noise
 from residua.linear.subspaces.staircase_steps import staircase_steps
 from residua.linear.systems.array_cache import cached_by_contents, copied
@@ -73,12 +73,15 @@ class Detectability:
     unobservable_modes, unstable_modes : ndarray of complex
         All unobservable modes, and those of them that are not stable (the boundary counts as unstable).
     form : ObservabilityForm
+    undecided : bool
+        Whether all of the latter may be stable: rounding may have scattered them from one place across the boundary.
     """
 
     detectable: bool
     unobservable_modes: NDArray[np.complex128]
     unstable_modes: NDArray[np.complex128]
     form: ObservabilityForm
+    undecided: bool = False
 
     def __bool__(self) -> bool:
         return self.detectable
@@ -326,4 +329,6 @@ def detectability(A: ArrayLike, C: ArrayLike, *, dt: float = 0, rtol: float = DE
     form = copied(_kept_form(A, C, rtol=rtol))
     stable = dies_out(form.unobservable_modes, form.mode_uncertainty, dt, form.size)
     unstable = form.unobservable_modes[~stable]
-    return Detectability(not unstable.size, form.unobservable_modes, unstable, form)
+    may = may_die_out(form.unobservable_modes, form.mode_uncertainty, dt, form.size)
+    undecided = bool(unstable.size and may[~stable].all())
+    return Detectability(not unstable.size, form.unobservable_modes, unstable, form, undecided)
