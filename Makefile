@@ -10,10 +10,13 @@ unexport PYTHONDONTWRITEBYTECODE
 
 # Of the tests: one more than processors, for those of live runs wait for brokers and for clocks.
 TEST_WORKERS ?= $(shell $(PYTHON) -c 'import os; print(1 + os.cpu_count())')
-# Of the exact campaign: plants, processes, and the folder of its record, from which it is resumed.
+# Of the exact campaign: plants, processes, the folder of its record, from which it is resumed, the first seed of each
+# kind, and the folder of tables to which the run is added, if any.
 PLANTS ?= 100000
 WORKERS ?= $(shell nproc)
 RECORD ?= campaign
+SEED ?= 0
+TABLES ?=
 
 .PHONY: help demo quick test test-cluster test-cluster-here docs bench campaign exact-campaign mutants dist clean
 
@@ -88,7 +91,7 @@ campaign: $(VENV)/.made-test
 
 exact-campaign: $(VENV)/.made-test
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=src:tests $(BIN)/python -m exact_campaign \
-	  --plants $(PLANTS) --workers $(WORKERS) --out $(RECORD) --tables docs/data
+	  --plants $(PLANTS) --seed $(SEED) --workers $(WORKERS) --out $(RECORD) $(if $(TABLES),--tables $(TABLES))
 
 mutants: $(VENV)/.made-mutants
 	$(BIN)/python tests/mutants.py

@@ -48,6 +48,25 @@ def chain(n: int) -> Any:
     return rs.Plant(A, B, C).with_faults({"f1": np.eye(n)[20], "f2": np.eye(n)[n - 30]})
 
 
+def tried_by_both(plant: Any) -> Any:
+    """Suggest, however long it takes, without what today's source does not try of so many states.
+
+    Of a hundred the one before began primary residuals, unless it had spent half a minute by then, and did not end
+    within ten.
+    """
+    from residua.design import suggestion
+
+    own = suggestion._tried
+
+    def tried(one: Any, plant: Any, want: str, end: float) -> Any:
+        if one.method.name == "primary_residuals":
+            return suggestion.Entry(one.call, one.method, None, "by neither")
+        return own(one, plant, want, end)
+
+    suggestion._tried = tried
+    return suggestion.suggest(plant, seconds=1e9)
+
+
 def _tasks() -> dict[str, tuple[float, Callable[[], Any], Callable[[Any], Any]]]:
     """Return for each task the ratio that was asked for, its plant and what is done with it."""
     import residua as rs
@@ -58,7 +77,7 @@ def _tasks() -> dict[str, tuple[float, Callable[[], Any], Callable[[Any], Any]]]
         "parity_relations, 100 states": (4, lambda: chain(100), D.parity_relations),
         "unknown_input_observer, 200 states": (3, lambda: full(200, 50), D.unknown_input_observer),
         "kalman_filter, 200 states": (3, lambda: full(200, 50), D.kalman_filter),
-        "suggest, 100 states": (4, lambda: full(100, 25), rs.suggest),
+        "suggest, 100 states": (4, lambda: full(100, 25), tried_by_both),
     }
 
 

@@ -6,6 +6,7 @@ A ratchet is a number of places that do not keep a rule yet: it only ever goes d
 from __future__ import annotations
 
 import ast
+import re
 from collections import Counter, defaultdict
 
 import pytest
@@ -24,7 +25,7 @@ from house_report import (
     single_importers,
     tolerances,
 )
-from house_tree import House, Module, body_lines
+from house_tree import SOURCE, House, Module, body_lines
 
 #: Imports run down this list; the modules of the first line, which lie loose, may import one another.
 ROOMS = (
@@ -37,6 +38,7 @@ ROOMS = (
         "arrays",
         "kernels",
         "facade",
+        "forks",
         "progress",
         "files",
         "partial_files",
@@ -123,6 +125,14 @@ def test_imports_run_down_the_rooms(house: House) -> None:
             if above and not name.startswith(FACADES.get(module.name, "nothing")):
                 up.append(f"{module.name} hands on names of {name}")
     assert up == []
+
+
+def test_the_page_about_the_rooms_lists_them_in_this_order() -> None:
+    page = (SOURCE.parent / "docs" / "architecture.rst").read_text(encoding="utf-8")
+    table = page[page.index("The rooms\n") : page.index("The way of the data\n")]
+    rows = [row.split("\n     - ")[0] for row in table.split("\n   * - ")[1:]]
+    listed = [name for row in rows for name in re.findall(r"``(\w+)/?``", row)]
+    assert listed == [room for room in ROOMS if room not in ("residua", "__main__")]
 
 
 def test_only_facades_import_inside_functions(house: House) -> None:

@@ -4,18 +4,18 @@ From a plant model and the list of what may fail to residual generators, alarms 
 component.
 """
 
-from importlib import import_module
-from types import ModuleType
+from typing import TYPE_CHECKING
 
-from residua import analysis, decide, design, errors, identify, library, linear, monitor, plant, validate
-from residua.analysis import coding, diagnosability
-from residua.design.observers.general_residual_generator import residual_generator_from_observer
-from residua.design.suggestion import suggest
-from residua.linear import StateSpace
-from residua.monitor import Diagnosis, Fleet, Monitor, RegimeMonitor, read_recording
-from residua.plant import InputOutputModel, Plant, UncertainPlant, load_plant
+from residua.facade import hand_on
 
-_LAZY = ("cluster", "export", "report", "testing")  # they are not needed to run a monitor, and slower to import
+if TYPE_CHECKING:
+    from residua import analysis, decide, design, errors, identify, library, linear, monitor, plant, validate
+    from residua.analysis import coding, diagnosability
+    from residua.design.observers.general_residual_generator import residual_generator_from_observer
+    from residua.design.suggestion import suggest
+    from residua.linear import StateSpace
+    from residua.monitor import Diagnosis, Fleet, Monitor, RegimeMonitor, read_recording
+    from residua.plant import InputOutputModel, Plant, UncertainPlant, load_plant
 
 __version__ = "0.1.0"
 
@@ -46,12 +46,19 @@ __all__ = [
     "validate",
 ]
 
-
-def __getattr__(name: str) -> ModuleType:
-    if name in _LAZY:
-        return import_module(f"residua.{name}")
-    raise AttributeError(f"module 'residua' has no attribute {name!r}")
-
-
-def __dir__() -> list[str]:
-    return sorted([*globals(), *_LAZY])
+hand_on(
+    __name__,
+    {
+        "residua.analysis": ("diagnosability",),
+        "residua.design.observers.general_residual_generator": ("residual_generator_from_observer",),
+        "residua.design.suggestion": ("suggest",),
+        "residua.linear": ("StateSpace",),
+        "residua.monitor": ("Diagnosis", "Fleet", "Monitor", "RegimeMonitor", "read_recording"),
+        "residua.plant": ("InputOutputModel", "Plant", "UncertainPlant", "load_plant"),
+    },
+    [
+        *("residua.analysis", "residua.analysis.coding", "residua.cluster", "residua.decide", "residua.design"),
+        *("residua.errors", "residua.export", "residua.identify", "residua.library", "residua.linear"),
+        *("residua.monitor", "residua.plant", "residua.report", "residua.testing", "residua.validate"),
+    ],
+)

@@ -1,26 +1,61 @@
-"""Public names of a room that stand in a room above it, imported when they are first asked for."""
+"""Public names of a room, imported when they are first asked for."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import sys
+from collections.abc import Iterable, Mapping
 from importlib import import_module
+from types import ModuleType
 from typing import Any
 
 
-def names_from_above(facade: str, above: Mapping[str, str]) -> Callable[[str], Any]:
-    """Return the ``__getattr__`` of a module whose public names stand partly in rooms that import it.
+class _Facade(ModuleType):
+    """The module of a room, which hands on names that stand in its files, and in rooms above it."""
+
+    _places: dict[str, str]
+    _modules: dict[str, str]
+
+    def __getattr__(self, name: str) -> Any:
+        if name in self._modules:
+            value: Any = import_module(self._modules[name])
+        elif name in self._places:
+            value = getattr(import_module(self._places[name]), name)
+        else:
+            raise AttributeError(f"module {self.__name__!r} has no attribute {name!r}")
+        self.__dict__[name] = value
+        return value
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name in self._places and isinstance(value, ModuleType):
+            return  # Python's import puts a file here by its name, which is that of a function in it
+        super().__setattr__(name, value)
+
+    def __dir__(self) -> list[str]:
+        return sorted({*super().__dir__(), *self._places, *self._modules})
+
+
+def hand_on(facade: str, names: Mapping[str, tuple[str, ...]], modules: Iterable[str] = ()) -> None:
+    """Let a module hand on names that other modules define, each imported when it is first asked for.
+
+    So an import reads only the files that it needs. And importing a file never waits for a room that waits for this
+    file: as no imports run in a circle, threads that import at the same time meet no half-made module.
 
     Parameters
     ----------
     facade : str
         The module's own name.
-    above : mapping
-        By public name, the module that defines it.
+    names : mapping
+        By the module that defines them. They are in the module's ``__all__`` too, and imported for type checkers.
+    modules : iterable of str
+        Whole modules that are handed on, each by the last part of its name.
     """
+    made = sys.modules[facade]
+    made.__dict__["_places"] = {name: place for place, some in names.items() for name in some}
+    made.__dict__["_modules"] = {module.rpartition(".")[2]: module for module in modules}
+    made.__class__ = _Facade
+    for name in made.__dict__["_places"]:
+        if isinstance(made.__dict__.get(name), ModuleType):  # that another thread has imported just before
+            del made.__dict__[name]
 
-    def get(name: str) -> Any:
-        if name in above:
-            return getattr(import_module(above[name]), name)
-        raise AttributeError(f"module {facade!r} has no attribute {name!r}")
 
-    return get
+__all__ = ["hand_on"]

@@ -6,45 +6,56 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from threading import local
+from dataclasses import dataclass
 from typing import Any
 
-_unit_of_rates: ContextVar[float] = ContextVar("unit of rates", default=1.0)
+
+@dataclass(eq=False)
+class UnitOfRates:
+    """A unit in which rates are worked on, and whether a text has asked for it.
+
+    Attributes
+    ----------
+    value : float
+        In 1/s.
+    asked : bool
+        What is made while it is false has the unit in no text, and is the same in any.
+    around : UnitOfRates or None
+        The unit outside, of which this is a multiple: who asks for this one has asked for that one too.
+    """
+
+    value: float
+    around: UnitOfRates | None = None
+    asked: bool = False
+
+    def ask(self) -> float:
+        """Return the unit to one who writes it into a text."""
+        one: UnitOfRates | None = self
+        while one is not None:
+            one.asked = True
+            one = one.around
+        return self.value
 
 
-class _Asked(local):
-    """How many times a thread has asked for the unit of rates."""
-
-    times = 0
-
-
-_asked = _Asked()
+_unit: ContextVar[UnitOfRates | None] = ContextVar("unit of rates", default=None)
 
 
 @contextmanager
-def rates_in(unit: float) -> Iterator[None]:
+def rates_in(unit: float) -> Iterator[UnitOfRates]:
     """Within this, rates are worked on in that many 1/s; texts say them in 1/s all the same."""
-    token = _unit_of_rates.set(_unit_of_rates.get() * unit)
+    around = _unit.get()
+    here = UnitOfRates(unit if around is None else around.value * unit, around)
+    token = _unit.set(here)
     try:
-        yield
+        yield here
     finally:
-        _unit_of_rates.reset(token)
+        _unit.reset(token)
 
 
 def unit_of_rates() -> float:
     """Return the unit in which rates are worked on here, in 1/s: what texts multiply them by."""
-    _asked.times += 1
-    return _unit_of_rates.get()
-
-
-def times_unit_was_asked() -> int:
-    """Return how often this thread has asked for that unit: what is made without asking has it in no text."""
-    return _asked.times
-
-
-def unit_of_rates_unasked() -> float:
-    """Return that unit to one who keeps results by it, and asks for it where a result has it in a text."""
-    return _unit_of_rates.get()
+    here = _unit.get()
+    return 1.0 if here is None else here.ask()
 
 
 def as_given(value: Any, power: float = 1.0) -> Any:

@@ -131,7 +131,7 @@ WRONG = [
         "design.estimation.fault_estimator:read_faults",
         lambda reading: _times(reading, "static", "derivative", "dynamics"),
         estimator,
-        marks=trips("design.estimation.fault_estimator:_with_numbers"),
+        marks=trips("design.estimation.fault_estimator:_missed"),
         id="reading of an estimator",
     ),
     pytest.param(

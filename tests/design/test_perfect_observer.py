@@ -387,6 +387,7 @@ def test_the_index_is_the_longest_chain() -> None:
         other = np.tril(lower @ N @ np.linalg.inv(lower), -1)  # in other coordinates, with their rounding
         assert nilpotency_index(other) == max(chains)
         assert nilpotency_index(lower) == len(N) + 1
+    assert nilpotency_index(np.diag(np.full(99, 1e-4), -1)) == 100  # though the product of its steps underflows
 
 
 def test_the_ladder_circuit_obeys_kirchhoff() -> None:
@@ -428,3 +429,21 @@ def test_a_chain_by_arnoldi_is_that_of_nested_null_spaces(n: int, monkeypatch: p
     assert made[0][2] == whole[0][2] == [1] * n
     np.testing.assert_allclose(made[0][0], whole[0][0], atol=1e-9 * np.abs(whole[0][0]).max())
     np.testing.assert_allclose(np.abs(np.sum(made[0][1] * whole[0][1], axis=0)), 1, atol=1e-9)  # but for signs
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_nested_null_spaces_leave_a_nilpotent_form_to_rounding(seed: int) -> None:
+    rng = np.random.default_rng([seed, 2616])
+    n, p = 12 + 5 * seed, 1 + seed % 4
+    M, H = rng.standard_normal((n, n)) / np.sqrt(n), rng.standard_normal((p, n))
+    H = np.vstack([H, H[:1]]) if seed % 2 else H  # a copy of an output adds nothing
+    made = perfect_gain._deadbeat(M, H, 1e-10, 1.0)
+    assert made is not None
+    Z, X, levels = made
+    np.testing.assert_allclose(X.T @ X, np.eye(n), atol=1e-14 * n)
+    form = X.T @ (M + Z @ H) @ X
+    ends = np.repeat(np.cumsum(levels), levels)
+    kept = np.arange(n)[:, None] >= ends  # each group of directions goes to those after it
+    assert sum(levels) == n
+    assert levels[0] == p
+    assert np.abs(np.where(kept, 0.0, form)).max() <= 1e-8 * np.abs(form).max()

@@ -9,6 +9,7 @@ from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded, which the workers inherit
 
+from exact_campaign.ledger import add
 from exact_campaign.results import write_results
 from exact_campaign.runs import run
 
@@ -23,7 +24,9 @@ def main() -> None:
     parser.add_argument(
         "--out", type=Path, default=Path("campaign"), help="folder of the record; resumed when it is there"
     )
-    parser.add_argument("--tables", type=Path, default=None, help="folder for the tables of the documentation too")
+    parser.add_argument(
+        "--tables", type=Path, default=None, help="folder of tables to which the record is added in the end"
+    )
     options = parser.parse_args()
     record = options.out / "record.jsonl"
     gc.collect()
@@ -31,8 +34,7 @@ def main() -> None:
     run(options.plants, options.seed, options.workers, record, seconds=options.seconds)
     write_results(record, options.out)
     if options.tables is not None:
-        for table in sorted(options.out.glob("campaign_*.csv")):
-            (options.tables / table.name).write_text(table.read_text(encoding="utf-8"), encoding="utf-8")
+        add(record, options.tables)
 
 
 if __name__ == "__main__":

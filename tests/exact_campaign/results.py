@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import re
 from collections import Counter, defaultdict
-from collections.abc import Iterable
 from pathlib import Path
 
 from exact_campaign.answers import OUTCOMES
@@ -18,12 +15,10 @@ _CASES = 10
 
 
 def write_results(record: Path, folder: Path) -> None:
-    """Write ``counts.json``, ``failures.json`` and the tables of the documentation from the record of a campaign."""
+    """Write ``counts.json`` and ``failures.json`` from the record of a campaign."""
     counts, failures = counted(record), smallest_failures(record)
     (folder / "counts.json").write_text(json.dumps(counts, indent=1), encoding="utf-8")
     (folder / "failures.json").write_text(json.dumps(failures, indent=1), encoding="utf-8")
-    for name, text in tables(counts, failures).items():
-        (folder / name).write_text(text, encoding="utf-8")
 
 
 def counted(record: Path) -> dict:
@@ -66,31 +61,6 @@ def smallest_failures(record: Path) -> list[dict]:
         {"topic": key[0], "function": key[1], "outcome": key[2], "count": counts[key], "cases": _shortest(cases)}
         for key, cases in sorted(found.items())
     ]
-
-
-def tables(counts: dict, failures: list[dict]) -> dict[str, str]:
-    """Return the tables of the documentation as text: by kind, by function, and what failed."""
-    by_kind = [
-        (kind, counts["plants"][kind], *(found.get(one, 0) for one in OUTCOMES))
-        for kind, found in counts["by kind"].items()
-    ]
-    total = ("all", sum(counts["plants"].values()), *(sum(row[i + 2] for row in by_kind) for i in range(len(OUTCOMES))))
-    by_function = [
-        (function, *(found.get(one, 0) for one in OUTCOMES))
-        for function, found in sorted(counts["by function"].items())
-    ]
-    failed = [(one["topic"], one["function"], one["outcome"], one["count"]) for one in failures]
-    return {
-        "campaign_kinds.csv": _text([("kind", "plants", *OUTCOMES), *by_kind, total]),
-        "campaign_functions.csv": _text([("function", *OUTCOMES), *by_function]),
-        "campaign_failures.csv": _text([("topic", "function", "outcome", "times"), *failed]),
-    }
-
-
-def _text(rows: Iterable[Iterable[object]]) -> str:
-    out = io.StringIO()
-    csv.writer(out, lineterminator="\n").writerows(rows)
-    return out.getvalue()
 
 
 def _shortest(cases: list[dict]) -> list[dict]:

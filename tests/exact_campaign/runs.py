@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 import time
 import traceback
 from collections import Counter
@@ -43,6 +44,18 @@ class Outcome:
     seconds: float
     counts: dict[str, int]
     failures: list[Failure]
+    commit: str
+
+
+def current_commit() -> str:
+    """Return the name of the commit that is examined, with a plus where files differ from it."""
+    described = subprocess.run(
+        ["git", "describe", "--always", "--exclude=*", "--dirty=+"],
+        cwd=Path(__file__).parent,
+        capture_output=True,
+        text=True,
+    )
+    return described.stdout.strip() or "unknown"
 
 
 def chunks(plants: int, seed: int) -> list[Chunk]:
@@ -51,9 +64,9 @@ def chunks(plants: int, seed: int) -> list[Chunk]:
     return [Chunk(kind, seed + first, min(CHUNK, each - first)) for first in range(0, each, CHUNK) for kind in KINDS]
 
 
-def run_chunk(chunk: Chunk) -> Outcome:
-    """Return what becomes of the plants of a chunk."""
-    start = time.perf_counter()
+def run_chunk(chunk: Chunk, commit: str) -> Outcome:
+    """Return what becomes of the plants of a chunk at a commit."""
+    start = time.process_time()
     counts: Counter[str] = Counter()
     failures: list[Failure] = []
     for seed in range(chunk.first, chunk.first + chunk.count):
@@ -65,7 +78,7 @@ def run_chunk(chunk: Chunk) -> Outcome:
             outcomes = {"campaign | base": "crash"}
         counts.update(f"{name} | {outcome}" for name, outcome in outcomes.items())
         failures += failed
-    return Outcome(chunk.key, chunk.kind, chunk.count, time.perf_counter() - start, dict(counts), failures)
+    return Outcome(chunk.key, chunk.kind, chunk.count, time.process_time() - start, dict(counts), failures, commit)
 
 
 def done(path: Path) -> set[str]:
@@ -96,10 +109,11 @@ def run(plants: int, seed: int, workers: int, path: Path, *, seconds: float | No
     without_torn_line(path)
     kept = done(path)
     missing = [chunk for chunk in chunks(plants, seed) if chunk.key not in kept]
+    commit = current_commit()
     end = time.monotonic() + (float("inf") if seconds is None else seconds)
     with ProcessPoolExecutor(workers) as pool, path.open("a", encoding="utf-8") as out:
         todo = iter(missing)
-        running = {pool.submit(run_chunk, chunk) for chunk in islice(todo, 2 * workers)}
+        running = {pool.submit(run_chunk, chunk, commit) for chunk in islice(todo, 2 * workers)}
         count = 0
         while running:
             finished = next(as_completed(running))
@@ -111,4 +125,4 @@ def run(plants: int, seed: int, workers: int, path: Path, *, seconds: float | No
             print(f"{count} plants, {len(outcome.failures)} failures in {outcome.key}", flush=True)
             following = next(todo, None) if time.monotonic() < end else None
             if following is not None:
-                running.add(pool.submit(run_chunk, following))
+                running.add(pool.submit(run_chunk, following, commit))

@@ -126,6 +126,9 @@ def test_faults_of_sensors_are_no_event_where_nothing_of_the_output_is_read() ->
             139,
             lambda plant: rs.design.perfect_observer(plant, least_order=True).residual_generator(),
         ),
+        # the error of an output that is always nothing was all that was read of it
+        ("companion", 2, lambda plant: rs.design.perfect_observer(plant).residual_generator()),
+        ("alike directions", 2, lambda plant: rs.design.perfect_observer(plant).residual_generator()),
     ],
 )
 def test_structure_does_not_depend_on_units(kind: str, seed: int, design: Any) -> None:

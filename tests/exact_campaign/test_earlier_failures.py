@@ -8,7 +8,7 @@ from exact_campaign import designs, examination
 from exact_campaign.analyses import analyses
 from exact_campaign.answers import FAILURES
 
-_EARLIER = [
+EARLIER = [
     # a fault that crosses parts of a plant without a common unit was taken for rounding
     ("no states", 1, designs._filters),
     # the reading of a fault kept what rounding left of an output that it does not read
@@ -155,6 +155,8 @@ _EARLIER = [
     ("singular E", 21039, None),
     # four fixed poles at 0 were scattered
     ("delays", 7061, None),
+    ("integrators", 14038, None),
+    ("integrators", 14080, None),
     # zeros and ranks of plants that integrate were computed in the caller's unit of time
     ("integrators", 7119, None),
     ("integrators", 7125, None),
@@ -168,6 +170,9 @@ _EARLIER = [
     ("repeated poles", 7040, designs._decoupled),
     # a rank at a point was decided in units of the system, in which rates over six decades are none
     ("stiff", 14066, None),
+    ("integrators", 14024, None),
+    ("integrators", 14065, None),
+    ("integrators", 14083, None),
     ("hidden modes", 14046, None),
     # small rows of a basis in the units of the residuals had lost their digits beside large ones
     ("stiff", 41000, designs._filters),
@@ -185,10 +190,12 @@ _EARLIER = [
     ("singular E", 18022, designs._observers),
     # a gain that rounding left of no correlation was the only rate that a filter of delays had
     ("delays", 18011, designs._noise),
+    # whether a coefficient of a derivative is rounding was decided in units of the caller
+    ("sparse", 19027, designs._perfect),
 ]
 
 
-@pytest.mark.parametrize(("kind", "seed", "stage"), _EARLIER, ids=[f"{kind} {seed}" for kind, seed, _ in _EARLIER])
+@pytest.mark.parametrize(("kind", "seed", "stage"), EARLIER, ids=[f"{kind} {seed}" for kind, seed, _ in EARLIER])
 def test_what_failed_before_holds(kind: str, seed: int, stage: examination.Stage | None) -> None:
     asked = (analyses,) if stage is None else (analyses, stage)
     found = [one for one in examination.examine(kind, seed, asked)[1] if one.outcome in FAILURES]

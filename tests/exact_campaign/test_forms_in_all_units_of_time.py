@@ -18,6 +18,10 @@ from residua.linear.polynomials.polynomial_matrix import PolynomialMatrix
 from residua.plant import InputOutputModel, Plant
 from residua.plant.comparable_units import unit_of_rates_of, with_rates_times
 
+#: What an equivalence may be called.
+KINDS_OF_EQUIVALENCE: tuple[str, ...] = (
+    *("identical", "scale", "poles", "filter", "transformation", "part", "whole", "different"),
+)
 Form = Callable[[Plant, float], list[NDArray]]
 
 
@@ -50,6 +54,22 @@ def _other_poles(plant: Plant, t: float) -> list[NDArray]:
     return [s.A / t, s.B / t, s.C, s.D]
 
 
+def _equivalent(plant: Plant, t: float) -> list[NDArray]:
+    first, second = rs.design.decoupled_residual(plant), rs.design.detection_filter(plant)
+    found = [first.equivalent_to(second), first.equivalent_to(first.with_poles([-t] * first.system.n_states))]
+    out = []
+    for one in found:
+        said = [KINDS_OF_EQUIVALENCE.index(one.kind), one.error]
+        out += [np.array(said), one.transformation(t * np.array([0.3, 2.0]))]
+        for row in one.rows:
+            gain = row.gain * t ** (len(row.zeros) - len(row.poles))
+            out += [row.zeros / t, row.poles / t, np.array([gain, row.error])]
+        out += [] if one.matrix is None else [one.matrix]
+        made = one.realization() if one.kind not in ("whole", "different") else first.system
+        out += [made.A / t, made.B / t, made.C, made.D]
+    return out
+
+
 def _in_time(P: PolynomialMatrix, model: InputOutputModel, t: float) -> NDArray:
     powers = np.arange(P.degree + 1.0)[:, None] - np.array(model.H.row_degrees)
     return P.coefficients * t ** powers[:, :, None]
@@ -76,6 +96,7 @@ FORMS: Mapping[str, Form] = {
     "polynomials of primary residuals": lambda p, t: _polynomials(rs.design.primary_residuals(p), t),
     "polynomials of a filter": lambda p, t: _polynomials(rs.design.detection_filter(p), t),
     "other poles": _other_poles,
+    "equivalence": _equivalent,
     "equations": _equations,
     "equations of one denominator": lambda p, t: _equations(p, t, common=True),
     "realization": _realized,

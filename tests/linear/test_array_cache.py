@@ -199,6 +199,18 @@ def test_a_result_is_kept_in_all_units_of_time_unless_a_text_in_it_has_a_rate():
         assert calls == []
 
 
+def test_a_unit_of_rates_says_whether_it_or_one_within_was_asked_for():
+    with rates_in(4.0) as outer:
+        with rates_in(1.0) as beside:
+            pass
+        with rates_in(2.0) as inner:
+            assert not inner.asked
+            assert unit_of_rates() == 8.0
+    assert (inner.value, inner.asked) == (8.0, True)
+    assert (outer.value, outer.asked) == (4.0, True)  # which the inner one is a multiple of
+    assert not beside.asked
+
+
 def test_refusals_are_kept_each_raised_as_its_own():
     calls = []
 

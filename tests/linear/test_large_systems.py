@@ -193,3 +193,8 @@ def test_strong_parts_are_those_of_scipy_in_its_order():
         parts = strong_parts(A)
         count, part = connected_components(A != 0, connection="strong")
         assert [p.tolist() for p in parts] == [np.flatnonzero(part == i).tolist() for i in range(count)]
+    for n in (20, 40):
+        for share in (0.02, 0.05, 0.1):
+            A = rng.random((n, n)) < share
+            count, part = connected_components(A, connection="strong")
+            assert [p.tolist() for p in strong_parts(A)] == [np.flatnonzero(part == i).tolist() for i in range(count)]

@@ -40,6 +40,7 @@ from residua.monitor.running import (
     run_reference,
     written_rows,
 )
+from residua.monitor.whole_blocks import Job
 
 needs_kernel = pytest.mark.skipif(fused._kernel is None, reason="there is no compiled kernel")
 
@@ -109,7 +110,7 @@ def test_single_samples_of_many_plants_have_the_bits_of_numpy(
         rows = rng.permutation(plants)[: int(rng.integers(1, plants + 1))]
         who, outs = np.sort(rows), run.outputs(len(rows), 1, keep)
         sample = data[rows, k : k + 1]
-        run.run(sample[..., :inputs], sample[..., inputs:], outs, rows)
+        run.run(Job(sample[..., :inputs], sample[..., inputs:], outs, rows))
         with np.errstate(all="ignore"):
             after, expected = run_reference(spec, rows_of(state, rows), sample)
         state = written_rows(copied(state), rows, after)
@@ -178,7 +179,7 @@ def test_rows_of_a_state_are_run_in_any_order() -> None:
     order, found = np.random.default_rng(0).permutation(6), []
     for k in range(data.shape[1]):
         out = run.outputs(6, 1, ("statistic", "scores"))
-        run.run(data[order, k : k + 1, :2], data[order, k : k + 1, 2:], out, order)
+        run.run(Job(data[order, k : k + 1, :2], data[order, k : k + 1, 2:], out, order))
         found.append(out["statistic"][np.argsort(order), 0])  # pyright: ignore[reportOptionalSubscript]
     state, expected = run_reference(spec, initial_state(spec, 6), data)
     assert np.array_equal(np.stack(found, axis=1), expected.statistic, equal_nan=True)
@@ -193,9 +194,9 @@ def test_strided_signals_are_read_where_they_lie() -> None:
     assert plan is not None
     plain, strided = (FusedRun(spec, plan, copied(initial_state(spec, 3)), inputs=2) for _ in range(2))
     one, other = plain.outputs(3, data.shape[1]), strided.outputs(3, data.shape[1])
-    plain.run(data[..., :2], data[..., 2:], one)
+    plain.run(Job(data[..., :2], data[..., 2:], one))
     backwards = np.ascontiguousarray(data[:, ::-1, ::-1].transpose(2, 1, 0)).transpose(2, 1, 0)[:, ::-1, ::-1]
-    strided.run(backwards[..., :2], backwards[..., 2:], other)
+    strided.run(Job(backwards[..., :2], backwards[..., 2:], other))
     same(plain.state, strided.state)
     for name, values in one.items():
         same(values, other[name], name)
@@ -214,11 +215,11 @@ def test_signals_are_put_side_by_side_on_the_way(time: int, order: Any, threads:
     u, y = (np.array(one, order=order) for one in (data[..., :2], data[..., 2:]))
     run = FusedRun(spec, plan, copied(initial_state(spec, 6)), inputs=2)
     joined = np.zeros((6, time + 1, data.shape[2]))
-    run.run(u, y, run.outputs(6, time), threads=threads, joined=joined[:, :time])
+    run.run(Job(u, y, run.outputs(6, time), threads=threads, joined=joined[:, :time]))
     same(joined[:, :time], data)
     assert not joined[:, time].any()
     with pytest.raises(ValueError, match="output"):
-        run.run(u, y, run.outputs(6, time), joined=np.zeros((6, time, 9)))
+        run.run(Job(u, y, run.outputs(6, time), joined=np.zeros((6, time, 9))))
 
 
 @needs_kernel
@@ -261,7 +262,7 @@ def test_the_kernel_refuses_arrays_that_do_not_fit(change: str) -> None:
     if change == "outputs":
         out["residuals"] = np.zeros((3, 4, 2))
     with pytest.raises(ValueError, match=r"u and y must be|a row or a sample|an output has another shape"):
-        run.run(data, data[..., :0], out, rows)
+        run.run(Job(data, data[..., :0], out, rows))
 
 
 def test_states_are_run_in_place_and_blocks_are_pure() -> None:
@@ -312,7 +313,7 @@ def test_calm_pieces_count_as_those_of_numpy(monkeypatch: pytest.MonkeyPatch, se
     cuts = [0, *sorted(set(rng.integers(1, 300, 25).tolist())), 300]
     for begin, end in pairwise(cuts):
         part = {name: None if one is None else one[:, begin:end] for name, one in outputs.items()}
-        run.run(data[:, begin:end], data[:, begin:end, :0], part)
+        run.run(Job(data[:, begin:end], data[:, begin:end, :0], part))
     assert np.array_equal(outputs["alarm"], expected.alarm)
     assert np.array_equal(outputs["up"], expected.up)
     same(run.state, state, "state")

@@ -206,7 +206,7 @@ def test_what_was_interrupted_twice_before_its_signals_were_saved_is_not_guessed
     for at in range(0, steps.seen, STRIDE):
         fleet = rs.Fleet.restore(before, NORM)
         Interruption(KeyboardInterrupt, at).call(lambda fleet=fleet: missing(fleet, u, y))
-        if fleet._worker._work is None and fleet._blocks[""]._worker._work is None:
+        if fleet._worker.work is None and fleet._blocks[""]._worker.work is None:
             continue
         with suppress(DataError):
             assert fleet.snapshot() in (before, after.snapshot())
@@ -276,3 +276,75 @@ def test_a_start_without_room_is_run_all_the_same() -> None:
     run.state.filter.starting[:] = True
     run.state.filter.age[:] = 0
     missing(fleet, *data(9, 60))
+
+
+@pytest.mark.skipif(fused._kernel is None, reason="no compiled kernel")
+def test_what_alarms_did_in_a_block_that_was_interrupted_comes_with_the_next_one() -> None:
+    """It was lost; and an alarm that had ended was said to have begun with the next one of its plant."""
+    u, y = data(9, 60)
+    y[0, 55:57, 0] += 3.0  # an alarm that stands ends, and another one is raised, which ends too
+    y[0, 57:, 0] -= 3.0
+    first, second = slice(50, 57), slice(57, 60)
+    before = of_one_monitor().snapshot()
+    ids = list(range(9))
+
+    def begun() -> rs.Fleet:
+        fleet = rs.Fleet.restore(before, NORM)
+        up = y[:, 40:50].copy()
+        up[0, -4:, 0] += 3.0
+        fleet.follow(ids, u[:, 40:50], up)
+        return fleet
+
+    expected, steps = begun(), Interruption(KeyboardInterrupt, None)
+    events: list[Any] = []
+    steps.call(lambda: events.extend(expected.follow(ids, u[:, first], y[:, first])))
+    then = expected.follow(ids, u[:, second], y[:, second])
+    assert {"raised", "ended"} == {event.kind for event in events if event.plant == 0}
+    assert then
+    late = 0
+    for at in range(0, steps.seen, STRIDE):
+        fleet = begun()
+        found: list[Any] = []
+        if Interruption(KeyboardInterrupt, at).call(
+            lambda fleet=fleet, found=found: found.extend(fleet.follow(ids, u[:, first], y[:, first]))
+        ):
+            block = fleet._blocks[""]
+            if block.state.count[0] == begun()._blocks[""].state.count[0]:
+                found += fleet.follow(ids, u[:, first], y[:, first])
+            late += not found
+        found += fleet.follow(ids, u[:, second], y[:, second])
+        assert found == events + then, f"interrupted at step {at}"
+    assert late
+
+
+@pytest.mark.skipif(fused._kernel is None, reason="no compiled kernel")
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
+def test_a_block_is_undone_where_an_isolation_in_numpy_raises(
+    error: type[BaseException], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each later call raised too, until ``reset()``."""
+    u, y = data(9, 60)
+    made = [rs.Monitor(NORM.design, test=NORM.test, isolate=Directional(window=3)) for _ in range(2)]
+    for monitor in made:
+        isolation = monitor._specification().isolation
+        monkeypatch.setattr(type(isolation), "compiled", None)
+    expected, monitor = made
+    run = type(isolation).run
+    for one in made:
+        one.update(u[0, :57], y[0, :57])
+    with monkeypatch.context() as patch:
+
+        def raises(*_: Any) -> None:
+            raise error
+
+        patch.setattr(type(isolation), "run", raises)
+        for _ in range(2):
+            with pytest.raises(error):
+                monitor.update(u[0, 57:], y[0, 57:])
+        assert monitor._state is not None
+        assert monitor._state.count[0] == 57
+    assert type(isolation).run is run
+    for part in (slice(57, 59), slice(59, 60)):
+        found, wanted = (one.update(u[0, part], y[0, part]) for one in (monitor, expected))
+        for name in ("statistic", "scores", "alarm"):
+            assert getattr(found, name).tobytes() == getattr(wanted, name).tobytes()

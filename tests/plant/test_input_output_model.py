@@ -14,6 +14,7 @@ from refusals import Refused
 from residua.errors import AccuracyError, ModelError
 from residua.linear import StateSpace
 from residua.linear.polynomials.polynomial_matrix import PolynomialMatrix
+from residua.plant.comparable_units import with_rates_times
 from residua.plant.input_output_conversion import input_output_from_plant
 from residua.plant.input_output_model import InputOutputModel
 
@@ -462,13 +463,56 @@ def test_copies_that_rounding_sets_apart_are_one() -> None:
         assert InputOutputModel.from_plant(plant).to_plant().n_states == 8
 
 
+def of_slow_and_fast_modes(seed: int, count: int, ratio: float) -> rs.Plant:
+    """Return a plant of as many slow modes as ones ``ratio`` times as fast, in turned coordinates."""
+    rng = np.random.default_rng(seed)
+    poles = -np.concatenate([rng.uniform(0.5, 3, count), ratio * rng.uniform(0.5, 3, count)])
+    T = np.linalg.qr(rng.standard_normal((2 * count, 2 * count)))[0] * rng.uniform(0.5, 2, 2 * count)
+    A = np.diag(poles) if ratio > 1e3 else np.linalg.solve(T, np.diag(poles) @ T)
+    return rs.Plant(A, rng.standard_normal((2 * count, 2)), rng.standard_normal((3, 2 * count)))
+
+
+@pytest.mark.parametrize(("count", "ratio"), [(5, 30.0), (5, 100.0), (5, 300.0), (5, 1e3), (6, 210.0), (3, 1e6)])
+def test_slow_and_fast_modes_come_back_once_in_any_unit_of_time(count: int, ratio: float) -> None:
+    """Rounding of the coefficients sets the copies of modes apart, which ten powers of ``A`` make the more of."""
+    for seed in range(3):
+        plant = of_slow_and_fast_modes(seed, count, ratio)
+        try:
+            io = InputOutputModel.from_plant(plant)
+        except AccuracyError:
+            assert (count, ratio) == (5, 1e3)  # coefficients of such a degree do not hold it
+            continue
+        found = io.realization()
+        assert found.plant.n_states == 2 * count
+        assert len(found.removed_modes) == 4 * count
+        assert found.error < 1e-9
+        poles = np.sort(np.linalg.eigvals(plant.A).real)
+        np.testing.assert_allclose(np.sort(np.linalg.eigvals(found.plant.A).real), poles, rtol=1e-6)
+        np.testing.assert_allclose(np.sort(found.removed_modes.real), np.repeat(poles, 2), rtol=1e-3)
+        for t in (2.0**-20, 2.0**20):
+            other = InputOutputModel.from_plant(with_rates_times(plant, t)).realization()
+            assert np.array_equal(other.plant.A, t * found.plant.A)
+            assert np.array_equal(other.plant.C, found.plant.C)
+
+
+def test_what_the_inputs_do_not_reach_stays_zero_beside_copies_of_modes() -> None:
+    io = InputOutputModel.from_plant(of_slow_and_fast_modes(0, 5, 300.0)).with_sensor_faults()
+    found = io.to_plant()
+    assert found.n_states == 10
+    assert not np.any(found.Bf)
+    assert np.array_equal(found.Df, np.eye(3))
+
+
 @trips("plant.input_output_realization:_smallest_part")
 @pytest.mark.parametrize("seed", [3, 5, 7])
 def test_unclear_order_is_refused(seed: int) -> None:
-    """Six slow modes and six that are 210 times as fast: rounding of the coefficients hides which are copies."""
-    rng = np.random.default_rng(seed)
-    poles = -np.concatenate([np.logspace(0, 0.5, 6), 210 * np.logspace(0, 0.5, 6)])
-    io = input_output_from_plant(rs.Plant(np.diag(poles), rng.standard_normal((12, 2)), rng.standard_normal((3, 12))))
+    """Twelve modes sampled so fast that powers of ``z`` hardly tell them apart: few digits of the response are left."""
+    rng = np.random.default_rng([12, seed])
+    A = rng.standard_normal((12, 12))
+    A = A / np.abs(np.linalg.eigvals(A)).max()
+    A -= (0.3 + np.linalg.eigvals(A).real.max()) * np.eye(12)
+    plant = rs.Plant(A, rng.standard_normal((12, 2)), rng.standard_normal((3, 12))).discretize(0.3)
+    io = input_output_from_plant(plant, tolerance=np.inf)
     with pytest.raises(AccuracyError, match="the order of the plant is not clear"):
         io.to_plant()
 

@@ -1,7 +1,12 @@
 """What can be detected and isolated, before any design."""
 
-from residua.analysis.diagnosability import Diagnosability, diagnosability
-from residua.analysis.unknown_input import UnknownInputExistence, unknown_input_observer_existence
+from typing import TYPE_CHECKING
+
+from residua.facade import hand_on
+
+if TYPE_CHECKING:
+    from residua.analysis.diagnosability import Diagnosability, diagnosability
+    from residua.analysis.unknown_input import UnknownInputExistence, unknown_input_observer_existence
 
 __all__ = [
     "Diagnosability",
@@ -9,3 +14,11 @@ __all__ = [
     "diagnosability",
     "unknown_input_observer_existence",
 ]
+
+hand_on(
+    __name__,
+    {
+        "residua.analysis.diagnosability": ("Diagnosability", "diagnosability"),
+        "residua.analysis.unknown_input": ("UnknownInputExistence", "unknown_input_observer_existence"),
+    },
+)

@@ -2,39 +2,39 @@
 
 from typing import TYPE_CHECKING
 
-from residua.decide.adaptive import Adaptive, AdaptiveTest
-from residua.decide.alarm import Alarm, Candidate
-from residua.decide.chi_squared import ChiSquared, ChiSquaredTest
-from residua.decide.consistency import ConsistentFault, Explanation, code_likelihoods, consistent_faults
-from residua.decide.cusum import CUSUM, CUSUMTest
-from residua.decide.directional import Directional, DirectionTest, correlation, projection_distance
-from residua.decide.ewma import EWMA, EWMATest
-from residua.decide.glr import GLR, DirectedGLRTest, GLRTest
-from residua.decide.hitting_sets import HittingSet, HittingSets, minimal_hitting_sets
-from residua.decide.isolation import Isolation, IsolationSettings, Named, Scores, Seen
-from residua.decide.kinds import register
-from residua.decide.likelihood import Likelihood, LikelihoodNames
-from residua.decide.matched import Matched
-from residua.decide.matched_hold import Match
-from residua.decide.matched_level import LikelihoodTest
-from residua.decide.matched_responses import MatchedTest
-from residua.decide.member_thresholds import BankTest, GroupTest
-from residua.decide.model_errors import OutputError
-from residua.decide.moderated_variances import ModeratedVariances, moderated_variances
-from residua.decide.norm_threshold import NormTest, NormThreshold
-from residua.decide.page_hinkley import PageHinkley, PageHinkleyTest
-from residua.decide.peak_threshold import PeakThreshold, peak_over_window
-from residua.decide.persistence import AlarmRuns, run_alarm
-from residua.decide.residual_findings import Finding, ResidualFacts, ResidualReport
-from residua.decide.sprt import SPRT, SPRTTest
-from residua.decide.statement import Statement
-from residua.decide.structured import CodeReading, CodeTest, Structured, read_code, read_codes
-from residua.decide.test import Block, FaultFreeRun, ResidualTest, Tested, TestSettings, Watched
-from residua.decide.whitening import whitening_matrix
-from residua.decide.window import WindowState, empty_window, moving_sum
-from residua.facade import names_from_above
+from residua.facade import hand_on
 
 if TYPE_CHECKING:
+    from residua.decide.adaptive import Adaptive, AdaptiveTest
+    from residua.decide.alarm import Alarm, Candidate
+    from residua.decide.chi_squared import ChiSquared, ChiSquaredTest
+    from residua.decide.consistency import ConsistentFault, Explanation, code_likelihoods, consistent_faults
+    from residua.decide.cusum import CUSUM, CUSUMTest
+    from residua.decide.directional import Directional, DirectionTest, correlation, projection_distance
+    from residua.decide.ewma import EWMA, EWMATest
+    from residua.decide.glr import GLR, DirectedGLRTest, GLRTest
+    from residua.decide.hitting_sets import HittingSet, HittingSets, minimal_hitting_sets
+    from residua.decide.isolation import Isolation, IsolationSettings, Named, Scores, Seen
+    from residua.decide.kinds import register
+    from residua.decide.likelihood import Likelihood, LikelihoodNames
+    from residua.decide.matched import Matched
+    from residua.decide.matched_hold import Match
+    from residua.decide.matched_level import LikelihoodTest
+    from residua.decide.matched_responses import MatchedTest
+    from residua.decide.member_thresholds import BankTest, GroupTest
+    from residua.decide.model_errors import OutputError
+    from residua.decide.moderated_variances import ModeratedVariances, moderated_variances
+    from residua.decide.norm_threshold import NormTest, NormThreshold
+    from residua.decide.page_hinkley import PageHinkley, PageHinkleyTest
+    from residua.decide.peak_threshold import PeakThreshold, peak_over_window
+    from residua.decide.persistence import AlarmRuns, run_alarm
+    from residua.decide.residual_findings import Finding, ResidualFacts, ResidualReport
+    from residua.decide.sprt import SPRT, SPRTTest
+    from residua.decide.statement import Statement
+    from residua.decide.structured import CodeReading, CodeTest, Structured, read_code, read_codes
+    from residua.decide.test import Block, FaultFreeRun, ResidualTest, Tested, TestSettings, Watched
+    from residua.decide.whitening import whitening_matrix
+    from residua.decide.window import WindowState, empty_window, moving_sum
     from residua.monitor.residual_report import residual_report
     from residua.validate.detectability import detectability
 
@@ -113,10 +113,40 @@ __all__ = [
     "whitening_matrix",
 ]
 
-__getattr__ = names_from_above(
+hand_on(
     __name__,
     {
-        "detectability": "residua.validate.detectability",
-        "residual_report": "residua.monitor.residual_report",
+        "residua.decide.adaptive": ("Adaptive", "AdaptiveTest"),
+        "residua.decide.alarm": ("Alarm", "Candidate"),
+        "residua.decide.chi_squared": ("ChiSquared", "ChiSquaredTest"),
+        "residua.decide.consistency": ("ConsistentFault", "Explanation", "code_likelihoods", "consistent_faults"),
+        "residua.decide.cusum": ("CUSUM", "CUSUMTest"),
+        "residua.decide.directional": ("Directional", "DirectionTest", "correlation", "projection_distance"),
+        "residua.decide.ewma": ("EWMA", "EWMATest"),
+        "residua.decide.glr": ("GLR", "DirectedGLRTest", "GLRTest"),
+        "residua.decide.hitting_sets": ("HittingSet", "HittingSets", "minimal_hitting_sets"),
+        "residua.decide.isolation": ("Isolation", "IsolationSettings", "Named", "Scores", "Seen"),
+        "residua.decide.kinds": ("register",),
+        "residua.decide.likelihood": ("Likelihood", "LikelihoodNames"),
+        "residua.decide.matched": ("Matched",),
+        "residua.decide.matched_hold": ("Match",),
+        "residua.decide.matched_level": ("LikelihoodTest",),
+        "residua.decide.matched_responses": ("MatchedTest",),
+        "residua.decide.member_thresholds": ("BankTest", "GroupTest"),
+        "residua.decide.model_errors": ("OutputError",),
+        "residua.decide.moderated_variances": ("ModeratedVariances", "moderated_variances"),
+        "residua.decide.norm_threshold": ("NormTest", "NormThreshold"),
+        "residua.decide.page_hinkley": ("PageHinkley", "PageHinkleyTest"),
+        "residua.decide.peak_threshold": ("PeakThreshold", "peak_over_window"),
+        "residua.decide.persistence": ("AlarmRuns", "run_alarm"),
+        "residua.decide.residual_findings": ("Finding", "ResidualFacts", "ResidualReport"),
+        "residua.decide.sprt": ("SPRT", "SPRTTest"),
+        "residua.decide.statement": ("Statement",),
+        "residua.decide.structured": ("CodeReading", "CodeTest", "Structured", "read_code", "read_codes"),
+        "residua.decide.test": ("Block", "FaultFreeRun", "ResidualTest", "Tested", "TestSettings", "Watched"),
+        "residua.decide.whitening": ("whitening_matrix",),
+        "residua.decide.window": ("WindowState", "empty_window", "moving_sum"),
+        "residua.monitor.residual_report": ("residual_report",),
+        "residua.validate.detectability": ("detectability",),
     },
 )

@@ -2,44 +2,44 @@
 
 from typing import TYPE_CHECKING
 
-from residua.design.banks.actuator_fault_bank import actuator_fault_bank
-from residua.design.banks.bank import Bank
-from residua.design.banks.decoupled_residual import decoupled_residual
-from residua.design.banks.matched_filters import MatchedFilters, matched_filters
-from residua.design.banks.sensor_fault_bank import sensor_fault_bank
-from residua.design.banks.structured_bank import structured_bank
-from residua.design.core.evidence import Evidence
-from residua.design.core.generator import Member, ResidualGenerator
-from residua.design.core.method import Method, method
-from residua.design.detection_filters.detection_filter import detection_filter
-from residua.design.detection_filters.eigenstructure_assignment import eigenstructure_assignment
-from residua.design.detection_filters.robust_detection_filter import robust_detection_filter
-from residua.design.estimation.accommodation import Compensation, closed_loop, compensation_gain
-from residua.design.estimation.fault_estimator import FaultEstimator, fault_estimator
-from residua.design.estimation.sensor_fault_estimators import SensorFaultEstimators, sensor_fault_estimators
-from residua.design.observers.descriptor_observer import descriptor_observer
-from residua.design.observers.general_residual_generator import (
-    GeneralForm,
-    general_form,
-    residual_generator_from_observer,
-)
-from residua.design.observers.inverse_form_observer import InverseFormObserver, inverse_form_observer
-from residua.design.observers.kalman_filter import kalman_filter
-from residua.design.observers.luenberger_observer import luenberger_observer
-from residua.design.observers.observer import Observer
-from residua.design.observers.perfect_observer import PerfectObserver, perfect_observer
-from residua.design.observers.reduced_order_observer import reduced_order_observer
-from residua.design.observers.unknown_input_observer import unknown_input_observer
-from residua.design.parity.directional_parity import directional_parity
-from residua.design.parity.equivalence import Equivalence, RowTransformation
-from residua.design.parity.parity_relations import chow_willsky_matrices, parity_orders, parity_relations
-from residua.design.parity.primary_residuals import primary_residuals
-from residua.design.parity.relations import ParityRelations
-from residua.design.parity.structured_parity import structured_parity
-from residua.design.suggestion import Suggestion
-from residua.facade import names_from_above
+from residua.facade import hand_on
 
 if TYPE_CHECKING:
+    from residua.design.banks.actuator_fault_bank import actuator_fault_bank
+    from residua.design.banks.bank import Bank
+    from residua.design.banks.decoupled_residual import decoupled_residual
+    from residua.design.banks.matched_filters import MatchedFilters, matched_filters
+    from residua.design.banks.sensor_fault_bank import sensor_fault_bank
+    from residua.design.banks.structured_bank import structured_bank
+    from residua.design.core.evidence import Evidence
+    from residua.design.core.generator import Member, ResidualGenerator
+    from residua.design.core.method import Method, method
+    from residua.design.detection_filters.detection_filter import detection_filter
+    from residua.design.detection_filters.eigenstructure_assignment import eigenstructure_assignment
+    from residua.design.detection_filters.robust_detection_filter import robust_detection_filter
+    from residua.design.estimation.accommodation import Compensation, closed_loop, compensation_gain
+    from residua.design.estimation.fault_estimator import FaultEstimator, fault_estimator
+    from residua.design.estimation.sensor_fault_estimators import SensorFaultEstimators, sensor_fault_estimators
+    from residua.design.observers.descriptor_observer import descriptor_observer
+    from residua.design.observers.general_residual_generator import (
+        GeneralForm,
+        general_form,
+        residual_generator_from_observer,
+    )
+    from residua.design.observers.inverse_form_observer import InverseFormObserver, inverse_form_observer
+    from residua.design.observers.kalman_filter import kalman_filter
+    from residua.design.observers.luenberger_observer import luenberger_observer
+    from residua.design.observers.observer import Observer
+    from residua.design.observers.perfect_observer import PerfectObserver, perfect_observer
+    from residua.design.observers.reduced_order_observer import reduced_order_observer
+    from residua.design.observers.unknown_input_observer import unknown_input_observer
+    from residua.design.parity.directional_parity import directional_parity
+    from residua.design.parity.equivalence import Equivalence, RowTransformation
+    from residua.design.parity.parity_relations import chow_willsky_matrices, parity_orders, parity_relations
+    from residua.design.parity.primary_residuals import primary_residuals
+    from residua.design.parity.relations import ParityRelations
+    from residua.design.parity.structured_parity import structured_parity
+    from residua.design.suggestion import Suggestion
     from residua.robust.estimators.certified_threshold import CertifiedThreshold, certified_thresholds
     from residua.robust.estimators.differential_evolution import DifferentialEvolution
     from residua.robust.estimators.genetic_search import GeneticSearch
@@ -117,25 +117,54 @@ __all__ = [
     "unknown_input_observer",
 ]
 
-__getattr__ = names_from_above(
+hand_on(
     __name__,
     {
-        "CertifiedThreshold": "residua.robust.estimators.certified_threshold",
-        "certified_thresholds": "residua.robust.estimators.certified_threshold",
-        "DifferentialEvolution": "residua.robust.estimators.differential_evolution",
-        "GeneticSearch": "residua.robust.estimators.genetic_search",
-        "RobustEstimator": "residua.robust.estimators.robust_estimator",
-        "RobustL1Bank": "residua.robust.estimators.robust_l1_bank",
-        "robust_l1_bank": "residua.robust.estimators.robust_l1_bank",
-        "SearchResult": "residua.robust.estimators.search_result",
-        "InsensitiveParity": "residua.robust.parity.insensitive_parity",
-        "insensitive_parity": "residua.robust.parity.insensitive_parity",
-        "model_spread": "residua.robust.parity.model_spread",
-        "MultiModelParity": "residua.robust.parity.multi_model_parity",
-        "multi_model_parity": "residua.robust.parity.multi_model_parity",
-        "OptimalParity": "residua.robust.parity.optimal_parity",
-        "optimal_parity": "residua.robust.parity.optimal_parity",
-        "EquationChoice": "residua.robust.parity.select_equations",
-        "select_equations": "residua.robust.parity.select_equations",
+        "residua.design.banks.actuator_fault_bank": ("actuator_fault_bank",),
+        "residua.design.banks.bank": ("Bank",),
+        "residua.design.banks.decoupled_residual": ("decoupled_residual",),
+        "residua.design.banks.matched_filters": ("MatchedFilters", "matched_filters"),
+        "residua.design.banks.sensor_fault_bank": ("sensor_fault_bank",),
+        "residua.design.banks.structured_bank": ("structured_bank",),
+        "residua.design.core.evidence": ("Evidence",),
+        "residua.design.core.generator": ("Member", "ResidualGenerator"),
+        "residua.design.core.method": ("Method", "method"),
+        "residua.design.detection_filters.detection_filter": ("detection_filter",),
+        "residua.design.detection_filters.eigenstructure_assignment": ("eigenstructure_assignment",),
+        "residua.design.detection_filters.robust_detection_filter": ("robust_detection_filter",),
+        "residua.design.estimation.accommodation": ("Compensation", "closed_loop", "compensation_gain"),
+        "residua.design.estimation.fault_estimator": ("FaultEstimator", "fault_estimator"),
+        "residua.design.estimation.sensor_fault_estimators": ("SensorFaultEstimators", "sensor_fault_estimators"),
+        "residua.design.observers.descriptor_observer": ("descriptor_observer",),
+        "residua.design.observers.general_residual_generator": (
+            "GeneralForm",
+            "general_form",
+            "residual_generator_from_observer",
+        ),
+        "residua.design.observers.inverse_form_observer": ("InverseFormObserver", "inverse_form_observer"),
+        "residua.design.observers.kalman_filter": ("kalman_filter",),
+        "residua.design.observers.luenberger_observer": ("luenberger_observer",),
+        "residua.design.observers.observer": ("Observer",),
+        "residua.design.observers.perfect_observer": ("PerfectObserver", "perfect_observer"),
+        "residua.design.observers.reduced_order_observer": ("reduced_order_observer",),
+        "residua.design.observers.unknown_input_observer": ("unknown_input_observer",),
+        "residua.design.parity.directional_parity": ("directional_parity",),
+        "residua.design.parity.equivalence": ("Equivalence", "RowTransformation"),
+        "residua.design.parity.parity_relations": ("chow_willsky_matrices", "parity_orders", "parity_relations"),
+        "residua.design.parity.primary_residuals": ("primary_residuals",),
+        "residua.design.parity.relations": ("ParityRelations",),
+        "residua.design.parity.structured_parity": ("structured_parity",),
+        "residua.design.suggestion": ("Suggestion",),
+        "residua.robust.estimators.certified_threshold": ("CertifiedThreshold", "certified_thresholds"),
+        "residua.robust.estimators.differential_evolution": ("DifferentialEvolution",),
+        "residua.robust.estimators.genetic_search": ("GeneticSearch",),
+        "residua.robust.estimators.robust_estimator": ("RobustEstimator",),
+        "residua.robust.estimators.robust_l1_bank": ("RobustL1Bank", "robust_l1_bank"),
+        "residua.robust.estimators.search_result": ("SearchResult",),
+        "residua.robust.parity.insensitive_parity": ("InsensitiveParity", "insensitive_parity"),
+        "residua.robust.parity.model_spread": ("model_spread",),
+        "residua.robust.parity.multi_model_parity": ("MultiModelParity", "multi_model_parity"),
+        "residua.robust.parity.optimal_parity": ("OptimalParity", "optimal_parity"),
+        "residua.robust.parity.select_equations": ("EquationChoice", "select_equations"),
     },
 )

@@ -52,8 +52,15 @@ class Decision:
     """
 
     __slots__ = (
-        *("_alarm", "_arrived", "_blamed", "_candidates", "_decided", "_estimates", "_fired", "_generator"),
-        *("_missing", "_present", "_reading", "_residual", "_statistic"),
+        "_alarm",
+        "_decided",
+        "_estimates",
+        "_fired",
+        "_generator",
+        "_missing",
+        "_named",
+        "_residual",
+        "_statistic",
     )
 
     def __init__(
@@ -73,9 +80,11 @@ class Decision:
     ) -> None:
         self._residual, self._statistic = residual, statistic
         self._alarm, self._decided, self._missing = alarm, decided, missing
-        self._candidates, self._fired, self._reading = candidates, fired, reading
+        self._fired, self._named = (
+            fired,
+            Named(candidates, reading=reading, arrived=arrived, blamed=blamed, present=present),
+        )
         self._estimates: Mapping[str, float] | None = {} if estimates is None else estimates
-        self._arrived, self._blamed, self._present = arrived, blamed, present
         self._generator: ResidualGenerator | None = None
 
     @classmethod
@@ -83,9 +92,11 @@ class Decision:
         cls, residual: NDArray[np.float64], statistic: float, decided: bool, missing: bool, generator: ResidualGenerator
     ) -> Decision:
         """Return the decision on a sample without an alarm; what it estimates is looked up when it is asked for."""
-        one = cls(residual, statistic, False, decided, missing)
-        if generator.estimated:
-            one._estimates, one._generator = None, generator
+        one = cls.__new__(cls)  # it is what a step takes longest for
+        one._residual, one._statistic = residual, statistic
+        one._alarm, one._decided, one._missing = False, decided, missing
+        one._fired, one._named = (), _NOBODY
+        one._estimates, one._generator = None, generator
         return one
 
     @property
@@ -116,7 +127,7 @@ class Decision:
     @property
     def candidates(self) -> tuple[Candidate, ...]:
         """Best first while the alarm is on."""
-        return self._candidates
+        return self._named.candidates
 
     @property
     def fired(self) -> tuple[str, ...]:
@@ -126,30 +137,29 @@ class Decision:
     @property
     def reading(self) -> CodeReading | None:
         """What the members that fired say."""
-        return self._reading
+        return self._named.reading
 
     @property
     def estimates(self) -> Mapping[str, float]:
         """The estimated sizes."""
         if self._estimates is None:
-            assert self._generator is not None
-            self._estimates = sizes_now(self._generator, self._residual)
+            self._estimates = {} if self._generator is None else sizes_now(self._generator, self._residual)
         return self._estimates
 
     @property
     def arrived(self) -> float | None:
         """How many seconds ago the fault arrived."""
-        return self._arrived
+        return self._named.arrived
 
     @property
     def blamed(self) -> str:
         """The fault that the alarm is put down to."""
-        return self._blamed
+        return self._named.blamed
 
     @property
     def present(self) -> tuple[PresentFault, ...]:
         """The faults that are read, and since when."""
-        return self._present
+        return self._named.present
 
     def __repr__(self) -> str:
         names = ("residual", "statistic", "alarm", "decided", "missing", "candidates", "fired", "reading", "estimates")
@@ -160,6 +170,10 @@ class Decision:
     def named(self) -> tuple[tuple[str, ...], ...]:
         """The faults that are named now, one or several, each with its indistinguishable ones; else empty."""
         return put_down_to(self.reading, self.candidates)
+
+
+#: What nobody is named for.
+_NOBODY = Named()
 
 
 def sizes_now(generator: ResidualGenerator, residual: NDArray[np.float64]) -> dict[str, float]:

@@ -49,7 +49,8 @@ class Fleet:
     Notes
     -----
     A fleet belongs to one thread of the caller at a time. A tick, or a block, that is interrupted (by Ctrl-C, or for
-    want of memory) happens whole or not at all: what is left of it is done before the fleet does, or says, anything.
+    want of memory) happens whole or not at all: what is left of it is done before the fleet does, or says, anything. In
+    a process that is forked while another thread is within a block, the fleet refuses to go on.
 
     See Also
     --------
@@ -258,7 +259,8 @@ class Fleet:
         -------
         list of AlarmEvent
             Alarms that were raised and that have ended, plant by plant in their order, each as it would be in
-            :attr:`alarms` after a :meth:`tick` with that very sample: the same however time is cut into blocks.
+            :attr:`alarms` after a :meth:`tick` with that very sample: the same however time is cut into blocks. Those
+            of a block that was interrupted come first with the next block of its model.
 
         Raises
         ------

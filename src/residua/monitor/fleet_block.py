@@ -246,6 +246,8 @@ class FleetBlock:
         #: Of a new block, as long as no sample of any plant was judged: none can be over its threshold.
         self._is_settling = state is None
         self._worker = Worker()
+        #: What alarms did in a block that was interrupted before that was returned.
+        self._untold: list[AlarmEvent] = []
         self._place(initial_state(self.spec, len(self.ids)) if state is None else state)
 
     def _place(self, state: State) -> None:
@@ -381,7 +383,7 @@ class FleetBlock:
         steps: list[Callable[[], object]]
         if run is not None:
             out: dict[str, Any] = run.outputs(len(y), y.shape[1], keep)
-            job = run.job(u, y, out, rows, threads=threads)
+            job = Job(u, y, out, rows, threads=threads)
             jobs = [job]
             steps = [lambda: run.perform(job), lambda: self._after(y.shape[0] * y.shape[1])]
         else:
@@ -426,15 +428,16 @@ class FleetBlock:
         if not y.shape[1]:
             return []
         self.finish()
-        before, last, stood = self._now.count[rows], self.last.scores[rows], self.standing.stands[rows]
-        events: list[AlarmEvent] = []
+        before, last, was = self._now.count[rows], self.last.scores[rows], self.standing.of(rows)
+        untold = self._untold  # of a block that was interrupted
 
         def follow(_: Any, out: dict[str, Any]) -> None:
-            events[:] = self._events(rows, out, before, last, stood)
+            self._untold = untold + self._events(rows, out, before, last, was)
             self._follow_skipped(rows, out["usable"])
 
         under_way = self._go_on(rows, u, y, ("alarm", "up", "scores", "usable"), threads, follow)
         self.do(Work(under_way.steps, under_way.jobs))
+        events, self._untold = self._untold, []
         return events
 
     def _events(
@@ -443,23 +446,23 @@ class FleetBlock:
         out: dict[str, Any],
         before: NDArray[np.int64],
         last: NDArray[np.float64],
-        stood: NDArray[np.bool_],
+        was: StandingAlarms,
     ) -> list[AlarmEvent]:
         """Note what the alarms of some plants did in a block, and return it; as these were before it."""
         alarm, usable, standing, events = out["alarm"], out["usable"], self.standing, []
-        for k, t in np.argwhere(alarm != np.concatenate([stood[:, None], alarm[:, :-1]], axis=1)).tolist():
+        begins = {k: (int(was.onset[k]), int(was.raised[k])) for k in np.flatnonzero(was.stands).tolist()}
+        for k, t in np.argwhere(alarm != np.concatenate([was.stands[:, None], alarm[:, :-1]], axis=1)).tolist():
             row, number = int(rows[k]), int(before[k]) + t
             if alarm[k, t]:
                 one = np.array([k])
                 onset = self.skipped.onsets(rows[one], before[one], usable[one, : t + 1], out["up"][one, t])
-                since = (int(onset[0]), number)
-                standing.stands[row], standing.onset[row], standing.raised[row] = True, *since
-                events.append(self._event(row, since, None, out["scores"][k, t]))
+                begins[k] = (int(onset[0]), number)
+                standing.stands[row], standing.onset[row], standing.raised[row] = True, *begins[k]
+                events.append(self._event(row, begins[k], None, out["scores"][k, t]))
             else:
                 scores = out["scores"][k, t - 1] if t else last[k]
                 standing.stands[row] = False
-                since = (int(standing.onset[row]), int(standing.raised[row]))
-                events.append(self._event(row, since, number, scores))
+                events.append(self._event(row, begins[k], number, scores))
         return events
 
     def _event(self, row: int, when: tuple[int, int], ended: int | None, scores: NDArray[np.float64]) -> AlarmEvent:

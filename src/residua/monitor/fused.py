@@ -23,15 +23,10 @@ from residua.monitor.plant_records import SELDOM, takes_no_memory
 from residua.monitor.running import Decisions, State, run_reference, written_rows
 from residua.monitor.specification import Specification
 from residua.monitor.starting import MOVED_FROM
-from residua.monitor.whole_blocks import Job, Parts, Work, Worker
+from residua.monitor.whole_blocks import OUTPUTS, Job, Parts, Work, Worker
 
 _kernel = kernel("residua.monitor._fused")
 
-#: What a block leaves, in the order of the kernel.
-OUTPUTS = (
-    *("residuals", "missing", "aside", "usable", "statistic", "exceeded", "alarm", "up", "whitened", "scores", "ready"),
-    *("member_statistics", "fired", "code"),
-)
 _OF_PARTS = ("member_statistics", "fired", "code")
 _TYPES = {
     "ready": bool,
@@ -48,7 +43,7 @@ _TYPES = {
 _OF_STARTS, _RESTARTS = ("start_sums", "moved"), ("resets", "broken")
 #: What a step returns in one number: alarm, whether it was decided, and whether a value was missing; that the plant was
 #: left, besides.
-_FLAGS, _IS_LEFT = [(bool(bits & 1), bool(bits & 2), bool(bits & 4)) for bits in range(8)], 8
+ALARM, DECIDED, MISSING, _IS_LEFT = 1, 2, 4, 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,8 +267,11 @@ class FusedRun:
         self._inputs = int(integers[1]) if inputs is None else inputs
         integers[1:3] = self._inputs, integers[1] - self._inputs
         self._integers = integers
-        self._worker = Worker()
+        self.worker = Worker()
         self._parts: Parts | None = None  # of the last block
+        #: Whether it runs single samples, with their isolation.
+        self.steps = plan.names and self.plants == 1
+        self._last = np.empty(0)  # the residual that single samples are written to
         #: The state, the kernel on its arrays, and what it writes of single samples: changed together, at once.
         self._on: tuple[State, Any, dict[str, NDArray | None] | None] = (state, self._runner(state), None)
 
@@ -355,57 +353,21 @@ class FusedRun:
             out[name] = np.zeros(shape, dtype=_TYPES.get(name, np.float64)) if kept else None
         return out
 
-    def run(
-        self,
-        u: NDArray[np.float64],
-        y: NDArray[np.float64],
-        outputs: dict[str, NDArray | None],
-        rows: NDArray[np.int64] | None = None,
-        *,
-        threads: int = 1,
-        joined: NDArray[np.float64] | None = None,
-    ) -> None:
+    def run(self, job: Job) -> None:
         """Go on with a block.
-
-        Parameters
-        ----------
-        u, y : ndarray, shape (plants, time, channels)
-        outputs : dict
-            As :meth:`outputs` makes them.
-        rows : ndarray of int, shape (plants,), optional
-            Whose data they are: each row of the state once. All rows in order when omitted.
-        threads : int
-            The plants are shared among so many.
-        joined : ndarray, shape (plants, time, channels), optional
-            Where to put u and y side by side.
 
         An error leaves all plants as they were, or a block of which :meth:`finish`, or whatever looks at the state
         next, does the rest.
         """
         self.finish()
-        job = self.job(u, y, outputs, rows, threads=threads)
-        job.joined = joined
-        self._do(job)
+        self.worker.do(self._work(job))
 
-    def job(
-        self,
-        u: NDArray[np.float64],
-        y: NDArray[np.float64],
-        outputs: dict[str, NDArray | None],
-        rows: NDArray[np.int64] | None = None,
-        *,
-        threads: int = 1,
-        then: Callable[[], None] | None = None,
-    ) -> Job:
-        """Return a block to go on with, as :meth:`run`; ``then``: what comes after it."""
-        return Job(u, y, tuple(outputs[name] for name in OUTPUTS), rows, threads, then)
-
-    def _do(self, job: Job) -> None:
-        self._worker.do(Work([lambda: self.perform(job)], [job]))
+    def _work(self, job: Job, undo: Callable[[], None] | None = None) -> Work:
+        return Work([lambda: self.perform(job)], [job], undo=undo)
 
     def finish(self) -> None:
         """Do what an interruption has left of a block."""
-        self._worker.finish()
+        self.worker.finish()
 
     def perform(self, job: Job) -> None:
         """Run what has not been run of a block; it may be interrupted, and performed again."""
@@ -432,38 +394,45 @@ class FusedRun:
 
     def block(self, data: NDArray[np.float64], outputs: dict[str, NDArray | None]) -> Decisions:
         """Go on with a block of (plants, time, channels), and return what was decided, isolation included."""
-        before = self.state
-        count, decisions, named = before.count.copy(), decisions_of(outputs), []
+        decisions, u, y = decisions_of(outputs), data[..., : self._inputs], data[..., self._inputs :]
+        if self.plan.names:
+            self.run(Job(u, y, outputs))
+            return decisions
+        before, named = copied(self.state), []
 
         def name() -> None:
-            block = Block(decisions.residuals, _there(outputs["ready"]), count)
+            block = Block(decisions.residuals, _there(outputs["ready"]), before.count)
             isolation, scores = self.spec.isolation.run(before.isolation, block, decisions.tested)
             named.append(scores)
             state, runner, one = self._on
             self._on = (replace(state, isolation=isolation), runner, one)
 
-        u, y = data[..., : self._inputs], data[..., self._inputs :]
-        self._do(self.job(u, y, outputs, then=None if self.plan.names else name))
-        return replace(decisions, named=named[-1]) if named else decisions
+        def undo() -> None:  # an isolation of the user's may raise each time
+            self._use(before, self._on[2])
+
+        self.worker.do(self._work(Job(u, y, outputs, then=name), undo))
+        return replace(decisions, named=named[-1])
 
     # ------------------------------------------------------------------------ one sample
 
-    def step(self, u: Any, y: Any) -> tuple[bool, bool, bool, float]:
-        """Go on with one sample of one plant, and return alarm, whether it was decided, missing, and the statistic.
+    def step(self, u: Any, y: Any) -> tuple[int, float]:
+        """Go on with one sample of one plant, and return what it says, as a sum of flags, and the statistic.
 
         Raises an error of Python where u or y is no array of floats with as many numbers as there are channels.
         """
         if self._on[2] is None:
-            self._use(self._on[0], self.outputs(1, 1))
-        flags, statistic = self._on[1].step(u, y)
-        if flags & _IS_LEFT:
+            one = self.outputs(1, 1)
+            self._last = _there(one["residuals"])[0, 0]
+            self._use(self._on[0], one)
+        told = self._on[1].step(u, y)
+        if told[0] & _IS_LEFT:
             self._make_room(("spread",))
-            flags, statistic = self._on[1].step(u, y)
-        return *_FLAGS[flags], statistic
+            told = self._on[1].step(u, y)
+        return told
 
     def last_residual(self) -> NDArray[np.float64]:
         """Return the residual of the last step."""
-        return self._on[2]["residuals"][0, 0].copy()  # pyright: ignore[reportOptionalSubscript]
+        return self._last.copy()
 
     def last_decisions(self) -> Decisions:
         """Return the decisions of the last step."""
@@ -495,4 +464,17 @@ def run_block(spec: Specification, state: State, data: NDArray[np.float64]) -> t
     return run.state, decisions
 
 
-__all__ = ["OUTPUTS", "FusedRun", "LastSample", "Plan", "copied", "decisions_of", "plan_of", "run_block", "with_starts"]
+__all__ = [
+    "ALARM",
+    "DECIDED",
+    "MISSING",
+    "OUTPUTS",
+    "FusedRun",
+    "LastSample",
+    "Plan",
+    "copied",
+    "decisions_of",
+    "plan_of",
+    "run_block",
+    "with_starts",
+]

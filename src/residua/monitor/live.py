@@ -14,9 +14,10 @@ from residua.design import ResidualGenerator
 from residua.design.core.signals import stacked
 from residua.errors import DataError, SettingError
 from residua.monitor.decision import Decision, decision_from
-from residua.monitor.fused import OUTPUTS, FusedRun, copied, decisions_of, plan_of
+from residua.monitor.fused import ALARM, DECIDED, MISSING, OUTPUTS, FusedRun, copied, decisions_of, plan_of
 from residua.monitor.running import Decisions, State, initial_state, joined_decisions, run_reference
 from residua.monitor.specification import Specification
+from residua.monitor.whole_blocks import Job
 from residua.visible import echo, listed
 
 #: Samples per piece when a recording is run: bounds memory and lets progress be shown.
@@ -91,16 +92,18 @@ class Live:
 
     def step(self, spec: Specification, generator: ResidualGenerator, u: Any, y: Any) -> Decision | None:
         """Return the decision on one sample, if the kernel can take it as it is."""
-        run = self._fused(spec, 1)
-        if run is None or not run.plan.names or run.plants != 1:
+        run = self._run
+        if run is None or run.spec is not spec or run.worker.work is not None:  # as a rule it is as it is
+            run = self._fused(spec, 1)
+        if run is None or not run.steps:
             return None
         try:
-            alarm, decided, missing, statistic = run.step(u, y)
+            flags, statistic = run.step(u, y)
         except (TypeError, ValueError, BufferError):
             return None  # what is wrong with them is said where they are checked
-        if alarm:
+        if flags & ALARM:
             return decision_from(run.last_decisions(), spec, generator, run.state)
-        return Decision.quiet(run.last_residual(), statistic, decided, missing, generator)
+        return Decision.quiet(run.last_residual(), statistic, flags & DECIDED != 0, flags & MISSING != 0, generator)
 
     def _fused(self, spec: Specification, plants: int) -> FusedRun | None:
         """Return the kernel on the state; ``None`` where NumPy runs."""
@@ -135,7 +138,7 @@ def run_whole(
     for start in range(0, time, PIECE):
         piece = slice(start, start + PIECE)
         places = {name: None if values is None else values[:, piece] for name, values in out.items()}
-        run.run(u[:, piece], y[:, piece], places, joined=data[:, piece])
+        run.run(Job(u[:, piece], y[:, piece], places, joined=data[:, piece]))
         if progress is not None:
             progress(min(start + PIECE, time), time)
     return run.state, decisions_of(out), data
@@ -163,7 +166,7 @@ def _run_stacked(
             parts.append(decisions)
         elif whole:
             places = {n: None if v is None else v[:, start : start + PIECE] for n, v in out.items()}
-            run.run(part, part[..., :0], places)
+            run.run(Job(part, part[..., :0], places))
         else:
             parts.append(run.block(part, run.outputs(part.shape[0], part.shape[1])))
         if progress is not None:

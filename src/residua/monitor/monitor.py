@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from residua.design import ResidualGenerator
 from residua.design.core.brought import as_generator
 from residua.design.core.signals import stacked
 from residua.errors import DataError, ModelError, NotFittedError, SettingError
+from residua.forks import forkable_lock
 from residua.monitor.decision import Decision, decision_from
 from residua.monitor.diagnosis import Diagnosis
 from residua.monitor.estimating import with_estimator
@@ -169,7 +169,7 @@ class Monitor:
         self.plausible = checked_plausible(plausible, (*generator.plant.inputs, *generator.plant.outputs))
         self.start = checked_start(start)
         self._ranges: NDArray[np.float64] | None = None
-        self._lock = threading.RLock()
+        self._lock = forkable_lock()
         self.notes: tuple[str, ...] = ()
         self._generator: ResidualGenerator | None = None
         self._test: ResidualTest | None = None
@@ -639,7 +639,7 @@ class Monitor:
 
     def __setstate__(self, content: dict[str, Any]) -> None:
         """Take over everything but the lock."""
-        self.__dict__.update(content, _lock=threading.RLock())
+        self.__dict__.update(content, _lock=forkable_lock())
 
     def _watched(self, generator: ResidualGenerator) -> Watched:
         return Watched(generator, self._isolation.parts(generator), self._certified)

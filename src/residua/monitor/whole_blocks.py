@@ -8,7 +8,7 @@ point in it on. What an interruption leaves open is done before anything else is
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from itertools import pairwise
 from typing import Any
@@ -18,6 +18,11 @@ from numpy.typing import NDArray
 
 from residua.errors import DataError
 
+#: What a block leaves, in the order of the kernel.
+OUTPUTS = (
+    *("residuals", "missing", "aside", "usable", "statistic", "exceeded", "alarm", "up", "whitened", "scores", "ready"),
+    *("member_statistics", "fired", "code"),
+)
 #: What the kernel writes down of a part: that it has run, how many of its plants stopped for want of room, whether one
 #: did for want of gains, and how many notes there are.
 RAN, STOPPED, WANTS_GAINS, NOTED = range(4)
@@ -135,16 +140,19 @@ class Job:
     Parameters
     ----------
     u, y : ndarray, shape (plants, time, channels)
-    outputs : tuple of ndarray or None
-    rows : ndarray of int, or None
+    outputs : mapping of str to ndarray or None
+        Where to write what the block leaves, by all names of :data:`OUTPUTS`.
+    rows : ndarray of int, shape (plants,), optional
+        Whose data they are: each row of the state once. All rows in order when omitted.
     threads : int
+        The plants are shared among so many.
     then : callable, optional
         What comes after the kernel; it may be done again.
+    joined : ndarray, shape (plants, time, channels), optional
+        Where to put u and y side by side.
 
     Attributes
     ----------
-    joined : ndarray or None
-        Where the kernel puts u and y side by side.
     is_done : bool
     is_borrowed : bool
         Whether the signals are still those of the caller, who may change them once an error has reached him.
@@ -154,15 +162,17 @@ class Job:
         self,
         u: NDArray,
         y: NDArray,
-        outputs: tuple[NDArray | None, ...],
-        rows: NDArray[np.int64] | None,
-        threads: int,
+        outputs: Mapping[str, NDArray | None],
+        rows: NDArray[np.int64] | None = None,
+        *,
+        threads: int = 1,
         then: Callable[[], None] | None = None,
+        joined: NDArray[np.float64] | None = None,
     ) -> None:
-        self.signals, self.outputs, self.rows, self.threads, self.then = (u, y), outputs, rows, threads, then
+        self.signals, self.rows, self.threads, self.then, self.joined = (u, y), rows, threads, then, joined
+        self.outputs = tuple(outputs[name] for name in OUTPUTS)
         self.left = np.zeros(len(y), dtype=np.int64)  # samples; written, and read, only where it has to be
         self.is_fresh, self.is_done, self.is_borrowed = True, False, True
-        self.joined: NDArray[np.float64] | None = None
         self.parts: Parts | None = None
 
     @property
@@ -210,16 +220,26 @@ class Work:
         What the kernel runs in them.
     within : sequence of Work
         Work that these steps do.
+    undo : callable, optional
+        What takes back all that the steps did; it may be done again. It is done where a step raises, or is interrupted;
+        without it, what is left of the steps is done.
     """
 
-    def __init__(self, steps: Sequence[Callable[[], object]], jobs: Sequence[Job], within: Sequence[Work] = ()) -> None:
-        self.steps, self.jobs, self._within = steps, jobs, within
-        self._done, self.is_under_way = 0, False
+    def __init__(
+        self,
+        steps: Sequence[Callable[[], object]],
+        jobs: Sequence[Job],
+        within: Sequence[Work] = (),
+        undo: Callable[[], object] | None = None,
+    ) -> None:
+        self.steps, self.jobs, self._within, self._undo = steps, jobs, within, undo
+        self._done, self._is_undone, self.is_under_way = 0, False, False
 
     @property
     def is_begun(self) -> bool:
         """Whether anything was changed."""
-        return self._done > 0 or any(one.is_begun for one in (*self.jobs, *self._within))
+        begun = self._done > 0 or any(one.is_begun for one in (*self.jobs, *self._within))
+        return begun and not self._is_undone
 
     def go_on(self) -> None:
         """Do what is left."""
@@ -238,19 +258,28 @@ class Work:
                 job.parts.wait()
 
     def own(self) -> None:
-        """Be ready to go on later, when the caller may have changed its signals."""
+        """Be ready to go on later, when the caller may have changed its signals, or to be undone."""
         self.is_under_way = False  # where an interruption came just before that was written
         self.wait()
-        if self.is_begun:
+        if self.is_begun and not self.take_back():
             for job in self.jobs:
                 job.own()
+
+    def take_back(self) -> bool:
+        """Undo all that was done, and return whether that can be."""
+        if self._undo is None:
+            return False
+        self._undo()
+        self._is_undone = True
+        return True
 
 
 class Worker:
     """Does one piece of work after the other; what an interruption leaves of one is done before anything else."""
 
     def __init__(self) -> None:
-        self._work: Work | None = None
+        #: What is under way, or was interrupted.
+        self.work: Work | None = None
 
     def do(self, work: Work) -> None:
         """Do all of some work.
@@ -258,12 +287,12 @@ class Worker:
         An error leaves nothing changed, or work of which :meth:`finish` does the rest.
         """
         try:
-            self._work = work
+            self.work = work
             work.go_on()
         except BaseException:
             work.own()
             raise
-        self._work = None
+        self.work = None
 
     def finish(self) -> None:
         """Do what an interruption has left, if anything was changed.
@@ -274,7 +303,7 @@ class Worker:
             If that was interrupted so often that the signals are not there any longer, or is being done: a step has
             called what it is a step of.
         """
-        work = self._work
+        work = self.work
         if work is None:
             return
         if work.is_under_way:
@@ -283,14 +312,14 @@ class Worker:
                 "in, or two threads share a fleet. Take what it needs before the block, or a copy of the monitor"
             )
         work.wait()  # an interruption may have come in the middle of this, too
-        if work.is_begun:
+        if work.is_begun and not work.take_back():
             if any(job.is_borrowed and not job.is_done for job in work.jobs):
                 raise DataError(
                     "a block was interrupted, and again before the rest of its signals was saved: some of the plants "
                     "have had it, and others have not. Go on from a snapshot, or from a saved monitor"
                 )
             self.do(work)
-        self._work = None
+        self.work = None
 
 
-__all__ = ["Job", "Parts", "Work", "Worker"]
+__all__ = ["OUTPUTS", "Job", "Parts", "Work", "Worker"]

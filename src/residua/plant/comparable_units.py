@@ -9,7 +9,7 @@ outputs and disturbances do alone, for what is decided by norms (gains, subspace
 from __future__ import annotations
 
 from collections.abc import Hashable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +42,8 @@ class PlantUnits:
     ----------
     equations, states, outputs, inputs, disturbances, faults : ndarray
         The diagonals of ``R``, ``S``, ``Y``, and those of ``U`` by role.
+    noise : float
+        The same for all noise: what a design takes of it is how large one is beside another.
     """
 
     equations: Factors
@@ -50,9 +52,10 @@ class PlantUnits:
     inputs: Factors
     disturbances: Factors
     faults: Factors
+    noise: float = 1.0
 
     def applied(self, plant: Plant) -> Plant:
-        """Return the plant in these units. Those of noise, of variance one, are what they are."""
+        """Return the plant in these units."""
         R, S, Y = self.equations[:, None], self.states, self.outputs[:, None]
         scaled = {
             "A": R * plant.A * S,
@@ -63,8 +66,8 @@ class PlantUnits:
             "Dd": Y * plant.Dd * self.disturbances,
             "Bf": R * plant.Bf * self.faults,
             "Df": Y * plant.Df * self.faults,
-            "Bw": R * plant.Bw,
-            "Dw": Y * plant.Dw,
+            "Bw": R * plant.Bw * self.noise,
+            "Dw": Y * plant.Dw * self.noise,
         }
         E = None if plant.E is None else frozen(R * plant.E * S)
         return plant._with(E=E, **{name: frozen(M) for name, M in scaled.items()})
@@ -79,6 +82,7 @@ class PlantUnits:
             self.inputs * further.inputs,
             self.disturbances * further.disturbances,
             self.faults * further.faults,
+            self.noise * further.noise,
         )
 
 
@@ -159,9 +163,9 @@ def in_unit_of_rates(plant: Plant) -> tuple[Plant, float]:
 
 def own_units(plant: Plant) -> EvenPlant:
     """Return a plant in its own units, for a design that is asked for as its equations say."""
-    ones = [np.ones(k) for k in (plant.n_states, plant.n_states, plant.n_outputs)]
-    signals = [np.ones(M.shape[1]) for M in (plant.Bu, plant.Bd, plant.Bf)]
-    return EvenPlant(plant, PlantUnits(*ones, *signals), even=False)
+    states, outputs = np.ones(plant.n_states), np.ones(plant.n_outputs)
+    inputs, disturbances, faults = (np.ones(M.shape[1]) for M in (plant.Bu, plant.Bd, plant.Bf))
+    return EvenPlant(plant, PlantUnits(states, states, outputs, inputs, disturbances, faults), even=False)
 
 
 def even_plant(plant: Plant, *, explicit: bool = False) -> EvenPlant:
@@ -224,7 +228,17 @@ def canonical_units(plant: Plant, *, controls: bool = True) -> PlantUnits:
     Scaled by them, plants in units that differ by powers of two are the same to the last bit. Without ``controls``
     these take no part, and stay as they are.
     """
-    return _canonical.of((_matrices(plant), controls), lambda: _canonical_units(plant, controls))
+    units = _canonical.of((_matrices(plant), controls), lambda: _canonical_units(plant, controls))
+    if not plant.Bw.shape[1]:
+        return units
+    # all states and outputs may be as much larger or smaller together, and signals the other way
+    largest = max(float(np.abs(M).max(initial=0.0)) for M in _noise_in(units, plant))
+    return replace(units, noise=1.0 / np.ldexp(1.0, np.frexp(largest)[1])) if largest else units
+
+
+def _noise_in(units: PlantUnits, plant: Plant) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the noise in the equations and the outputs of a plant in other units."""
+    return units.equations[:, None] * plant.Bw, units.outputs[:, None] * plant.Dw
 
 
 def _canonical_units(plant: Plant, controls: bool) -> PlantUnits:

@@ -27,7 +27,7 @@ from residua.plant.input_output_entries import (
     output_polynomials,
     row_delays,
 )
-from residua.plant.observer_form import check_proper, check_regular
+from residua.plant.observer_form import check_proper, check_regular, quotient
 
 if TYPE_CHECKING:
     from residua.plant.input_output_realization import Realization
@@ -206,11 +206,8 @@ class InputOutputModel(FaultFacts):
         ndarray of complex, shape (k, outputs, inputs of these roles)
         """
         at = np.atleast_1d(np.asarray(points, dtype=complex))
-        H, N = self.H.evaluate(at), self.right_side(roles).evaluate(at)
-        size = np.abs(H).max(axis=2, keepdims=True, initial=0.0)
-        size = np.where(size > 0, size, 1.0)
         try:
-            return np.asarray(np.linalg.solve(H / size, N / size), dtype=complex)
+            return quotient(self.H, self.right_side(roles), at)
         except np.linalg.LinAlgError as error:
             raise ModelError(f"the model has a pole at one of the points asked for: {error}") from error
 

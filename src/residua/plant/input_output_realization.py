@@ -15,6 +15,7 @@ from residua.linear.poles.stability import dies_out, modes_with_uncertainty
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, spectral_norm
 from residua.linear.systems.state_space import StateSpace
 from residua.plant.comparable_units import with_rates_times
+from residua.plant.loewner import loewner, loewner_part
 from residua.plant.observer_form import (
     ReachablePart,
     check_response,
@@ -33,12 +34,8 @@ if TYPE_CHECKING:
 
 #: A removed mode this near to a pole that stays, relative to its size, is another copy of that pole.
 _COPY = 1e-4
-#: A coupling that many times above the tolerance is one, and needs no second look.
-_CLEAR = 1e4
-#: A weaker coupling than that, in tolerances, may be rounding of the coefficients.
-_CLEAR_ENOUGH = 1e3
-#: What the tolerance is multiplied by where it is not clear.
-_FACTORS = (1.0, 1e1, 1e2, 1e3, 1e4)
+#: The weakest coupling of those that count is that many times the tolerance, or the order is not clear.
+_CLEAR = 1e3
 _CONDITIONED = (
     "the equations are too badly conditioned; try another rtol, a model of lower order or in other units, or start "
     "from the state-space plant"
@@ -73,7 +70,9 @@ def realize_input_output(
 
     The equations are put into observer form, from which the part that no input, disturbance or fault reaches is removed
     by the staircase: common factors of an equation, and the second and further copies of a mode that several outputs
-    have in their equations. A removed mode must be stable, or a copy of a pole that stays.
+    have in their equations. Copies that rounding of the coefficients sets apart are told from modes by the singular
+    values of the Loewner matrix of the response, where these have a gap. A removed mode must be stable, or a copy of a
+    pole that stays.
 
     Parameters
     ----------
@@ -94,6 +93,10 @@ def realize_input_output(
     AccuracyError
         If the frequency response is missed by more than the tolerance, or the order is not clear: poles of equations of
         high degree, or far from the others, come out so inexactly that the copies of one mode look like several.
+
+    References
+    ----------
+    Mayo and Antoulas (2007), Linear Algebra and its Applications 425, 634-662 (the Loewner matrix).
 
     Examples
     --------
@@ -125,30 +128,40 @@ def _smallest_part(
 ) -> tuple[ReachablePart, float]:
     """Return the reachable part of the smallest order that has the frequency response of the model, and its error.
 
-    Rounding of the coefficients makes the copies of a mode differ, so that the inputs seem to reach them a little.
-    Where the rank decisions are not clear, larger tolerances are tried too.
+    A staircase takes out what no input reaches. Rounding of the coefficients makes the copies of a mode differ, so that
+    the inputs seem to reach them a little: singular values of the response tell these from modes.
     """
+    right = model.right_side()
     points = response_points(whole.poles(), model.dt)
-    wanted, terms = model.transfer(points), polynomial_terms(model.H, model.right_side(), points)
-    best: tuple[ReachablePart, float] | None = None
-    for factor in _FACTORS:
-        part = reachable_part(whole, factor * rtol)
-        error = response_error(part.system.evaluate(points), wanted, terms)
-        if error <= tolerance and (best is None or part.system.n_states < best[0].system.n_states):
-            best = part, error
-        if best is None:
-            check_response(error, tolerance, f"the realisation of order {part.system.n_states}", _CONDITIONED)
-        if _margin(part) >= _CLEAR:
-            break
-    assert best is not None
-    if _margin(best[0]) < _CLEAR_ENOUGH:
-        kept = best[0].system.n_states
+    wanted, terms = model.transfer(points), polynomial_terms(model.H, right, points)
+
+    def missed(system: StateSpace) -> float:
+        return response_error(system.evaluate(points), wanted, terms)
+
+    part = reachable_part(whole, rtol)
+    error, order = missed(part.system), part.system.n_states
+    clear = error <= tolerance and _margin(part) >= _CLEAR
+    if order:
+        differences = loewner(model.H, right, whole)
+        for k in range(order if clear else whole.n_states + 1):
+            decided = differences.decided(k)
+            if _is_clear(decided, tolerance) and missed(differences.system(k, whole)) <= tolerance:
+                smaller = loewner_part(differences, k, whole)
+                return smaller, missed(smaller.system)
+    check_response(error, tolerance, f"the realisation of order {order}", _CONDITIONED)
+    if not clear:
         raise AccuracyError(
-            f"the order of the plant is not clear: {kept} of {whole.n_states} modes count as reached with "
-            f"rtol={rtol:.3g}, the weakest by {_margin(best[0]):.2g} times the tolerance, and no lower order keeps the "
+            f"the order of the plant is not clear: {order} of {whole.n_states} modes count as reached with "
+            f"rtol={rtol:.3g}, the weakest by {_margin(part):.2g} times the tolerance, and no lower order keeps the "
             f"frequency response to {tolerance:.2g}; {_CONDITIONED}"
         )
-    return best
+    return part, error
+
+
+def _is_clear(decided: RankDecision, tolerance: float) -> bool:
+    """Tell whether singular values of a response that do not count are small, and far below those that do."""
+    largest = float(decided.singular_values.max(initial=0.0))
+    return decided.tolerance <= tolerance * largest and decided.smallest_kept >= _CLEAR * decided.tolerance
 
 
 def _margin(part: ReachablePart) -> float:

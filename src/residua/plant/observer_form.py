@@ -254,6 +254,14 @@ def state_terms(system: StateSpace, points: NDArray[np.complex128]) -> NDArray[n
     return through + np.broadcast_to(np.abs(system.D), (len(points), *system.D.shape))
 
 
+def quotient(H: PolynomialMatrix, N: PolynomialMatrix, points: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Return ``H^-1 N`` at some points."""
+    left, right = H.evaluate(points), N.evaluate(points)
+    size = np.abs(left).max(axis=2, keepdims=True, initial=0.0)
+    size = np.where(size > 0, size, 1.0)
+    return np.asarray(np.linalg.solve(left / size, right / size), dtype=complex)
+
+
 def polynomial_terms(H: PolynomialMatrix, N: PolynomialMatrix, points: NDArray[np.complex128]) -> NDArray[np.float64]:
     """Return the sizes of what ``H^-1 N`` is summed from, row by row of ``H``."""
     values = H.evaluate(points)

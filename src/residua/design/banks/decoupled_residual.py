@@ -32,6 +32,7 @@ from residua.linear.poles.placement import Placement
 from residua.linear.poles.riccati import filter_riccati
 from residua.linear.subspaces.observable_part import UndetectableError
 from residua.linear.subspaces.rank import DEFAULT_RTOL
+from residua.linear.systems.resolvent import solutions, solver
 from residua.plant import Plant
 from residua.plant.comparable_units import even_plant
 from residua.words import unit_of_rates, used_up
@@ -287,17 +288,17 @@ def rounding_share(generator: ResidualGenerator) -> float:
     system, plant = generator.system, generator.plant
     w = frequency_grid(system, plant.system(()))
     w = w[: max(len(w) // 3, 1)]
-    y = np.abs(plant.system("fault").frequency_response(w))
-    n_u, n = len(plant.inputs), system.n_states
+    moved = plant.system("fault").frequency_response(w)
+    n_u, n, y = len(plant.inputs), system.n_states, np.abs(moved)
     K, H = np.abs(system.B[:, n_u:]), np.abs(system.D[:, n_u:])
-    response = np.abs(generator.internal_form().frequency_response(w)[:, :, : len(plant.faults)])
+    response = np.abs(generator.internal_form().select(inputs=range(len(plant.faults))).frequency_response(w))
     left = H @ y
     if n:
-        z = np.exp(1j * w * plant.dt) if plant.is_discrete else 1j * w
-        R = np.linalg.inv(z[:, None, None] * np.eye(n) - system.A)
-        x = np.abs(R @ system.B[:, n_u:] @ plant.system("fault").frequency_response(w))
+        z = np.asarray(np.exp(1j * w * plant.dt) if plant.is_discrete else 1j * w, dtype=np.complex128)
+        x = np.abs(solver(system.A, None, z)(system.B[:, n_u:] @ moved))
         steps = np.abs(system.A) @ x + K @ y
-        left = left + np.abs(system.C) @ x + np.abs(system.C @ R) @ steps
+        through = np.abs(solutions(system.A, None, z, np.zeros((n, 0)), system.C)[1])
+        left = left + np.abs(system.C) @ x + through @ steps
     # A response below the rounding of its terms is lost as a whole, however small it is: a share of one.
     lost = response < _EPS * left
     share = np.median(np.where(lost, 1.0, _EPS * left / np.where(lost | (response == 0), 1.0, response)), axis=0)

@@ -6,8 +6,10 @@ from collections.abc import Callable, Hashable
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from residua.design.core.generator import ResidualGenerator
+from residua.design.core.signatures import Signature
 from residua.linear import StateSpace
 from residua.linear.systems.array_cache import Latest, copied, entries
 from residua.plant import Plant
@@ -37,9 +39,29 @@ def designed_in_own_units(
     return in_units_of(plant, units, _kept.of_texts((asked, matrices, own.dt, *names), lambda: design(own)))
 
 
-def in_units_of(plant: Plant, units: PlantUnits, made: ResidualGenerator) -> ResidualGenerator:
-    """Return a generator for the scaled plant as one for the plant. Powers of two: nothing is rounded."""
-    return _rescaled(made, plant, units, 1.0)
+def in_units_of(
+    plant: Plant, units: PlantUnits, made: ResidualGenerator, residuals: NDArray[np.float64] | None = None
+) -> ResidualGenerator:
+    """Return a generator for the scaled plant as one for the plant, with its residuals multiplied by factors.
+
+    Powers of two: nothing is rounded, but what is left orthonormal where residuals have other units.
+    """
+    scaled = _rescaled(made, plant, units, 1.0)
+    return scaled if residuals is None or np.all(residuals == 1.0) else _with_residuals_times(scaled, residuals)
+
+
+def _with_residuals_times(made: ResidualGenerator, factors: NDArray[np.float64]) -> ResidualGenerator:
+    R = factors[:, None]
+    system, known = made.system, made.known_form
+    signatures = {name: Signature(basis, np.any(basis, axis=1)) for name, basis in made.subspaces.items()}
+    return replace(
+        made,
+        system=system.replaced(C=R * system.C, D=R * system.D),
+        subspaces={name: signature.basis(factors) for name, signature in signatures.items()},
+        static_map=None if made.static_map is None else R * made.static_map,
+        known_form=None if known is None else known.replaced(C=R * known.C, D=R * known.D),
+        steady=None if made.steady is None else {name: factors * vector for name, vector in made.steady.items()},
+    )
 
 
 def in_own_units(
@@ -57,7 +79,7 @@ def _rescaled(
     equations = units.equations**power
     known = made.known_form if known is None else known
     if known is not None:
-        noises = np.ones(known.n_inputs - len(units.faults) - len(units.disturbances))
+        noises = np.full(known.n_inputs - len(units.faults) - len(units.disturbances), 1 / units.noise)
         through = np.concatenate([1 / units.faults, 1 / units.disturbances, noises]) ** power
         known = known.replaced(B=known.B * through, D=known.D * through)
     return replace(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residua.design.core.canonical_checks import checked, checked_by_form
+from residua.design.core.canonical_checks import checked
 from residua.design.core.decoupling import Approximate, Decoupled, Promise
 from residua.design.core.evidence import Evidence, format_pole, measured_from, of_sampling
 from residua.design.core.internal_form import (
@@ -22,9 +22,10 @@ from residua.design.core.internal_form import (
 )
 from residua.design.core.own_time import has_rates
 from residua.design.core.responses import covariance_of_sums, steady_responses
+from residua.design.core.sampled_form import sampled_form
 from residua.design.core.signals import discretized_filter, run_signals, sampled_filter
 from residua.errors import AccuracyError
-from residua.linear import StateSpace, decide_rank
+from residua.linear import RankDecision, StateSpace, decide_rank
 from residua.linear.systems.response_terms import in_even_units
 from residua.plant import Plant
 from residua.tolerances import POLYNOMIAL_LEAKAGE
@@ -33,6 +34,10 @@ if TYPE_CHECKING:
     from residua.design.observers.observer import Observer
     from residua.design.parity.equivalence import Equivalence
     from residua.design.parity.relations import ParityRelations, Poles
+
+
+#: Frequencies that often tell by themselves that all residuals are independent.
+_FEW = 6
 
 
 @dataclass(frozen=True)
@@ -80,7 +85,7 @@ class ResidualGenerator:
     static_map : ndarray or None, shape (residuals, states of the plant)
         ``V`` with ``V E = 0``: the algebraic equations of a singular plant that the residual reads.
     known_form : StateSpace or None
-        The internal form of a filter that has no state map.
+        The internal form of a filter that has no state map, or of a sampled one that had one before.
     codes : ndarray of bool or None, shape (members, faults)
         For a bank: which of its members each fault fires, as its structure promises.
     estimated : tuple of str
@@ -166,12 +171,10 @@ class ResidualGenerator:
             own, w = in_even_units(self.system), leak_frequencies(self.system, self.plant)
             factors = own.equations / even.equations
             system = system.replaced(A=own.system.A, B=factors[:, None] * system.B, C=system.C / factors)
-        scaled = system.frequency_response(w)
-        for axes in ((0, 1), (0, 2)):  # each input, then each residual, has its own units
-            units = np.abs(scaled).max(axis=axes, keepdims=True, initial=0.0)
-            scaled = scaled / np.where(units > 0, units, 1.0)
-        flat = scaled.transpose(1, 0, 2).reshape(self.n_residuals, -1)
-        return decide_rank(np.hstack([flat.real, flat.imag]), rtol=1e-6).rank
+        few = _rank_of_rows(system, w[:: -(-len(w) // _FEW)])
+        if few.rank == self.n_residuals and few.is_clear:  # at further frequencies they are no less independent
+            return few.rank
+        return _rank_of_rows(system, w).rank
 
     @cached_property
     def structure(self) -> NDArray[np.bool_]:
@@ -185,7 +188,8 @@ class ResidualGenerator:
 
         ``None`` when the plant has no noise, or is continuous (white measurement noise has no finite
         variance there: sample the generator first), or the residual has no stationary covariance, as with a
-        sampled continuous design on an unstable plant.
+        sampled continuous design on an unstable plant, or one with three integrators in a row before an output: noise
+        then bends what the filter takes to run straight from sample to sample, more and more.
         """
         return self.covariance_of_sums(1)
 
@@ -234,7 +238,8 @@ class ResidualGenerator:
         if own and not controls:
             return self._internal_form
         plant = self.plant if plant is None else plant
-        if own and self.known_form is not None and self.evidence.decoupling.get("control", 0.0) < POLYNOMIAL_LEAKAGE:
+        leaks = [self.evidence.decoupling.get(name, 0.0) for name in ("control", *of_sampling({"control": 0.0}))]
+        if own and self.known_form is not None and max(leaks) < POLYNOMIAL_LEAKAGE:
             return with_silent_inputs(self.known_form, plant.inputs)
         maps = (self.state_map, self.static_map) if own else (None, None)
         return internal_form(self.system, plant, *maps, with_controls=controls)
@@ -293,6 +298,9 @@ class ResidualGenerator:
         """
         system = discretized_filter(self.system, self.plant, dt, hold_outputs)
         plant = self.plant.discretize(dt)
+        known = None
+        if self.state_map is not None and plant.n_states == self.plant.n_states:
+            known = sampled_form(self.system, self.state_map, self.plant, system, plant, hold_outputs)
         w = leak_frequencies(system, plant)
         cost = of_sampling(leakage(system, plant, w))
         note = (
@@ -315,7 +323,7 @@ class ResidualGenerator:
             state_map=None,
             static_map=None,
             relations=None,
-            known_form=None,  # noise of the sampled plant is not that of the continuous one, held between samples
+            known_form=known,  # noise of the sampled plant is not that of the continuous one, held between samples
             steady=self.steady_directions,
         )
 
@@ -428,6 +436,16 @@ class ResidualGenerator:
         )
 
 
+def _rank_of_rows(system: StateSpace, w: NDArray[np.float64]) -> RankDecision:
+    """Return how many outputs of a system are independent at some frequencies, inputs and outputs in own units."""
+    scaled = system.frequency_response(w)
+    for axes in ((0, 1), (0, 2)):  # each input, then each output
+        units = np.abs(scaled).max(axis=axes, keepdims=True, initial=0.0)
+        scaled = scaled / np.where(units > 0, units, 1.0)
+    flat = scaled.transpose(1, 0, 2).reshape(system.n_outputs, -1)
+    return decide_rank(np.hstack([flat.real, flat.imag]), rtol=1e-6)
+
+
 def make_generator(
     system: StateSpace,
     plant: Plant,
@@ -438,6 +456,7 @@ def make_generator(
     state_map: NDArray[np.float64] | None = None,
     static_map: NDArray[np.float64] | None = None,
     known_form: StateSpace | None = None,
+    state_units: NDArray[np.float64] | None = None,
     observer: Observer | None = None,
     members: tuple[Member, ...] = (),
     codes: NDArray[np.bool_] | None = None,
@@ -448,18 +467,14 @@ def make_generator(
 
     Every design passes here, and no other place makes a generator of a filter. ``decouples`` says what must not reach
     the residual, which is measured here, or which entry of the evidence says how far it does. A filter whose states
-    are no linear function of the plant's brings its internal form, ``known_form``; an approximate one need not.
+    are no linear function of the plant's brings its internal form, ``known_form``; an approximate one need not. Of
+    such ``state_units`` are those of its states, powers of two, if it was written in other ones.
     """
     if not system.is_stable():
         raise AccuracyError(f"the filter is not stable: poles {', '.join(map(format_pole, system.poles()))}")
-    if state_map is not None and known_form is None:
-        found = checked(system, plant, evidence, decouples, state_map, static_map)
-    else:
-        if known_form is None and not isinstance(decouples, Approximate):
-            raise TypeError("make_generator needs a state_map or a known_form of an exact design")
-        # as known form of an approximate design the driven filter would say that control inputs do nothing
-        form = internal_form(system, plant) if known_form is None else known_form
-        found = checked_by_form(system, plant, evidence, decouples, form, state_map, static_map)
+    if state_map is None and known_form is None and not isinstance(decouples, Approximate):
+        raise TypeError("make_generator needs a state_map or a known_form of an exact design")
+    found = checked(system, plant, evidence, decouples, state_map, static_map, known_form, state_units)
     bases = {name: signature.basis(found.residuals) for name, signature in found.signatures.items()}
     if isinstance(decouples, Decoupled):  # what is left of the faults that are ignored has passed the check
         bases |= {name: np.zeros((system.n_outputs, 0)) for name in decouples.faults}

@@ -12,6 +12,7 @@ import inspect
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args
 
 from residua.design.core.options import Option, kinds_of, options_of, signature_of
@@ -230,7 +231,9 @@ def defect(record: Method, error: Exception) -> str:
 
 
 def recorded(name: str) -> Method:
-    """Return the method of a name that is registered."""
+    """Return the method of a name that is registered, or will be once its module is imported."""
+    if name not in METHODS:
+        getattr(import_module("residua.design"), name)
     return METHODS[name]
 
 

@@ -50,11 +50,23 @@ def state_covariance(A: NDArray, Q: NDArray) -> NDArray[np.float64]:
             if settled:
                 break
     if not settled or not np.isfinite(X).all():
-        raise AccuracyError("a residual has no covariance: a state that noise moves does not settle")
+        raise AccuracyError(f"a residual has no covariance: noise moves a state that does not settle, {_slowest(A)}")
     missed = float(np.linalg.norm(X - A @ X @ A.T - Q) / max(np.linalg.norm(X), TINY))
     if not missed < IDENTITY:
-        raise AccuracyError(f"the covariance of the residual misses its equation by {missed:.2g}: rescale the plant")
+        raise AccuracyError(
+            f"the covariance of the residual misses its equation by {missed:.2g}: noise, and rounding with it, is "
+            f"summed by a state that hardly settles, {_slowest(A)}"
+        )
     return X * units[:, None] * units
+
+
+def _slowest(A: NDArray) -> str:
+    """Return where the pole is that is nearest to the circle, and what can be done about it."""
+    inside = 1 - float(np.abs(np.linalg.eigvals(A)).max())
+    return (
+        f"of a pole {abs(inside):.2g} {'inside' if inside > 0 else 'outside'} the unit circle: ask for faster poles or "
+        "a longer step, or, where a continuous design was sampled, design for the sampled plant, plant.discretize(dt)"
+    )
 
 
 def covariance_of_sums(form: StateSpace, window: int) -> NDArray[np.float64]:

@@ -19,7 +19,7 @@ from residua.design.core.needs import FAULTS, groups_of_faults
 from residua.design.core.own_time import has_rates, in_own_time
 from residua.design.core.signals import sampled_filter, stack_signals
 from residua.design.estimation.fault_reading import FaultReading, read_faults
-from residua.design.observers.observer import Observer
+from residua.design.observers.observer import Observer, observer_in_units_of
 from residua.design.observers.observer_gain import own_rate
 from residua.design.observers.unknown_input_observer import unknown_input_observer
 from residua.errors import AccuracyError, DesignError, SettingError
@@ -27,10 +27,13 @@ from residua.linear import StateSpace
 from residua.linear.norms.system_norms import h2_norm, hinf_norm
 from residua.linear.poles.placement import default_margin
 from residua.linear.subspaces.rank import DEFAULT_RTOL
+from residua.linear.systems.array_cache import cached_by_contents, copied
 from residua.linear.systems.balancing import sum_without_rounding
 from residua.plant import Plant
+from residua.plant.comparable_units import PlantUnits, canonical_units
 from residua.words import as_given
 
+_METHOD = "fault estimator"
 REFERENCES = (
     "Sueur, Observer-based actuator and sensor fault estimation, eqs. (1) to (8), (12) to (16)",
     "Chen, Patton and Zhang (1996), Int. J. Control 63(1), eqs. (2) to (13)",
@@ -247,6 +250,33 @@ def fault_estimator(
     names = _chosen(plant, faults)
     if bandwidth is not None and not (np.isfinite(bandwidth) and bandwidth > 0):
         raise SettingError(f"bandwidth must be a positive number in rad/s, got {as_given(bandwidth)!r}")
+    units = canonical_units(plant)
+    own = _designed(units.applied(plant), names, poles, margin, bandwidth, rtol)
+    return _in_units_of(plant, names, units, own)
+
+
+@dataclass(frozen=True, eq=False)
+class _Design:
+    """An estimator of a plant in its own units: the observer, what the estimates are of it, and both as one filter."""
+
+    observer: Observer
+    reading: FaultReading
+    smoothing: _Smoothing
+    system: StateSpace
+    form: StateSpace
+    evidence: Evidence
+
+
+@cached_by_contents
+def _designed(
+    plant: Plant,
+    names: tuple[str, ...],
+    poles: Sequence[complex] | ArrayLike | None,
+    margin: float | None,
+    bandwidth: float | None,
+    rtol: float,
+) -> _Design:
+    """Return the estimator of a plant in its own units."""
     if poles is None and margin is None:
         margin = own_rate(plant)
     disturbed = plant.faults_as_disturbances(names)
@@ -264,21 +294,47 @@ def fault_estimator(
     reading = read_faults(observer.plant, names, rtol=rtol)
     smoothing = _smoothing(plant, observer, reading, bandwidth)
     system, form = _realised(plant, names, observer, reading, smoothing)
-    method = "fault estimator"
     evidence = observer.evidence.extended(
-        method=method,
+        method=_METHOD,
         poles=system.poles(),
         ranks={**observer.evidence.ranks, **reading.ranks},
         references=REFERENCES,
         conditions={
-            "gain from f to its estimate, off its lag": 0.0,
+            "gain from f to its estimate, off its lag": _missed(plant, names, system, form, reading, smoothing),
             **({"bandwidth (rad/s)": smoothing.rate} if smoothing.rate else {}),
         },
     )
+    return _Design(observer, reading, smoothing, system, form, evidence)
+
+
+def _in_units_of(plant: Plant, names: tuple[str, ...], units: PlantUnits, own: _Design) -> FaultEstimator:
+    """Return an estimator for the scaled plant as one for the plant, with what of its evidence is in units of it."""
+    disturbed = plant.faults_as_disturbances(names)
+    ordinary = own.observer.plant.E is None
+    if ordinary:
+        plant, disturbed = plant.explicit(), disturbed.explicit()
+    observer = observer_in_units_of(own.observer, disturbed, units)
+    f = units.faults[[plant.faults.index(name) for name in names], None]
+    z = np.ones(own.system.n_states)
+    z[: observer.order] = 1 / units.states if observer.order == plant.n_states else 1.0  # those of the observer
+    signals = np.concatenate([1 / units.inputs, units.outputs])
+    hidden = np.concatenate([1 / units.faults, 1 / units.disturbances, np.full(len(plant.noises), 1 / units.noise)])
+    s, form = own.system, own.form
+    system = s.replaced(A=s.A / z[:, None] * z, B=s.B / z[:, None] * signals, C=f * s.C * z, D=f * s.D * signals)
+    form = form.replaced(B=form.B * hidden, C=f * form.C, D=f * form.D * hidden)
     # by its internal form, not its state map: the latter may be zero (all states read off), and has no units then
-    generator = make_generator(system, plant, method, evidence, decouples=Decoupled(), known_form=form, estimated=names)
+    generator = make_generator(
+        system,
+        plant,
+        _METHOD,
+        copied(own.evidence),  # what is kept is not handed out to be changed
+        decouples=Decoupled(),
+        known_form=form,
+        state_units=1 / z,
+        estimated=names,
+    )
     return FaultEstimator(
-        plant, names, observer, system, smoothing.lags(names, plant.dt), _with_numbers(generator, reading, smoothing)
+        plant, names, observer, system, own.smoothing.lags(names, plant.dt), _with_numbers(generator, own.smoothing)
     )
 
 
@@ -382,11 +438,16 @@ def _on_signals(plant: Plant, on_y0: NDArray, dynamics: NDArray) -> NDArray:
     return np.hstack([sum_without_rounding((-dynamics, plant.Bu), (-on_y0, plant.Du)), on_y0])
 
 
-def _with_numbers(generator: ResidualGenerator, reading: FaultReading, smoothing: _Smoothing) -> ResidualGenerator:
-    """Return the generator with its evidence completed: that the estimates are the faults, and their noise."""
-    plant, names = generator.plant, generator.estimated
-    form = generator.internal_form()
-    w = frequency_grid(form, generator.system)
+def _missed(
+    plant: Plant,
+    names: tuple[str, ...],
+    system: StateSpace,
+    form: StateSpace,
+    reading: FaultReading,
+    smoothing: _Smoothing,
+) -> float:
+    """Return how far the estimates are from the faults, or raise."""
+    w = frequency_grid(form, system)
     columns = [plant.faults.index(name) for name in names]
     response = form.frequency_response(w)[:, :, columns]
     points = np.exp(1j * w * plant.dt) if plant.is_discrete else 1j * w
@@ -397,7 +458,14 @@ def _with_numbers(generator: ResidualGenerator, reading: FaultReading, smoothing
             f"the estimates are off the faults by {missed:.2g} (relative): the plant is too badly scaled or "
             "conditioned for this estimator; rescale its states and channels"
         )
-    conditions = {"gain from f to its estimate, off its lag": missed}
+    return missed
+
+
+def _with_numbers(generator: ResidualGenerator, smoothing: _Smoothing) -> ResidualGenerator:
+    """Return the generator with its evidence completed: the lags of the estimates, and their noise."""
+    plant, names = generator.plant, generator.estimated
+    form = generator.internal_form()
+    conditions: dict[str, float] = {}
     notes: list[str] = []
     s, n_u = generator.system, len(plant.inputs)
     n_other = form.n_inputs - len(plant.noises)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+from numpy.typing import NDArray
 
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator
@@ -11,9 +14,11 @@ from residua.design.core.needs import NOISE
 from residua.design.core.own_time import in_own_time
 from residua.design.observers.observer import Observer
 from residua.errors import AccuracyError, DesignError
-from residua.linear.poles.riccati import filter_riccati
+from residua.linear.poles.riccati import RiccatiSolution, filter_riccati
+from residua.linear.systems.array_cache import cached_by_contents
 from residua.linear.systems.balancing import without_rounding
 from residua.plant import Plant
+from residua.plant.comparable_units import canonical_units
 
 _BOTH = "give both kinds, with_noise(process=..., measurement=...)"
 
@@ -85,9 +90,7 @@ def kalman_filter(plant: Plant) -> ResidualGenerator:
         raise DesignError("a Kalman filter needs the noise of the plant: with_noise(process=..., measurement=...)")
     noiseless = not np.any(plant.process_noise)
     try:
-        solution = filter_riccati(
-            plant.A, plant.C, plant.process_noise, plant.measurement_noise, plant.cross_noise, dt=plant.dt
-        )
+        solution = _solution(plant)
     except AccuracyError as error:
         if not noiseless:
             raise
@@ -124,3 +127,30 @@ def kalman_filter(plant: Plant) -> ResidualGenerator:
         evidence,
     )
     return observer.residual_generator()
+
+
+def _solution(plant: Plant) -> RiccatiSolution:
+    """Return the solution of the Riccati equation of a plant in its own units, in those of the plant."""
+    units = canonical_units(plant)
+    own = units.applied(plant)
+    noise = own.process_noise, own.measurement_noise, own.cross_noise
+    found = _kept_riccati(own.A, own.C, *noise, plant.dt)
+    S, Y = units.states, units.outputs
+    return replace(
+        found,
+        covariance=S[:, None] * found.covariance * S / units.noise**2,
+        gain=S[:, None] * found.gain * Y,
+        innovation_covariance=found.innovation_covariance / Y[:, None] / Y / units.noise**2,
+    )
+
+
+@cached_by_contents
+def _kept_riccati(
+    A: NDArray[np.float64],
+    C: NDArray[np.float64],
+    Q: NDArray[np.float64],
+    R: NDArray[np.float64],
+    cross: NDArray[np.float64],
+    dt: float,
+) -> RiccatiSolution:
+    return filter_riccati(A, C, Q, R, cross, dt=dt)

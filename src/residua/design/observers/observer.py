@@ -20,7 +20,7 @@ from residua.linear.poles.matrix_poles import explicit_poles
 from residua.linear.systems.balancing import power_of_two, sum_without_rounding, without_rounding
 from residua.linear.systems.response_terms import in_even_units, response_terms
 from residua.plant import Plant
-from residua.plant.comparable_units import EvenPlant, even_plant
+from residua.plant.comparable_units import EvenPlant, PlantUnits, even_plant
 from residua.tolerances import DESIGN_ROUNDING, TINY, above_rounding
 from residua.words import counted, used_up
 
@@ -182,7 +182,7 @@ class Observer:
         alive = _more_than(through / Y, terms / Y) | _path(static / R, read * S, J / S[:, None] / R)
         if not alive.any():
             raise DesignError(self._why_blind())
-        keep = alive if self.V is not None else alive | self._copies(states, through)
+        keep = alive if self.V is not None or alive.all() else alive | self._copies(states, through)
         # of a control that enters nothing rounding would be all that there is
         sizes = terms @ np.abs(p.Du) + (np.abs(V) + np.abs(read) @ np.abs(J)) @ np.abs(p.Bu)
         direct = above_rounding(-through @ p.Du - static @ p.Bu, sizes)[keep]
@@ -239,12 +239,18 @@ class Observer:
 
 
 def in_units_of_the_plant(observer: Observer, plant: Plant, even: EvenPlant) -> Observer:
-    """Return an observer that was designed for a plant in even units, for the plant itself.
+    """Return an observer that was designed for a plant in even units, for the plant itself."""
+    return observer_in_units_of(observer, plant, even.units)
+
+
+def observer_in_units_of(observer: Observer, plant: Plant, units: PlantUnits) -> Observer:
+    """Return an observer for a scaled plant as one for the plant.
 
     The states of a full-order observer take the units of the plant's; a residual that is the error of one output that
     of this output, and any other stays as large as it is.
     """
-    S, R, Y = even.states, even.equations, even.outputs
+    S, Y = units.states, units.outputs
+    R = 1 / S if observer.plant.E is None else units.equations  # an E may have been divided out
     own = S if observer.order == plant.n_states else np.ones(observer.order)
     rows = 1 / power_of_two(np.abs(observer.W * Y).max(axis=1, initial=0.0))
     return replace(

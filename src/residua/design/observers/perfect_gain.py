@@ -21,7 +21,7 @@ from residua.linear.subspaces.rank import (
     without_rounded_gains,
 )
 from residua.linear.systems.units import pencil_units
-from residua.tolerances import IDENTITY, RESIDUE, ROUNDING
+from residua.tolerances import IDENTITY, RESIDUE, ROUNDING, above_rounding
 from residua.words import unit_of_rates
 
 Matrix = NDArray[np.float64]
@@ -154,24 +154,21 @@ def _deadbeat(M: Matrix, H: Matrix, rtol: float, scale: float) -> tuple[Matrix, 
         if sure:
             return chain
     X, Y, F, levels = np.zeros((c, 0)), np.eye(c), np.zeros((k, c)), []
+    inside, reach = At, Bt  # in the complement of X, of which Y is a basis
     steps: list[tuple[int, NDArray]] = []
     while X.shape[1] < c:
-        reach = Y.T @ Bt  # in the complement of X, of which Y is a basis
-        basis, decision = range_basis(reach, rtol=rtol, scale=scale_B)
-        inside = Y.T @ At @ Y
+        basis, inverse = _range_and_inverse(reach, rtol * scale_B)
         kernel = _kernel(inside - basis @ (basis.T @ inside), rtol, scale_A)
         count = kernel.shape[1]
         if not count:
             return None
-        turned = np.linalg.qr(kernel, mode="complete")[0]
-        before, fresh, Y = Y, Y @ turned[:, :count], Y @ turned[:, count:]
+        inverse = inverse @ Y.T
+        fresh = Y @ kernel
         fresh = np.linalg.qr(fresh - X @ (X.T @ fresh))[0]
-        large = float(decision.singular_values.max(initial=0.0))
-        inverse = np.linalg.pinv(reach, rcond=rtol * scale_B / max(large, rtol * scale_B)) @ before.T
         steps.append((X.shape[1], inverse))
-        F = F - inverse @ At @ fresh @ fresh.T
+        F = F - (inverse @ (At @ fresh)) @ fresh.T
         X = np.hstack([X, fresh])
-        Y = np.linalg.qr(Y - X @ (X.T @ Y))[0]
+        Y, inside, reach = _complement(kernel, Y, inside, reach)
         levels.append(count)
     for _ in range(2):  # what rounding left below the diagonal blocks is taken out once more
         for (start, inverse), count in zip(steps, levels, strict=True):
@@ -180,6 +177,33 @@ def _deadbeat(M: Matrix, H: Matrix, rtol: float, scale: float) -> tuple[Matrix, 
             lost = lost - X[:, :start] @ (X[:, :start].T @ lost)
             F = F - inverse @ lost @ fresh.T
     return F.T, X, levels
+
+
+def _range_and_inverse(M: Matrix, tolerance: float) -> tuple[Matrix, Matrix]:
+    """Return an orthonormal basis of the column space of a matrix and its inverse there, by one decomposition."""
+    if not M.size:
+        return np.zeros((len(M), 0)), np.zeros(M.shape[::-1])
+    U, s, Vh = np.linalg.svd(M, full_matrices=False)
+    rank = int(np.count_nonzero(s > tolerance))
+    return without_noise(U[:, :rank]), (Vh[:rank].T / s[:rank]) @ U[:, :rank].T
+
+
+def _complement(kernel: Matrix, Y: Matrix, inside: Matrix, reach: Matrix) -> tuple[Matrix, Matrix, Matrix]:
+    """Return a basis, a matrix and an input in the orthogonal complement of some directions.
+
+    Reflections turn the directions to the first coordinates, which are left out then: each is orthogonal to rounding.
+    """
+    count = kernel.shape[1]
+    factors, scales, _, _ = lapack.dgeqrf(kernel)
+    for j in range(count):
+        v = factors[:, j].copy()
+        v[:j], v[j] = 0.0, 1.0
+        turned = scales[j] * v
+        Y = Y - np.outer(Y @ v, turned)
+        inside = inside - np.outer(inside @ v, turned)
+        inside = inside - np.outer(turned, v @ inside)
+        reach = reach - np.outer(turned, v @ reach)
+    return Y[:, count:], inside[count:, count:], reach[count:]
 
 
 def _single_chain(
@@ -257,6 +281,9 @@ def _triangular(N: Matrix, X: Matrix, levels: list[int], size: float) -> tuple[M
 
 def nilpotency_index(N: Matrix) -> int:
     """Return the smallest ``k`` with ``N^k = 0``; entries count as zero against the terms that they are sums of."""
+    below = np.diagonal(N, -1)
+    if not np.triu(N).any() and below.all():  # one chain: the last entry of its longest power is the product of these
+        return len(N)
     power, terms = np.eye(len(N)), np.eye(len(N))
     for k in range(len(N) + 1):
         if not np.any(np.abs(power) > ROUNDING * terms):
@@ -278,6 +305,9 @@ def _finished(p: _Problem, Z: Matrix, X: Matrix, levels: list[int]) -> PerfectGa
     T = G[:, : p.n]
     missed = float(np.linalg.norm(G @ p.R - np.eye(len(G))))
     back = p.columns[:, None] * G * p.rows
+    # what rounding leaves of an error that is always nothing would be all that there is of an output
+    errors, terms = p.left.T - p.R @ (G @ p.left.T), np.abs(p.R) @ (np.abs(G) @ np.abs(p.left.T))
+    errors = above_rounding(errors, np.abs(p.left.T) + terms)
     return PerfectGain(
         back[:, : p.n],
         back[:, p.n :],
@@ -286,7 +316,7 @@ def _finished(p: _Problem, Z: Matrix, X: Matrix, levels: list[int]) -> PerfectGa
         kept / p.unit,
         X.T / p.columns,
         p.left * p.rows,
-        (p.left.T - p.R @ (G @ p.left.T)) / p.rows[:, None],
+        errors / p.rows[:, None],
         nilpotency_index(kept),
         float(np.linalg.cond(T)) if T.size else 1.0,
         missed,

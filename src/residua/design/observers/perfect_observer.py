@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from math import comb
 
 import numpy as np
@@ -23,10 +24,12 @@ from residua.linear import StateSpace, WeierstrassForm, decide_rank, default_mar
 from residua.linear.norms.system_norms import h2_norm, hinf_norm
 from residua.linear.poles.spectrum import describe_modes
 from residua.linear.subspaces.rank import DEFAULT_RTOL, left_null_basis, without_noise
-from residua.linear.systems.balancing import descriptor_units, without_rounding
+from residua.linear.systems.array_cache import cached_by_contents, copied
+from residua.linear.systems.balancing import descriptor_units, power_of_two, without_rounding
 from residua.linear.systems.descriptor import scaled_pencil
 from residua.linear.systems.response_terms import in_even_units, response_terms
 from residua.plant import Plant
+from residua.plant.comparable_units import PlantUnits, canonical_units
 from residua.tolerances import RESPONSE_ROUNDING, SAME, above_rounding
 from residua.words import as_given, counted, used_up
 
@@ -41,6 +44,36 @@ def _in_other_time(observer: PerfectObserver, factor: float) -> PerfectObserver:
         return observer
     equations = np.arange(observer.left.shape[1]) < observer.plant.n_states
     return replace(observer, left=observer.left * np.where(equations, 1 / factor, 1.0))
+
+
+def in_other_units(
+    observer: PerfectObserver, plant: Plant, units: PlantUnits, power: float = 1.0
+) -> tuple[PerfectObserver, NDArray[np.float64]]:
+    """Return an observer for a scaled plant as one for the plant, or with a power of minus one the other way.
+
+    And the factors of its residuals: that of one output stays so, any other stays as large as it is.
+    """
+    X, R, Y = _both(units) ** power, units.equations**power, units.outputs[observer.rows] ** power
+    whole = np.concatenate([R, Y])
+    left = observer.left * (Y if observer.complete else whole)
+    rows = 1 / power_of_two(np.abs(left).max(axis=1, initial=0.0))
+    g = observer.gain
+    T, L, N = X[:, None] * g.T * R, X[:, None] * g.L * Y, X[:, None] * g.N / X
+    gain = replace(
+        g, T=T, L=L, N=N, basis=X[:, None] * g.basis, inverse=g.inverse / X, W=g.W * whole, Y=g.Y / whole[:, None]
+    )
+    return replace(observer, plant=plant, T=T, L=L, N=N, gain=gain, left=rows[:, None] * left), rows
+
+
+def _both(units: PlantUnits) -> NDArray[np.float64]:
+    """Return the units of states and disturbances, both of which are estimated."""
+    return np.concatenate([units.states, units.disturbances])
+
+
+def _columns(units: PlantUnits, noises: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the factors of columns for the scaled plant: of signals, and of faults, disturbances and noises."""
+    hidden = np.concatenate([1 / units.faults, 1 / units.disturbances, np.full(noises, 1 / units.noise)])
+    return np.concatenate([1 / units.inputs, units.outputs]), hidden
 
 
 @has_rates(T=-1, N=-1, bandwidth=1)
@@ -142,9 +175,7 @@ class PerfectObserver:
     def disturbance_system(self) -> StateSpace:
         """The filter from control inputs and outputs to the estimate of the disturbances."""
         n = self.plant.n_states
-        return self._filter(
-            self._polynomial(self._known, slice(n, None)), [f"estimate {x}" for x in self.plant.disturbances]
-        )
+        return self._filter(self._polynomial(slice(n, None)), [f"estimate {x}" for x in self.plant.disturbances])
 
     def estimate(self, u: ArrayLike | None, y: ArrayLike, *, dt: float | None = None) -> NDArray[np.float64]:
         """Return the state estimate over a recording, shape (time, states); late by :attr:`delay`.
@@ -173,9 +204,21 @@ class PerfectObserver:
 
         Each is an array of shape (order + 1, residuals); in sampled time of ``f`` now, one step later, and so on.
         """
-        p = self.plant
-        coefficients = self.residual_polynomial(p.Bf, p.Df, own=False)
-        return {name: np.array([P[:, i] for P in coefficients]) for i, name in enumerate(p.faults)}
+        own, units, rows = self._own
+        coefficients = own._residual_of(own.plant.Bf, own.plant.Df)
+        scaled = [rows[:, None] * P / units.faults for P in coefficients]
+        return {name: np.array([P[:, i] for P in scaled]) for i, name in enumerate(self.plant.faults)}
+
+    @cached_property
+    def _own(self) -> tuple[PerfectObserver, PlantUnits, NDArray[np.float64]]:
+        """The observer of the plant in its own units, these, and the factors from its residuals to those here.
+
+        Whether a coefficient is rounding is decided there, so that it does not depend on the units of the plant.
+        """
+        units = canonical_units(self.plant)
+        bare = replace(self, evidence=Evidence(self.evidence.method))
+        own, rows = in_other_units(bare, units.applied(self.plant), units, -1.0)
+        return own, units, 1 / rows
 
     @in_own_time()
     def residual_generator(self) -> ResidualGenerator:
@@ -196,18 +239,27 @@ class PerfectObserver:
                 f"the residual is zero whatever fails: {used_up(len(self.outputs))} by "
                 f"{counted(len(p.disturbances), 'disturbance')}; add a sensor or decouple fewer disturbances"
             )
-        B = np.hstack([p.Bf, 0.0 * p.Bd, p.Bw])
-        D = np.hstack([p.Df, 0.0 * p.Dd, p.Dw])
-        known = self.residual_polynomial(p.Bu, p.Du, own=True)
-        hidden = self.residual_polynomial(B, D, own=False)
-        order = max(len(known), len(hidden)) - 1
-        plain = self.complete and len(self.left) == len(self.outputs)
-        names = [f"r {x}" for x in self.outputs] if plain else [f"r{i + 1}" for i in range(len(self.left))]
-        system = self._filter(known, names, order)
-        form = self._filter(hidden, names, order, p.system(("fault", "disturbance", "noise")).inputs)
+        own, units, rows = self._own
+        system, form, order = own._filters()
+        signals, hidden = _columns(units, len(p.noises))
+        R = rows[:, None]
+        system = system.replaced(B=system.B * signals, C=R * system.C, D=R * system.D * signals)
+        form = form.replaced(B=form.B * hidden, C=R * form.C, D=R * form.D * hidden)
         note = f"the residual takes {order} derivatives of the measurements" if not p.dt else f"late by {order} steps"
         evidence = self.evidence.extended(notes=(note,), poles=system.poles())
         return make_generator(system, p, self.evidence.method, evidence, decouples=Decoupled(), known_form=form)
+
+    @cached_by_contents
+    def _filters(self) -> tuple[StateSpace, StateSpace, int]:
+        """Return the residual of signals, that of faults, disturbances and noise, and the number of derivatives."""
+        p = self.plant
+        known = self._residual_of_signals()
+        hidden = self._residual_of(np.hstack([p.Bf, 0.0 * p.Bd, p.Bw]), np.hstack([p.Df, 0.0 * p.Dd, p.Dw]))
+        order = max(len(known), len(hidden)) - 1
+        plain = self.complete and len(self.left) == len(self.outputs)
+        names = [f"r {x}" for x in self.outputs] if plain else [f"r{i + 1}" for i in range(len(self.left))]
+        form = self._filter(hidden, names, order, p.system(("fault", "disturbance", "noise")).inputs)
+        return self._filter(known, names, order), form, order
 
     # --------------------------------------------------------------- coefficients
 
@@ -224,12 +276,14 @@ class PerfectObserver:
         return np.hstack([-(self.T @ p.Bu + self.L @ p.Du[self.rows]), self.L @ spread])
 
     def _state_polynomial(self) -> list[NDArray[np.float64]]:
-        return self._polynomial(self._known, slice(0, self.plant.n_states))
+        return self._polynomial(slice(0, self.plant.n_states))
 
-    def _polynomial(self, G: NDArray, part: slice) -> list[NDArray[np.float64]]:
-        """Return the rows ``part`` of ``G, N G, N^2 G, ...``."""
+    def _polynomial(self, part: slice) -> list[NDArray[np.float64]]:
+        """Return the rows ``part`` of what the state and the disturbances are of the signals, ``Gv, N Gv, ...``."""
+        own, units, _ = self._own
         pick = np.eye(len(self.N))[part]
-        return self.series(G, pick, [])
+        rows, columns = _both(units)[part][:, None], _columns(units, 0)[0]
+        return [rows * P * columns for P in own.series(own._known, pick, [])]
 
     def series(
         self, G: NDArray, pick: NDArray, first: list[NDArray], direct: tuple[NDArray, NDArray] | None = None
@@ -253,23 +307,24 @@ class PerfectObserver:
             sizes[len(first)] = sizes[len(first)] + np.abs(left) @ np.abs(right)
         return trimmed(out, sizes, self.bandwidth)
 
-    def residual_polynomial(self, B: NDArray, D: NDArray, *, own: bool) -> list[NDArray[np.float64]]:
-        """Return the coefficients of the residual in its own signals ``(u, y)``, or in inputs it does not know.
-
-        ``own``: ``B, D`` are those of the control inputs, and the outputs follow as further columns.
-        """
+    def _residual_of_signals(self) -> list[NDArray[np.float64]]:
+        """Return the coefficients of the residual in its own signals ``(u, y)``."""
         p, rows = self.plant, self.rows
-        D = D[rows]
-        if own:
-            spread = np.eye(p.n_outputs)[rows]
-            G, direct = self._known, np.hstack([-D, spread])
-            F = np.hstack([np.vstack([-B, -D]), np.vstack([np.zeros((p.n_states, p.n_outputs)), spread])])
-        else:
-            G, direct = self.T @ B + self.L @ D, D
-            F = np.vstack([B, D])
+        spread = np.eye(p.n_outputs)[rows]
+        F = np.block([[-p.Bu, np.zeros((p.n_states, p.n_outputs))], [-p.Du[rows], spread]])
+        return self._residual(self._known, F)
+
+    def _residual_of(self, B: NDArray, D: NDArray) -> list[NDArray[np.float64]]:
+        """Return the coefficients of the residual in inputs that it does not know."""
+        D = D[self.rows]
+        return self._residual(self.T @ B + self.L @ D, np.vstack([B, D]))
+
+    def _residual(self, G: NDArray, F: NDArray) -> list[NDArray[np.float64]]:
+        """Return the coefficients of the residual: of ``X = sum N^i G v^(i)``, and the equations ``F v`` themselves."""
+        p, rows = self.plant, self.rows
         if self.complete:
             W, whole = self.left, np.hstack([p.C[rows], p.Dd[rows]])
-            return self.series(G, -W @ whole, [], (W, direct))
+            return self.series(G, -W @ whole, [], (W, F[p.n_states :]))
         E = np.eye(p.n_states) if p.E is None else p.E
         S = np.zeros((p.n_states + len(rows), len(self.N)))
         S[: p.n_states, : p.n_states] = E
@@ -396,6 +451,30 @@ def perfect_observer(
            [0.33333333]])
     """
     rows = arrays.different_positions(outputs, plant.outputs, "output")
+    units = canonical_units(plant)
+    if K is not None:
+        given = np.asarray(arrays.matrix(K, "K", (plant.n_states, len(rows))))
+        K = units.equations[:, None] * given / units.outputs[rows]
+    own = _designed(units.applied(plant), rows, K, bandwidth, rtol, least_order=least_order, seed=seed)
+    made, factors = in_other_units(copied(own), plant, units)  # what is kept is not handed out to be changed
+    if len(own.left) and (least_order or plant.disturbances):
+        heights = factors * np.abs(_of_measurements(own) * units.outputs).max(axis=(0, 2))
+        made = replace(made, left=made.left / power_of_two(heights)[:, None])
+    return replace(made, evidence=_with_noise(made))
+
+
+@cached_by_contents
+def _designed(
+    plant: Plant,
+    rows: list[int],
+    K: NDArray[np.float64] | None,
+    bandwidth: float | None,
+    rtol: float,
+    *,
+    least_order: bool,
+    seed: int,
+) -> PerfectObserver:
+    """Return the observer of a plant in its own units, with what of its evidence does not depend on units."""
     names = tuple(plant.outputs[i] for i in rows)
     E = np.eye(plant.n_states) if plant.E is None else plant.E
     C, Dd = plant.C[rows], plant.Dd[rows]
@@ -412,7 +491,7 @@ def perfect_observer(
     if K is not None:
         if q or least_order:
             raise SettingError("a gain K is for plants without disturbances and without least_order")
-        gain = given_gain(plant.A, E, C, np.asarray(arrays.matrix(K, "K", (n, len(rows)))), rtol=rtol, bandwidth=scale)
+        gain = given_gain(plant.A, E, C, K, rtol=rtol, bandwidth=scale)
     elif least_order:
         gain = least_order_gain(R, S, n, rtol=rtol, bandwidth=scale)
     else:
@@ -578,11 +657,9 @@ def reduced_rows(o: PerfectObserver) -> NDArray[np.float64]:
     """Return the rows that the residual reads, combined so that as many as can be take few derivatives.
 
     Those without derivatives come first; each is scaled so that its largest coefficient of a measurement, derivatives
-    counted at the bandwidth, is one.
+    counted at the bandwidth, is one. (In units of the plant it is the power of two next to that.)
     """
-    p = o.plant
-    coefficients = o.residual_polynomial(p.Bu, p.Du, own=True)
-    P = np.array([o.bandwidth**i * M[:, len(p.inputs) :] for i, M in enumerate(coefficients)])
+    P = _of_measurements(o)
     units = np.abs(P).max(axis=(0, 1), initial=0.0)
     units = np.where(units > 0, units, 1.0)
     P = P / units
@@ -600,23 +677,43 @@ def reduced_rows(o: PerfectObserver) -> NDArray[np.float64]:
     return without_rounding(rows, left) / size[:, None]
 
 
+def _of_measurements(o: PerfectObserver) -> NDArray[np.float64]:
+    """Return the coefficients of the measurements in the residual, derivatives counted at the bandwidth."""
+    m = len(o.plant.inputs)
+    return np.array([o.bandwidth**i * M[:, m:] for i, M in enumerate(o._residual_of_signals())])
+
+
 def perfect_evidence(o: PerfectObserver, R: NDArray, rtol: float) -> Evidence:
-    """Return the evidence of a finished observer, or raise when its estimate is not the state."""
+    """Return the evidence of an observer in its own units, or raise when its estimate is not the state."""
     p, gain = o.plant, o.gain
     system = o.system
-    off = _estimate_off(o, system)
-    from_outputs = system.select(inputs=range(len(p.inputs), system.n_inputs))
     conditions = {
         "nilpotency index": float(o.index),
         "derivatives" if not p.dt else "steps of delay": float(o.derivatives),
         "relative variation of det(sN - I)": gain.variation,
         "T [A Bd] + L [C Dd] - I": gain.missed,
         "dropped from N": gain.dropped,
-        "estimate off the state": off,
-        "sum of |C N^i L|" if p.dt else "sum of |C (bandwidth N)^i L|": _noise_sum(o),
+        "estimate off the state": _estimate_off(o, system),
     }
     if o.complete:
         conditions["condition of T"] = gain.condition
+    scaled = scaled_pencil(R, np.zeros_like(R), unit=1.0).A
+    method = "perfect observer" if o.complete else "perfect observer of least order"
+    return Evidence(
+        method=method + (", disturbances estimated" if p.disturbances else ""),
+        poles=system.poles(),
+        ranks={"rank[A Bd; C Dd]": decide_rank(scaled, rtol=rtol)},
+        conditions=conditions,
+        references=(REFERENCE,),
+    )
+
+
+def _with_noise(o: PerfectObserver) -> Evidence:
+    """Return the evidence of an observer with what becomes of noise, in the units of its plant."""
+    p = o.plant
+    system = o.system
+    from_outputs = system.select(inputs=range(len(p.inputs), system.n_inputs))
+    conditions = {"sum of |C N^i L|" if p.dt else "sum of |C (bandwidth N)^i L|": _noise_sum(o)}
     notes: tuple[str, ...] = ()
     M = (from_outputs.A, from_outputs.B, from_outputs.C, from_outputs.D)
     if p.dt:
@@ -629,16 +726,7 @@ def perfect_evidence(o: PerfectObserver, R: NDArray, rtol: float) -> Evidence:
             conditions["noise gain, outputs to estimate (peak)"] = hinf_norm(*M).value
         except AccuracyError as error:
             notes = (f"the peak gain from the outputs to the estimate was not found: {error}",)
-    scaled = scaled_pencil(R, np.zeros_like(R), unit=1.0).A
-    method = "perfect observer" if o.complete else "perfect observer of least order"
-    return Evidence(
-        method=method + (", disturbances estimated" if p.disturbances else ""),
-        poles=system.poles(),
-        ranks={"rank[A Bd; C Dd]": decide_rank(scaled, rtol=rtol)},
-        conditions=conditions,
-        notes=notes,
-        references=(REFERENCE,),
-    )
+    return o.evidence.extended(conditions=conditions, notes=notes)
 
 
 def _estimate_off(o: PerfectObserver, system: StateSpace, limit: float = 1e-6) -> float:
@@ -683,6 +771,8 @@ def _noise_sum(o: PerfectObserver) -> float:
 
     Those of derivatives are seconds to a power: they count as in units of time of one over the bandwidth.
     """
-    whole = np.hstack([o.plant.C[o.rows], o.plant.Dd[o.rows]])
+    own, units, _ = o._own
+    whole, Y = np.hstack([own.plant.C[o.rows], own.plant.Dd[o.rows]]), units.outputs[o.rows]
     rate = 1.0 if o.plant.dt else o.bandwidth
-    return sum(rate**i * float(np.linalg.norm(P, 2)) for i, P in enumerate(o.series(o.L, whole, [])))
+    found = [P / Y[:, None] * Y for P in own.series(own.L, whole, [])]
+    return sum(rate**i * float(np.linalg.norm(P, 2)) for i, P in enumerate(found))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from residua.design.core.evidence import format_pole
 from residua.design.core.generator import ResidualGenerator
 from residua.design.core.internal_form import frequency_grid
+from residua.design.core.own_time import has_rates, in_own_time, written_by
 from residua.design.parity.conversion import RowFraction, row_fractions
 from residua.design.parity.realization import pole_basis
 from residua.errors import AccuracyError, DesignError, ModelError
@@ -19,6 +20,7 @@ from residua.linear import StateSpace, decide_rank
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.linear.subspaces.reachability import without_unobservable
 from residua.linear.systems.balancing import descriptor_units
+from residua.plant import Plant
 from residua.tolerances import TINY
 
 #: Two responses are parallel when they miss each other by less than this, relative, at every frequency.
@@ -33,6 +35,13 @@ _FILTER_ERROR = 1e-3
 _CANCEL = 1e-5
 
 
+def _in_other_time(row: RowTransformation, factor: float) -> RowTransformation:
+    """Return a filter whose rates are ``factor`` as large: ``Z`` and ``P`` stay monic."""
+    return replace(row, gain=row.gain * factor ** (len(row.poles) - len(row.zeros)))
+
+
+@has_rates(zeros=1, poles=1)
+@written_by(_in_other_time)
 @dataclass(frozen=True, eq=False)
 class RowTransformation:
     r"""One residual of the second generator as a filtered residual of the first, :math:`r_b = k\, Z(z) / P(z)\, r_a`.
@@ -74,6 +83,7 @@ class RowTransformation:
         return f"{text} of {self.first}"
 
 
+@has_rates()
 @dataclass(frozen=True, eq=False)
 class Equivalence:
     """What one generator is to another.
@@ -103,11 +113,13 @@ class Equivalence:
     error: float
     first: StateSpace = field(repr=False)
     second: StateSpace = field(repr=False)
+    plant: Plant = field(repr=False)
     note: str = ""
 
     def __bool__(self) -> bool:
         return self.equivalent
 
+    @in_own_time(w=1)
     def transformation(self, w: NDArray[np.float64]) -> NDArray[np.complex128]:
         r"""Return :math:`V(j\omega)` with :math:`Q_b = V Q_a`, of least norm if it is not unique.
 
@@ -123,6 +135,7 @@ class Equivalence:
         return _transformation(self.first.frequency_response(w), self.second.frequency_response(w))
 
     @property
+    @in_own_time()
     def matrix(self) -> NDArray[np.float64] | None:
         """The transformation, if it is a matrix of numbers: the same at every frequency."""
         if self.rows:
@@ -136,6 +149,7 @@ class Equivalence:
         constant = V.real.mean(axis=0)
         return constant if np.abs(V - constant).max() < _PARALLEL * np.abs(V).max() else None
 
+    @in_own_time()
     def realization(self) -> StateSpace:
         r"""Return the transformation as a filter from the residuals of the first generator to those of the second.
 
@@ -237,6 +251,13 @@ def equivalence(first: ResidualGenerator, second: ResidualGenerator, *, rtol: fl
             f"{first.plant.n_outputs} outputs, dt={a.dt:g} and {len(second.plant.inputs)} inputs, "
             f"{second.plant.n_outputs} outputs, dt={b.dt:g}"
         )
+    return _compared(first, second, rtol)
+
+
+@in_own_time()
+def _compared(first: ResidualGenerator, second: ResidualGenerator, rtol: float) -> Equivalence:
+    """Return what one generator is to another of the same signals."""
+    a, b = first.system, second.system
     w = frequency_grid(a, b)
     Qa, Qb = a.frequency_response(w), b.frequency_response(w)
     units = _signal_units(first, Qa, w)
@@ -255,7 +276,7 @@ def equivalence(first: ResidualGenerator, second: ResidualGenerator, *, rtol: fl
             for row in rows
         )
         kind = "identical" if same else "scale" if plain else "filter" if zeros else "poles"
-        return Equivalence(True, kind, rows, max(row.error for row in rows), a, b)
+        return Equivalence(True, kind, rows, max(row.error for row in rows), a, b, first.plant)
     forth, back = _missed(Qa, Qb), _missed(Qb, Qa)
     kind = {
         (True, True): "transformation",
@@ -264,7 +285,7 @@ def equivalence(first: ResidualGenerator, second: ResidualGenerator, *, rtol: fl
         (False, False): "different",
     }[forth < rtol, back < rtol]
     error = max(forth, back) if kind in ("transformation", "different") else min(forth, back)
-    return Equivalence(kind == "transformation", kind, (), error, a, b, note)
+    return Equivalence(kind == "transformation", kind, (), error, a, b, first.plant, note)
 
 
 def _generator(design: Any) -> ResidualGenerator:

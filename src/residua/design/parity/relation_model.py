@@ -58,7 +58,7 @@ class RelationModel:
 
     def in_own_units(self) -> tuple[RelationModel, PlantUnits]:
         """Return the equations in units that are the same whatever units the plant was written in, and these."""
-        units = canonical_units(self.plant)
+        units = replace(canonical_units(self.plant), noise=1.0)  # which may count beside disturbances of expected sizes
         plant = units.applied(self.plant)
         basis = basis_for(plant, self.basis.count)
         height = np.concatenate([units.equations, units.outputs])[:, None]

@@ -204,21 +204,25 @@ class ParityRelations:
         Gertler (1991), section 3.5.
         """
         units = canonical_units(self.plant)
-        own = self._in_units(units)
-        return replace(
-            in_units_of(self.plant, units, own._filtered(own._poles(poles), method, notes, asked=poles is not None)),
-            relations=self,
-        )
+        own, heights = self._in_units(units)
+        made = own._filtered(own._poles(poles), method, notes, asked=poles is not None)
+        return replace(in_units_of(self.plant, units, made, heights), relations=self)
 
-    def _in_units(self, units: PlantUnits) -> ParityRelations:
-        """Return the relations between the signals of the scaled plant."""
+    def _in_units(self, units: PlantUnits) -> tuple[ParityRelations, NDArray[np.float64]]:
+        """Return the relations between the signals of the scaled plant, of heights near one, and what these were."""
         height = np.concatenate([units.equations, units.outputs])[:, None]
+        P, Q = [row.p / units.equations for row in self.rows], [row.q / units.outputs for row in self.rows]
+        heights = power_of_two(
+            np.array([max(np.abs(p).max(initial=0.0), np.abs(q).max(initial=0.0)) for p, q in zip(P, Q, strict=True)])
+        )
+        if self.directions is not None:  # which residuals keep together
+            heights = np.full(len(heights), heights.max(initial=1.0))
         rows = []
-        for row in self.rows:
+        for row, p, q, size in zip(self.rows, P, Q, heights, strict=True):
             ignored = row.ignored * height  # its columns have units of their own, which must not count either
             ignored = ignored / power_of_two(np.abs(ignored).max(axis=0, initial=0.0))
-            rows.append(replace(row, p=row.p / units.equations, q=row.q / units.outputs, ignored=ignored))
-        return replace(self, plant=units.applied(self.plant), rows=tuple(rows))
+            rows.append(replace(row, p=p / size, q=q / size, ignored=ignored))
+        return replace(self, plant=units.applied(self.plant), rows=tuple(rows)), heights
 
     @cached_by_contents
     def _filtered(

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import AccuracyError
+from residua.linear.poles.assignment import least_cost_columns
 from residua.linear.poles.stability import modes_with_uncertainty
 from residua.words import counted, unit_of_rates
 
@@ -15,6 +16,8 @@ Poles = NDArray[np.complex128]
 _EPS = float(np.finfo(float).eps)
 #: No pole may miss by more than this, however ill-conditioned it is.
 _MOST_BY_ROUNDING = 1e-3
+#: Relative distances beyond this are all the same, so that sums of them are finite.
+_FARTHEST = 1e300
 
 
 def describe_modes(modes: Iterable[complex] | NDArray) -> str:
@@ -49,8 +52,6 @@ def match_poles(wanted: Poles, achieved: Poles) -> NDArray[np.intp]:
     AccuracyError
         If a pole is not finite: nothing is nearest to it.
     """
-    from scipy.optimize import linear_sum_assignment
-
     for poles in (wanted, achieved):
         if not np.all(np.isfinite(poles)):
             raise AccuracyError(
@@ -60,7 +61,8 @@ def match_poles(wanted: Poles, achieved: Poles) -> NDArray[np.intp]:
     distance = np.abs(wanted[:, None] - achieved)
     # Relative, or a fast pole that is off a little would outweigh a slow one that is off altogether.
     scale = np.abs(wanted)[:, None] + 1e-3 * np.abs(wanted).max(initial=0.0) + np.finfo(float).tiny
-    return linear_sum_assignment(distance / scale)[1]
+    with np.errstate(over="ignore"):
+        return least_cost_columns(np.minimum(distance / scale, _FARTHEST))
 
 
 def pole_clusters(poles: Poles, nearness: float = 1e-3) -> list[NDArray[np.intp]]:

@@ -80,10 +80,13 @@ def pencil(
     P0: NDArray[np.float64], P1: NDArray[np.float64], basis: PolynomialBasis, *, canonical: bool = False
 ) -> Pencil:
     """Return a pencil with units in which its entries are of one size; ``canonical``: they are nearly so already."""
-    size = float(np.median(basis.sizes)) if basis.count else 1.0
-    level = np.abs(P0) + (np.abs(basis.real).max(initial=0.0) + size) * np.abs(P1)
-    spread = np.array([np.abs(P0 + a * P1) + rho * np.abs(P1) for a, rho in zip(basis.real, basis.sizes, strict=True)])
-    W = np.sqrt((spread**2).mean(axis=0)) if len(spread) else level
+    W, moving = np.abs(P0), np.nonzero(P1)  # most entries are the same for all elements of the basis
+    static, moved = P0[moving], np.abs(P1[moving])
+    if basis.count:
+        spread = np.abs(static + np.multiply.outer(basis.real, P1[moving])) + np.multiply.outer(basis.sizes, moved)
+        W[moving] = np.sqrt((spread**2).mean(axis=0))
+    else:
+        W[moving] += moved
     rows, columns = evened(W, np.ones(W.shape[0]), np.ones(W.shape[1])) if canonical else evened(W)
     return Pencil(P0, P1, basis, rows, columns)
 

@@ -118,10 +118,45 @@ def strong_parts(A: NDArray) -> list[NDArray[np.intp]]:
     if present[alone:, alone:].all():
         parts = [np.array([i]) for i in range(alone)]
         return [*parts, np.arange(alone, len(A))] if alone < len(A) else parts
-    from scipy.sparse.csgraph import connected_components  # slow to import
+    return _strongly_connected([np.flatnonzero(row).tolist() for row in present])
 
-    count, part = connected_components(present, connection="strong")
-    return [np.flatnonzero(part == i) for i in range(count)]
+
+def _strongly_connected(after: list[list[int]]) -> list[Indices]:
+    """Return the strongly connected parts of a graph, given where edges lead to from each node.
+
+    By Tarjan's search, depth first, and of the nodes that an edge leads to the last one first: the parts come in the
+    order in which ``scipy.sparse.csgraph.connected_components`` counts them, which takes longer to import than this.
+    """
+    count = len(after)
+    lowest = [-1] * count  # of each node the number of the earliest that it leads to; of one in a part the largest
+    left = [False] * count
+    waiting: list[int] = []  # nodes that were left, in no part yet
+    parts, number = [], 0
+    for first in range(count):
+        ways = [first] if lowest[first] < 0 else []
+        while ways:
+            node = ways[-1]
+            if lowest[node] < 0:
+                lowest[node], number = number, number + 1
+                ways += [other for other in after[node] if lowest[other] < 0]
+                continue
+            ways.pop()
+            if left[node]:  # another edge led there
+                continue
+            left[node] = True
+            earliest = min([lowest[other] for other in after[node]], default=count)
+            if earliest < lowest[node]:
+                lowest[node] = earliest
+                waiting.append(node)
+                continue
+            part = [node]
+            while waiting and lowest[node] <= lowest[waiting[-1]]:
+                part.append(waiting.pop())
+            for other in part:
+                lowest[other] = count
+            number -= len(part)
+            parts.append(np.array(sorted(part)))
+    return parts
 
 
 def triangular_parts(present: NDArray[np.bool_]) -> list[tuple[Indices, Indices]]:

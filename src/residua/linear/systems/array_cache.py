@@ -6,16 +6,14 @@ members, for every check of the result. The functions are pure, so that a kept r
 
 from __future__ import annotations
 
-import os
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterator
 from copy import copy
 from dataclasses import dataclass
 from functools import cache, cached_property, wraps
-from hashlib import blake2b
+from hashlib import sha256
 from itertools import count
 from sys import getsizeof
-from threading import RLock
 from typing import Any, Generic, TypeVar, cast
 from weakref import WeakSet
 
@@ -23,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import ResiduaError
-from residua.words import times_unit_was_asked, unit_of_rates, unit_of_rates_unasked
+from residua.forks import forkable_lock
+from residua.words import rates_in
 
 R = TypeVar("R")
 #: Numbers and words whose value says all, once their type is known.
@@ -45,9 +44,7 @@ _all: WeakSet[Latest[Any]] = WeakSet()
 _uses = count()
 #: One for all functions: it is held for moments only, never while a result is computed. In such a moment Python may
 #: call the handler of a signal, and that another of these functions: the thread that holds it goes on.
-_lock = RLock()
-if hasattr(os, "register_at_fork"):  # a process is not forked while a thread holds it
-    os.register_at_fork(before=_lock.acquire, after_in_parent=_lock.release, after_in_child=_lock.release)
+_lock = forkable_lock()
 
 
 def forget() -> None:
@@ -117,21 +114,19 @@ class Latest(Generic[R]):
         an answer, and is kept.
         """
         known = self._kept_under(key)
-        if known is None:
-            own = unit_of_rates_unasked(), key
+        if known is not None:
+            return _answer(known.result)
+        with rates_in(1.0) as unit:  # one of our own, which says whether it was asked for here
+            own = unit.value, key
             known = self._kept_under(own)
             if known is not None:
-                unit_of_rates()  # what this result becomes part of has the unit in it too
-        if known is not None:
-            if isinstance(known.result, ResiduaError):
-                raise copy(known.result)  # each with a traceback of its own
-            return known.result
-        before = times_unit_was_asked()
-        try:
-            result, error = compute(), None
-        except ResiduaError as refusal:
-            result, error = cast("R", copy(refusal)), refusal
-        result = self._keep(key if times_unit_was_asked() == before else own, result)
+                unit.ask()  # what this result becomes part of has the unit in it too
+                return _answer(known.result)
+            try:
+                result, error = compute(), None
+            except ResiduaError as refusal:
+                result, error = cast("R", copy(refusal)), refusal
+        result = self._keep(own if unit.asked else key, result)
         if error is not None:
             raise error
         return result
@@ -184,6 +179,13 @@ class Latest(Generic[R]):
                 last.bytes, last.size = size, _fields_of(last.growing)
 
 
+def _answer(kept: R) -> R:
+    """Return a kept result, or raise it if it is a refusal."""
+    if isinstance(kept, ResiduaError):
+        raise copy(kept)  # each with a traceback of its own
+    return kept
+
+
 def _fields_of(growing: list[dict[str, Any]]) -> int:
     """Return how many fields there are now."""
     return sum([len(one) for one in growing])
@@ -215,7 +217,7 @@ def entries(*matrices: NDArray | None) -> Hashable:
     present = [M for M in matrices if M is not None]
     if sum([M.nbytes for M in present]) <= _LARGE:
         return shapes, tuple([M.tobytes() for M in present])
-    digest = blake2b(digest_size=32)
+    digest = sha256()
     for M in map(np.ascontiguousarray, present):
         digest.update(M.data if M.size else b"")
     return shapes, digest.digest()
