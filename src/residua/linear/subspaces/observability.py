@@ -12,10 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua import arrays
 from residua.errors import AccuracyError
-from residua.linear.poles.settled_zeros import settled_hidden_part
+from residua.linear.poles.settled_zeros import counted_hidden, settled_hidden_part
 from residua.linear.poles.stability import dies_out, hidden_modes, may_die_out
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, spectral_norm, without_noise
 from residua.linear.subspaces.staircase_steps import staircase_steps
+from residua.linear.subspaces.weak_couplings import WeakCouplings
 from residua.linear.systems.array_cache import cached_by_contents, copied
 from residua.linear.systems.balancing import balance_system
 from residua.tolerances import RANK, RESIDUE, ROUNDING, above_rounding
@@ -160,12 +161,14 @@ def staircase(
         A, C, T, Y = scaled.A, scaled.C, scaled.states, scaled.outputs
     steps = staircase_steps(A, C, rtol, compare=compare)
     form = Staircase(A, C, steps.Q, steps.n_observable, steps.n_seen, steps.decisions, T, Y, steps.dropped)
-    return _settled(form, steps.in_doubt) if compare and rtol <= RANK and units == "balanced" else form
+    return _settled(form, steps.decided) if compare and rtol <= RANK and units == "balanced" else form
 
 
-def _settled(form: Staircase, in_doubt: bool) -> Staircase:
+def _settled(form: Staircase, decided: WeakCouplings) -> Staircase:
     """Return a staircase with what is hidden from rational numbers, where rounding leaves a doubt."""
-    k, n = form.n_observable, len(form.A)
+    k, n, in_doubt = form.n_observable, len(form.A), decided.in_doubt
+    if not in_doubt and k < n and decided.turned > ROUNDING:
+        in_doubt = counted_hidden(form.A, form.C) != n - k
     if not in_doubt and (k == n or form.hidden_modes[1].max() <= RANK * form.size):
         return form
     found = settled_hidden_part(form.A, form.C, form.hidden_modes[0])
