@@ -127,6 +127,21 @@ def test_a_benchmark_plant_of_which_the_rates_lie_far_apart(shared_data: Path) -
                 rs.design.decoupled_residual(plant, insensitive_to=name)
 
 
+def test_designs_of_four_poles_at_one_are_not_looked_at_where_nothing_is_known() -> None:
+    """At 3e-5 rad per sample ``zI - A`` is singular to the last bit: designs that exist were refused for that."""
+    A = [[0.0, -1, -1, 0], [0, 0, 1, 1], [2, 1, 2, 0], [-1, -1, 1, 2]]
+    plant = rs.Plant(A, [[-2.0], [-1], [2], [0]], [[2.0, 0, 2, 1], [2, 0, 1, 0], [1, 0, 1, 1]], dt=1.0)
+    plant = plant.with_disturbances({"d": [2, 2, 1, -2]}).with_faults({"f": [1, 2, 1, 1], "g": [2, 0, -1, 2]})
+    plant = plant.with_sensor_faults([0, 1])
+    found = rs.diagnosability(plant)
+    assert found.isolable.sum() == 4 * 3
+    for name in plant.faults:
+        made = rs.design.decoupled_residual(plant, insensitive_to=name)
+        assert made.structure.any(axis=0).tolist() == [other != name for other in plant.faults]
+    row = rs.design.structured_bank(plant, ["0111"]).structure[0]
+    assert row.tolist() == [False, True, True, True]
+
+
 def aircraft(folder: Path) -> rs.Plant:
     """Return the civil aircraft with its actuators: 32 states, 3 gusts, 8 primary actuators that may fail."""
     data = np.load(folder / "varga_case_studies" / "cs1data.npz")
