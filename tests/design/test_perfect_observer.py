@@ -10,8 +10,8 @@ import residua as rs
 from refusals import Refused
 from residua.design import perfect_observer
 from residua.design.observers import perfect_gain
+from residua.design.observers.differential_filter import differential_filter
 from residua.design.observers.perfect_gain import nilpotency_index
-from residua.design.observers.perfect_observer import differential_filter
 from residua.errors import AccuracyError, DesignError, ModelError, SettingError
 from residua.library.ladder_circuit import CAPACITANCE, R_CAPACITOR, R_LINK, R_LOAD, R_SHUNT, R_SOURCE
 from residua.linear import simulate_descriptor, weierstrass_form
