@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 import residua as rs
+from guards import trips
+from residua.errors import AccuracyError
 from residua.linear.subspaces.observable_part import UndetectableError, observable_part
 
 
@@ -111,3 +113,42 @@ def test_a_mode_far_slower_than_the_others_does_not_die_out(chained: float) -> N
     alone = A[2:, 2:], np.array([[0.0, 0.0]])
     assert rs.linear.detectability(*alone)
     assert observable_part(*alone, 0.0, 1e-10).fixed.size == 2
+
+
+def equal_lags(back: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return a pair in turned coordinates with eight hidden lags in a chain, of rate 0.01, fed back from its end."""
+    A = np.zeros((10, 10))
+    A[:2, :2] = [[-1, 0.5], [0.25, -2]]
+    A[2:, 2:] = chain(*[1] * 7) - 0.01 * np.eye(8)
+    A[9, 2] = back
+    C = np.eye(2, 10)
+    Q = np.linalg.qr(np.random.default_rng(seed).normal(size=A.shape))[0]
+    return Q @ A @ Q.T, C @ Q.T
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_hidden_lags_that_rounding_scatters_across_the_boundary_are_at_their_mean(seed: int) -> None:
+    A, C = equal_lags(0.0, seed)
+    found = rs.linear.detectability(A, C)
+    assert found
+    np.testing.assert_allclose(found.unobservable_modes, [-0.01] * 8, rtol=1e-6)
+    assert rs.linear.place_observer_margin(A, C, 1.0).achieved.real.max() < -1
+
+
+@trips("linear.subspaces.observable_part:observable_part")
+def test_hidden_lags_of_which_rounding_may_have_made_unstable_ones_are_no_fact() -> None:
+    A, C = equal_lags(1e-13, 0)
+    found = rs.linear.detectability(A, C)
+    assert not found
+    assert found.undecided
+    with pytest.raises(AccuracyError, match="cannot be told: rounding may have moved the mode"):
+        rs.linear.place_observer_margin(A, C, 1.0)
+    plant = rs.Plant(A, np.zeros((10, 0)), C).with_disturbances({"wind": np.linalg.pinv(C)[:, 0]})
+    answer = rs.analysis.unknown_input_observer_existence(plant)
+    assert "cannot be told: rounding may have moved the invariant zero" in answer.reasons[0]
+
+
+def test_hidden_lags_that_feedback_makes_unstable_are_a_fact() -> None:
+    found = rs.linear.detectability(*equal_lags(1e-10, 0))
+    assert not found
+    assert not found.undecided

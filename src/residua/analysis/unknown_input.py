@@ -191,31 +191,36 @@ def decomposed_existence(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> Unknown
         return UnknownInputExistence(False, (reason,), rank_CE, form.rank_E, none, useful)
     parts = _ordinary_decoupling(even, form, basis)
     seen = detectability(parts.A22, parts.C2, dt=plant.dt, rtol=rtol)
-    fixed, unstable = _settled_fixed_poles(even.plant, form, seen, rtol)
-    reasons = (_unstable_fixed_pole(unstable, q),) if unstable.size else ()
+    fixed, unstable, told = _settled_fixed_poles(even.plant, form, seen, rtol)
+    reasons = (_unstable_fixed_pole(unstable, told, q),) if unstable.size else ()
     return UnknownInputExistence(not reasons, reasons, rank_CE, form.rank_E, fixed, useful, None if reasons else parts)
 
 
 def _settled_fixed_poles(
     plant: Plant, form: OutputFreeForm, seen: Detectability, rtol: float
-) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """Return the fixed poles and those that are not stable: where rounding leaves a doubt, zeros of the plant itself.
+) -> tuple[NDArray[np.complex128], NDArray[np.complex128], bool]:
+    """Return the fixed poles, those that are not stable, and whether that is sure: in doubt, zeros of the plant itself.
 
     What it was cut into has rounding of its own.
     """
     if not seen.in_doubt or rtol > RANK:
-        return seen.unobservable_modes, seen.unstable_modes
+        return seen.unobservable_modes, seen.unstable_modes, not seen.undecided
     rank = form.E.shape[1] + plant.n_outputs - len(form.W)
     found = rank, seen.unobservable_modes
     zeros = settled((plant.A, plant.Bd, plant.C, plant.Dd), found)[1]
     if zeros is None or zeros is seen.unobservable_modes:
-        return seen.unobservable_modes, seen.unstable_modes
+        return seen.unobservable_modes, seen.unstable_modes, not seen.undecided
     stable = dies_out(zeros, np.zeros(len(zeros)), plant.dt, seen.size)
-    return zeros, zeros[~stable]
+    return zeros, zeros[~stable], True
 
 
-def _unstable_fixed_pole(unstable: NDArray[np.complex128], q: int) -> str:
+def _unstable_fixed_pole(unstable: NDArray[np.complex128], told: bool, q: int) -> str:
     bad = describe_modes(unstable)
+    if not told:
+        return (
+            f"whether (C, A1) is detectable cannot be told: rounding may have moved the invariant zero {bad} of "
+            "(A, E, C), one of several near one place, across the boundary of stability; add a sensor"
+        )
     if not q:
         return f"(C, A) is not detectable: no measurement sees the mode {bad}; add a sensor"
     return (
@@ -452,6 +457,19 @@ class SingularDecoupling:
     decoupling: Decoupling
 
 
+def _unstable_zero_of_singular(seen: Detectability) -> str:
+    bad = describe_modes(seen.unstable_modes)
+    if seen.undecided:
+        return (
+            f"whether ([C; N A], T A) is detectable cannot be told: rounding may have moved the finite invariant zero "
+            f"{bad} of (E, A, D, C), one of several near one place, across the boundary of stability; add a sensor"
+        )
+    return (
+        f"([C; N A], T A) is not detectable: the finite invariant zero {bad} of (E, A, D, C) is a fixed pole "
+        "outside the stability region; add a sensor, or decouple other disturbances"
+    )
+
+
 def _singular_existence(plant: Plant, rtol: float) -> UnknownInputExistence:
     even, n = even_plant(plant), plant.n_states
     measured, equations = even.plant, np.zeros((0, n))
@@ -475,11 +493,7 @@ def _singular_existence(plant: Plant, rtol: float) -> UnknownInputExistence:
         seen = detectability(A1, C1, dt=plant.dt, rtol=rtol)
         fixed = seen.unobservable_modes
         if not seen.detectable:
-            bad = describe_modes(seen.unstable_modes)
-            reasons.append(
-                f"([C; N A], T A) is not detectable: the finite invariant zero {bad} of (E, A, D, C) is a fixed pole "
-                "outside the stability region; add a sensor, or decouple other disturbances"
-            )
+            reasons.append(_unstable_zero_of_singular(seen))
     parts = None if reasons else SingularDecoupling(even, measured, equations, form, decoupling)
     useful = plant.n_outputs > measured.n_outputs - len(form.W) + q  # outputs, beyond what all disturbances use up
     return UnknownInputExistence(not reasons, tuple(reasons), decoupling.rank, decoupling.rank_D, fixed, useful, parts)

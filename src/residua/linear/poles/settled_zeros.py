@@ -106,16 +106,21 @@ def settled_hidden_part(A: Matrix, C: Matrix, modes: NDArray[np.complex128]) -> 
     modes : ndarray of complex
         The hidden modes that floating-point numbers gave.
     """
-    n = len(A)
-    if n + len(C) > _SMALL:
+    count, exact = counted_hidden(A, C), are_exact(A, C)
+    if count is None or (not exact and count <= len(modes)):
         return None
-    M = A, np.zeros((n, 0)), C, np.zeros((len(C), 0))
-    exact = are_exact(A, C)
-    count = _structure(M)[1]
-    if not exact and count <= len(modes):
-        return None
-    basis = np.array([[float(x) for x in row] for row in reduced(*M, RATIONAL).basis]).reshape(n, count)
+    M = _without_inputs(A, C)
+    basis = np.array([[float(x) for x in row] for row in reduced(*M, RATIONAL).basis]).reshape(len(A), count)
     return HiddenPart(basis, _exact_zeros(M) if exact else None)
+
+
+def counted_hidden(A: Matrix, C: Matrix) -> int | None:
+    """Return how many states no output sees, in rational numbers; nothing of a large pair."""
+    return _structure(_without_inputs(A, C))[1] if len(A) + len(C) <= _SMALL else None
+
+
+def _without_inputs(A: Matrix, C: Matrix) -> Matrices:
+    return A, np.zeros((len(A), 0)), C, np.zeros((len(C), 0))
 
 
 def _structure(M: Matrices) -> tuple[int, int]:

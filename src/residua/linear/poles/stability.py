@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from residua.linear.poles.assignment import least_cost_columns
 from residua.linear.poles.matrix_poles import is_rounding_of_zero
 from residua.linear.poles.zero_structure import rounding_of, scatter_of, without_zero_eigenvalues
-from residua.linear.subspaces.parts import strong_parts
+from residua.linear.subspaces.parts import connected_parts, strong_parts
 from residua.tolerances import TINY
 
 _EPS = float(np.finfo(float).eps)
@@ -78,6 +78,17 @@ def dies_out(modes: NDArray, uncertainty: NDArray, dt: float, size: float) -> ND
     return is_stable_mode(modes, dt, uncertainty=uncertainty + _INSIDE * (1.0 if dt else size))
 
 
+def may_die_out(modes: NDArray, uncertainty: NDArray, dt: float, size: float) -> NDArray[np.bool_]:
+    """Tell which hidden modes that do not count as stable may be, as rounding may have scattered them from one place.
+
+    Parameters are those of `dies_out`.
+    """
+    loose = (uncertainty > np.sqrt(_EPS) * size) & (modes != 0)
+    reach = scatter_of(int(np.count_nonzero(loose)), max(len(modes), 1), size)
+    inside = is_stable_mode(modes, dt, uncertainty=-np.maximum(uncertainty, reach))
+    return loose & inside & ~dies_out(modes, uncertainty, dt, size)
+
+
 def modes_with_uncertainty(
     A: NDArray[np.float64], perturbation: float = 0.0
 ) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
@@ -129,7 +140,8 @@ def hidden_modes(
     modes : ndarray of complex
     uncertainty : ndarray
     """
-    modes, moved = modes_with_uncertainty(Q[:, k:].T @ A @ Q[:, k:], perturbation)
+    block = Q[:, k:].T @ A @ Q[:, k:]
+    modes, moved = _without_scatter(block, *modes_with_uncertainty(block, perturbation), perturbation)
     parts = strong_parts(A)
     if not modes.size or len(parts) == 1 or moved.max() <= np.sqrt(_EPS) * float(np.linalg.norm(A)):
         return modes, moved
@@ -143,6 +155,35 @@ def hidden_modes(
     other = np.where(near, np.abs(poles[chosen][:, None] - poles[left]), 0.0).max(axis=1, initial=0.0)
     known = np.maximum(own[chosen], other)
     return (poles[chosen], known) if known.max() < moved.max() else (modes, moved)
+
+
+def _without_scatter(
+    A: NDArray[np.float64], modes: NDArray[np.complex128], moved: NDArray[np.float64], perturbation: float
+) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
+    """Return modes that rounding may have scattered from one real place, with all of them there if ranks count as many.
+
+    It is their mean, which rounding does not scatter: had it, ranks would not count them all there.
+    """
+    n, size = len(A), float(np.linalg.norm(A))
+    loose = np.flatnonzero((moved > np.sqrt(_EPS) * size) & (modes != 0))
+    if len(loose) < 2:
+        return modes, moved
+    more = perturbation / size
+    balanced = scipy.linalg.matrix_balance(A)[0]
+    known = float(np.linalg.norm(balanced)) + perturbation / rounding_of(n)
+    modes, moved = modes.copy(), moved.copy()
+    near = np.abs(modes[loose][:, None] - modes[loose]) <= scatter_of(len(loose), n, size, more)
+    for group in connected_parts(near):
+        own, m = loose[group], len(group)
+        mean = complex(modes[own].mean())
+        if m < 2 or abs(mean.imag) > np.sqrt(_EPS) * abs(mean):
+            continue
+        reach = scatter_of(m, n, size, more)
+        if np.abs(modes[own] - mean.real).max() > reach:
+            continue
+        if without_zero_eigenvalues(balanced - mean.real * np.eye(n), None, known)[2] == m:
+            modes[own], moved[own] = mean.real, rounding_of(n) * size + perturbation
+    return modes, moved
 
 
 def _modes_at_zero(

@@ -18,10 +18,12 @@ from residua.linear.subspaces.parts import part_numbers, triangular_parts
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, decide_rank, spectral_norm
 from residua.linear.systems.balancing import balance_system, descriptor_units, power_of_two, without_rounding
 from residua.linear.systems.units import bordered, matrix_units, system_rate
-from residua.tolerances import RANK, RESIDUE
+from residua.tolerances import RANK, RESIDUE, ROUNDING
 
 #: What rounding leaves of the next zeros, as a multiple of what it left of those that were dropped.
 _BEYOND_DROPPED = 10.0
+#: Where bases are known to no better than this, zeros are counted in rational numbers, too.
+_TURNED = ROUNDING
 #: With a rate of less, inputs have units by which what is divided by it stays far from the largest numbers.
 _SLOWEST = 2.0**-600
 
@@ -254,7 +256,7 @@ def _zeros_of_whole(M: Matrices, rtol: float, decisions: list[RankDecision]) -> 
     if rtol <= RANK:
         if decided.in_doubt or may_have_moved(found[1], len(M[0]), scale):
             found = settled(M, found)
-        elif decided.turned > RANK and found[1] is not None and found[1].size:
+        elif decided.turned > _TURNED and found[1] is not None and found[1].size:
             found = settled(M, found, unless_alike=True)
     rank, zeros = found
     if zeros is None:

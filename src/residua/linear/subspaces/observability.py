@@ -12,10 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua import arrays
 from residua.errors import AccuracyError
-from residua.linear.poles.settled_zeros import settled_hidden_part
-from residua.linear.poles.stability import dies_out, hidden_modes
+from residua.linear.poles.settled_zeros import counted_hidden, settled_hidden_part
+from residua.linear.poles.stability import dies_out, hidden_modes, may_die_out
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, spectral_norm, without_noise
 from residua.linear.subspaces.staircase_steps import staircase_steps
+from residua.linear.subspaces.weak_couplings import WeakCouplings
 from residua.linear.systems.array_cache import cached_by_contents, copied
 from residua.linear.systems.balancing import balance_system
 from residua.tolerances import RANK, RESIDUE, ROUNDING, above_rounding
@@ -72,6 +73,8 @@ class Detectability:
     detectable : bool
     unobservable_modes, unstable_modes : ndarray of complex
         All unobservable modes, and those of them that are not stable (the boundary counts as unstable).
+    undecided : bool
+        Whether all of the latter may be stable: rounding may have scattered them from one place across the boundary.
     size : float
         Spectral norm of ``A`` in balanced units.
     in_doubt : bool
@@ -89,6 +92,7 @@ class Detectability:
     A: NDArray[np.float64] = field(repr=False)
     C: NDArray[np.float64] = field(repr=False)
     rtol: float = DEFAULT_RTOL
+    undecided: bool = False
 
     @cached_property
     def form(self) -> ObservabilityForm:
@@ -175,12 +179,14 @@ def staircase(
         A, C, T, Y = scaled.A, scaled.C, scaled.states, scaled.outputs
     steps = staircase_steps(A, C, rtol, compare=compare)
     form = Staircase(A, C, steps.Q, steps.n_observable, steps.n_seen, steps.decisions, T, Y, steps.dropped)
-    return _settled(form, steps.in_doubt) if compare and rtol <= RANK and units == "balanced" else form
+    return _settled(form, steps.decided) if compare and rtol <= RANK and units == "balanced" else form
 
 
-def _settled(form: Staircase, in_doubt: bool) -> Staircase:
+def _settled(form: Staircase, decided: WeakCouplings) -> Staircase:
     """Return a staircase with what is hidden from rational numbers, where rounding leaves a doubt."""
-    k, n = form.n_observable, len(form.A)
+    k, n, in_doubt = form.n_observable, len(form.A), decided.in_doubt
+    if not in_doubt and k < n and decided.turned > ROUNDING:
+        in_doubt = counted_hidden(form.A, form.C) != n - k
     if not in_doubt and (k == n or form.hidden_modes[1].max() <= RANK * form.size):
         return form
     found = settled_hidden_part(form.A, form.C, form.hidden_modes[0])
@@ -357,6 +363,8 @@ def detectability(A: ArrayLike, C: ArrayLike, *, dt: float = 0, rtol: float = DE
     """
     A, C = _pair(A, C)
     modes, uncertainty, size, in_doubt = copied(_kept_modes(A, C, rtol=rtol))
-    unstable = modes[~dies_out(modes, uncertainty, dt, size)]
+    stable = dies_out(modes, uncertainty, dt, size)
+    unstable = modes[~stable]
+    undecided = bool(unstable.size and may_die_out(modes, uncertainty, dt, size)[~stable].all())
     own = A.copy(), C.copy()  # theirs may change
-    return Detectability(not unstable.size, modes, unstable, size, in_doubt, *own, rtol)
+    return Detectability(not unstable.size, modes, unstable, size, in_doubt, *own, rtol, undecided)

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua import arrays
-from residua.errors import DesignError
+from residua.errors import AccuracyError, DesignError
 from residua.linear.poles.spectrum import describe_modes
-from residua.linear.poles.stability import dies_out
+from residua.linear.poles.stability import dies_out, may_die_out
 from residua.linear.subspaces.observability import Staircase, staircase
 from residua.linear.subspaces.rank import without_rounded_gains
 from residua.linear.systems.array_cache import cached_by_contents
@@ -109,6 +109,8 @@ def observable_part(A: ArrayLike, C: ArrayLike, dt: float, rtol: float) -> Obser
         If a matrix is malformed.
     DesignError
         If the pair is not detectable.
+    AccuracyError
+        If rounding may have decided that.
     """
     dt = arrays.sample_step(dt)
     A = arrays.matrix(A, "A", (None, None))
@@ -124,6 +126,12 @@ def observable_part(A: ArrayLike, C: ArrayLike, dt: float, rtol: float) -> Obser
     fixed, uncertainty = form.hidden_modes
     stable = dies_out(fixed, uncertainty, dt, form.size)
     if not stable.all():
+        if may_die_out(fixed, uncertainty, dt, form.size)[~stable].all():
+            raise AccuracyError(
+                f"whether the pair is detectable cannot be told: rounding may have moved the mode "
+                f"{describe_modes(fixed[~stable])}, one of several near one place that no output sees, across the "
+                "boundary of stability; add a sensor that sees it"
+            )
         raise UndetectableError(
             f"not detectable: mode {describe_modes(fixed[~stable])} is not seen by any output and is not stable "
             f"({k} of {A.shape[0]} states observable); add a sensor that sees it"

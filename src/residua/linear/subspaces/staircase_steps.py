@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from residua.linear.subspaces.rank import RankDecision, spectral_norm
 from residua.linear.subspaces.weak_couplings import UnclearRankError, WeakCouplings, copies_of
-from residua.tolerances import RANK
 
 _EPS = float(np.finfo(float).eps)
 
@@ -29,8 +28,8 @@ class Steps:
     decisions : tuple of RankDecision
     dropped : float
         The largest coupling that was called zero; one with outputs as if these were as large as ``A``.
-    in_doubt : bool
-        Whether a decision may have been made by rounding.
+    decided : WeakCouplings
+        How ranks were.
     """
 
     Q: NDArray[np.float64]
@@ -38,7 +37,7 @@ class Steps:
     n_seen: int
     decisions: tuple[RankDecision, ...]
     dropped: float
-    in_doubt: bool = False
+    decided: WeakCouplings
 
 
 def states_with_a_path(A: NDArray, C: NDArray) -> NDArray[np.bool_]:
@@ -77,13 +76,13 @@ def staircase_steps(A: NDArray[np.float64], C: NDArray[np.float64], rtol: float,
     Q = np.zeros_like(A)
     Q[np.ix_(order[:k], np.arange(k))] = found.Q
     Q[order[k:], np.arange(k, len(A))] = 1.0
-    return Steps(Q, found.n_observable, found.n_seen, found.decisions, found.dropped, found.in_doubt)
+    return Steps(Q, found.n_observable, found.n_seen, found.decisions, found.dropped, found.decided)
 
 
 def _steps(A: NDArray[np.float64], C: NDArray[np.float64], rtol: float, compare: bool) -> Steps:
     """Take the steps where every state has a path; with copies where a weak coupling may be rounding."""
     if not len(A):
-        return Steps(np.eye(0), 0, 0, (), 0.0)
+        return Steps(np.eye(0), 0, 0, (), 0.0, WeakCouplings(rtol))
     sizes = _Sizes.of(A, C, rtol)
     try:
         return _taken([(A, C)], sizes, rtol, compare)
@@ -130,8 +129,7 @@ def _taken(pairs: list[Pair], sizes: _Sizes, rtol: float, compare: bool) -> Step
         first = first or rank
         for run in runs:
             run.take(rank)
-    in_doubt = decided.in_doubt or (one.seen < n and decided.turned > RANK)
-    return Steps(one.Q, one.seen, first, tuple(decided.decisions), dropped * sizes.couplings, in_doubt)
+    return Steps(one.Q, one.seen, first, tuple(decided.decisions), dropped * sizes.couplings, decided)
 
 
 class _Run:
