@@ -1,4 +1,4 @@
-"""Plants of kinds that the campaign does not have, against exact answers: whole numbers, often in turned coordinates."""
+"""Plants of kinds that the campaign does not have, against exact answers; whole numbers, many in turned coordinates."""
 
 from __future__ import annotations
 
