@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from residua.linear.poles.stability import hidden_modes
 from residua.linear.polynomials.polynomial_matrix import PolynomialMatrix
 from residua.linear.subspaces.rank import RankDecision, spectral_norm
-from residua.linear.subspaces.staircase_steps import SURELY, copies_of
+from residua.linear.subspaces.weak_couplings import SURELY, copies_of
 from residua.linear.systems.balancing import balance_system, power_of_two, state_units
 from residua.linear.systems.state_space import StateSpace
 from residua.plant.observer_form import ReachablePart, quotient, response_points

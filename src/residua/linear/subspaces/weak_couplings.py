@@ -23,7 +23,7 @@ _WEAK = 2.0**-10
 #: Copies, and by how many units in the last place their entries differ at most.
 _COPIES, _LAST_PLACES = 2, 4
 #: A coupling is real where it is as many times what copies differ by.
-_SURELY = 4.0
+SURELY = 4.0
 
 Matrix = NDArray[np.float64]
 T = TypeVar("T", bound=tuple[Matrix, ...])
@@ -91,14 +91,14 @@ class WeakCouplings:
         """
         tolerance, rounding = self._rtol * size, 10 * _EPS * of + self.turned * turning
         rank = int(np.count_nonzero(values > tolerance))
-        if couplings is not None and rank and values[rank - 1] < min(_WEAK * size, _SURELY * rounding):
+        if couplings is not None and rank and values[rank - 1] < min(_WEAK * size, SURELY * rounding):
             one, *copies = couplings() or (None,)
             if one is None:
                 raise UnclearRankError
-            tolerance = max(tolerance, _SURELY * max(float(np.linalg.norm(one - other)) for other in copies))
+            tolerance = max(tolerance, SURELY * max(float(np.linalg.norm(one - other)) for other in copies))
             rank = int(np.count_nonzero(values > tolerance))
         self.decisions.append(RankDecision(rank, values, tolerance))
-        if (rank and values[rank - 1] < _SURELY * rounding) or (len(values) > rank and values[rank] > RESIDUE * size):
+        if (rank and values[rank - 1] < SURELY * rounding) or (len(values) > rank and values[rank] > RESIDUE * size):
             self.in_doubt = True
         if rank:
             self.turned += rounding / float(values[rank - 1])
