@@ -127,6 +127,21 @@ def test_a_benchmark_plant_of_which_the_rates_lie_far_apart(shared_data: Path) -
                 rs.design.decoupled_residual(plant, insensitive_to=name)
 
 
+def test_designs_of_four_poles_at_one_are_not_looked_at_where_nothing_is_known() -> None:
+    """At 3e-5 rad per sample ``zI - A`` is singular to the last bit: designs that exist were refused for that."""
+    A = [[0.0, -1, -1, 0], [0, 0, 1, 1], [2, 1, 2, 0], [-1, -1, 1, 2]]
+    plant = rs.Plant(A, [[-2.0], [-1], [2], [0]], [[2.0, 0, 2, 1], [2, 0, 1, 0], [1, 0, 1, 1]], dt=1.0)
+    plant = plant.with_disturbances({"d": [2, 2, 1, -2]}).with_faults({"f": [1, 2, 1, 1], "g": [2, 0, -1, 2]})
+    plant = plant.with_sensor_faults([0, 1])
+    found = rs.diagnosability(plant)
+    assert found.isolable.sum() == 4 * 3
+    for name in plant.faults:
+        made = rs.design.decoupled_residual(plant, insensitive_to=name)
+        assert made.structure.any(axis=0).tolist() == [other != name for other in plant.faults]
+    row = rs.design.structured_bank(plant, ["0111"]).structure[0]
+    assert row.tolist() == [False, True, True, True]
+
+
 def aircraft(folder: Path) -> rs.Plant:
     """Return the civil aircraft with its actuators: 32 states, 3 gusts, 8 primary actuators that may fail."""
     data = np.load(folder / "varga_case_studies" / "cs1data.npz")
@@ -151,6 +166,22 @@ def test_the_shortest_relation_of_an_aircraft_whose_model_holds_residue(shared_d
     with pytest.raises(AccuracyError, match="should cancel"):  # as a filter it loses ten digits; it is not denied
         rs.design.structured_parity(plant, ["11110000"])
     assert rs.design.structured_bank(plant, ["11110000"]).structure.tolist() == [[True] * 4 + [False] * 4]
+
+
+def test_diagnosability_of_an_aircraft_needs_no_coordinates_that_nobody_asks_for(shared_data: Path) -> None:
+    """Its hidden modes are known in balanced units; in those of the plant its hidden directions are not, to 4e-4."""
+    plant = aircraft(shared_data)
+    found = rs.diagnosability(plant)
+    assert found.detectable.all()
+    assert found.isolable.sum() == 8 * 7
+    assert rs.coding.mutually_isolable(plant).matrix.tolist() == found.isolable.tolist()
+    for name in ("actuator 18", "actuator 19"):  # what a design shows
+        made = rs.design.decoupled_residual(plant, insensitive_to=name)
+        assert made.structure.any(axis=0).tolist() == found.isolable[:, plant.faults.index(name)].tolist()
+    existence = found.unknown_input_observer
+    assert existence is not None
+    assert not existence
+    assert np.count_nonzero(existence.fixed_poles == 0) == 1
 
 
 def test_a_relation_that_exists_and_is_lost_to_rounding_is_no_missing_one(shared_data: Path) -> None:

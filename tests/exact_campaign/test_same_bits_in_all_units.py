@@ -14,8 +14,15 @@ import residua as rs
 from exact_campaign.cases import in_other_time, plant_of, units
 from exact_campaign.kinds import case_of
 from residua.design.banks import decoupled_residual
+from residua.design.detection_filters import directional_gain
 from residua.design.estimation import fault_estimator
-from residua.design.observers import kalman_filter, perfect_observer
+from residua.design.observers import (
+    kalman_filter,
+    luenberger_observer,
+    perfect_observer,
+    reduced_order,
+    unknown_input_observer,
+)
 from residua.design.parity import relations
 from residua.errors import ResiduaError
 from residua.linear.systems.array_cache import forget
@@ -38,6 +45,11 @@ _DESIGNS: dict[str, Callable[[Plant], Systems]] = {
     "kalman_filter": lambda p: [rs.design.kalman_filter(p).system],
     "decoupled_residual": lambda p: [rs.design.decoupled_residual(p).system],
     "fault_estimator": lambda p: of_estimator(rs.design.fault_estimator(p, faults=p.faults[:1])),
+    "luenberger_observer": lambda p: [rs.design.luenberger_observer(p).system],
+    "unknown_input_observer": lambda p: [rs.design.unknown_input_observer(p).system],
+    "descriptor_observer": lambda p: [rs.design.descriptor_observer(p).system],
+    "detection_filter": lambda p: [rs.design.detection_filter(p).system],
+    "robust_detection_filter": lambda p: [rs.design.robust_detection_filter(p).system],
     "primary_residuals": lambda p: [rs.design.primary_residuals(p).system],
     "parity_relations": lambda p: [rs.design.parity_relations(p).system],
     "structured_parity": lambda p: [rs.design.structured_parity(p, ["1" * len(p.faults)]).generator.system],
@@ -49,6 +61,11 @@ _BEHIND: dict[str, tuple[Any, str]] = {
     "kalman_filter": (kalman_filter, "filter_riccati"),
     "decoupled_residual": (decoupled_residual, "_designed"),
     "fault_estimator": (fault_estimator, "unknown_input_observer"),
+    "luenberger_observer": (luenberger_observer, "place"),
+    "unknown_input_observer": (unknown_input_observer, "place"),
+    "descriptor_observer": (reduced_order, "_reduced"),
+    "detection_filter": (directional_gain, "split_blocks"),
+    "robust_detection_filter": (directional_gain, "split_blocks"),
     "primary_residuals": (relations, "realize_relation"),
     "parity_relations": (relations, "realize_relation"),
     "structured_parity": (relations, "realize_relation"),

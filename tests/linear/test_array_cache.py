@@ -61,6 +61,7 @@ def test_a_kept_result_cannot_be_written_to_and_does_not_follow_its_arguments():
 def test_large_matrices_are_kept_too_but_only_so_many_bytes_of_them(monkeypatch):
     forget()
     monkeypatch.setattr(array_cache, "_MOST_BYTES", 3 * (100 * 100 * 8 + 1000))
+    monkeypatch.setattr(array_cache, "_LET_GO", 0.0)
     calls = []
 
     @cached_by_entries

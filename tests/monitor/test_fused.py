@@ -365,3 +365,32 @@ def test_long_recordings_have_the_bits_of_numpy(test: str, outputs: int) -> None
         data[0, 4500:4560] *= size < 1.0  # below the threshold throughout, or with an alarm
         state, expected = same_in_pieces(spec, data, rng)
         same_of_few_outputs(spec, data, state, expected, outputs)
+
+
+@needs_kernel
+@pytest.mark.parametrize("outputs", [1, 2, 3, 4])
+@pytest.mark.parametrize("case", ["alarms", "in alarm", "too large", "missing", "settling"])
+def test_sums_of_residuals_that_are_whitened_as_they_are_read_have_the_bits_of_numpy(case: str, outputs: int) -> None:
+    """Where whitened residuals are not asked for they are not kept; after an alarm, parts are summed at once again."""
+    spec = replace(specification("crosier", "none", 4, outputs, "kalman"), settle=150 if case == "settling" else 0)
+    rng = np.random.default_rng(outputs)
+    data = 0.3 * rng.standard_normal((1, 100 + 3 * 8448 + 2500, spec.B.shape[1])) + spec.offset
+    bursts = {"alarms": (100 + 8448, 13000, 14000, 20000), "in alarm": (90, 9500), "settling": (9000,)}
+    for begin in bursts.get(case, ()):
+        data[:, begin : begin + 30] += 40.0
+    if case == "too large":  # for a bound of all that the parts whiten, but not for a sum
+        data[:, 5000] = 1e60
+    if case == "missing":
+        data[:, 12000:12003, 0] = np.nan
+    with np.errstate(all="ignore"):
+        state, expected = run_reference(spec, initial_state(spec, 1), data)
+    plan = plan_of(spec)
+    assert plan is not None
+    run = FusedRun(spec, plan, copied(initial_state(spec, 1)))
+    made = run.outputs(1, data.shape[1], ("residuals", "statistic", "alarm", "up"))
+    for part in (slice(0, 100), slice(100, None)):
+        run.run(Job(data[:, part], data[:, part, :0], {n: None if a is None else a[:, part] for n, a in made.items()}))
+    assert expected.alarm.any() or case == "missing"
+    for name in ("residuals", "statistic", "alarm", "up"):
+        same(made[name], getattr(expected, name), name)
+    same(run.state, state, "state")

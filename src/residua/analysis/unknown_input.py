@@ -203,14 +203,14 @@ def _settled_fixed_poles(
 
     What it was cut into has rounding of its own.
     """
-    if not seen.form.in_doubt or rtol > RANK:
+    if not seen.in_doubt or rtol > RANK:
         return seen.unobservable_modes, seen.unstable_modes, not seen.undecided
     rank = form.E.shape[1] + plant.n_outputs - len(form.W)
     found = rank, seen.unobservable_modes
     zeros = settled((plant.A, plant.Bd, plant.C, plant.Dd), found)[1]
     if zeros is None or zeros is seen.unobservable_modes:
         return seen.unobservable_modes, seen.unstable_modes, not seen.undecided
-    stable = dies_out(zeros, np.zeros(len(zeros)), plant.dt, seen.form.size)
+    stable = dies_out(zeros, np.zeros(len(zeros)), plant.dt, seen.size)
     return zeros, zeros[~stable], True
 
 

@@ -76,6 +76,7 @@ typedef struct {
     double *rows;     /* room for q in rows */
     int is_put;       /* whether q, which is in columns, is in rows where it is to be left */
     int is_laned;  /* whether a long piece may be judged part by part */
+    int is_raw;    /* q is not there: residuals are whitened where they are read, and none becomes too large */
     int is_quiet;  /* nothing is over, and nothing was: `over`, `alarm` and `up` are not written then */
 } piece;
 
@@ -490,38 +491,59 @@ pignatiello_runger(const test_plan *t, const double *now, const double *e, doubl
 #define MAX_LANED 6    /* residuals, at most: the more there are, the longer it takes until sums come together */
 
 #if defined(HAVE_AVX2)
+/* Four numbers, one of each of four parts. */
+AVX2 INLINE __m256d
+one_of_each(const double *of, Py_ssize_t apart)
+{
+    return _mm256_setr_pd(of[0], of[apart], of[2 * apart], of[3 * apart]);
+}
+
+/* Four samples, one of each of four parts: `e` is added to the sums `now`; the statistic. */
+#define DEFINE_SHORTENED(K)                                                                                           \
+    AVX2 INLINE __m256d shortened_##K(const __m256d *e, double *now, __m256d allowance, __m256d full)                 \
+    {                                                                                                                 \
+        const __m256d zero = _mm256_setzero_pd();                                                                     \
+        __m256d sum[K], total = zero;                                                                                 \
+        _Pragma("GCC unroll 8") for (int j = 0; j < K; j++)                                                           \
+        {                                                                                                             \
+            sum[j] = _mm256_add_pd(_mm256_load_pd(now + j * LANES), e[j]);                                            \
+            total = _mm256_add_pd(total, _mm256_mul_pd(sum[j], sum[j]));                                              \
+        }                                                                                                             \
+        const __m256d length = _mm256_sqrt_pd(total), above = _mm256_sub_pd(length, allowance);                       \
+        const __m256d left = _mm256_min_pd(_mm256_max_pd(above, zero), full);                                         \
+        const __m256d is_long = _mm256_cmp_pd(length, zero, _CMP_GT_OQ);                                              \
+        const __m256d part = _mm256_and_pd(_mm256_div_pd(left, length), is_long);                                     \
+        _Pragma("GCC unroll 8") for (int j = 0; j < K; j++)                                                           \
+            _mm256_store_pd(now + j * LANES, _mm256_mul_pd(sum[j], part));                                            \
+        return left;                                                                                                  \
+    }
+
+AVX2 INLINE void
+put_one_of_each(double *to, Py_ssize_t apart, __m256d values)
+{
+    const __m128d low = _mm256_castpd256_pd128(values), high = _mm256_extractf128_pd(values, 1);
+    _mm_storel_pd(to, low);
+    _mm_storeh_pd(to + apart, low);
+    _mm_storel_pd(to + 2 * apart, high);
+    _mm_storeh_pd(to + 3 * apart, high);
+}
+
 /* Some samples of all parts, from `from` on; those of one part lie `each` samples behind those of the one before. */
 #define DEFINE_LANES(K)                                                                                               \
+    DEFINE_SHORTENED(K)                                                                                               \
     AVX2 static void crosier_lanes_##K(const test_plan *t, double *restrict now, const piece *p, Py_ssize_t from,     \
                                        Py_ssize_t some, Py_ssize_t each)                                              \
     {                                                                                                                 \
         const __m256d allowance = _mm256_set1_pd(t->allowance), full = _mm256_set1_pd(FULL * t->threshold);           \
-        const __m256d zero = _mm256_setzero_pd();                                                                     \
         const Py_ssize_t down = p->apart ? 1 : K, across = p->apart ? p->apart : 1, apart = each * down;              \
         for (Py_ssize_t i = from; i < from + some; i++) {                                                             \
             const double *at = p->e + i * down;                                                                       \
             double *to = p->statistic + i;                                                                            \
             _Pragma("GCC unroll 4") for (int l = 0; l < LANES; l += 4, at += 4 * apart, to += 4 * each)               \
             {                                                                                                         \
-                __m256d sum[K], total = zero;                                                                         \
-                _Pragma("GCC unroll 8") for (int j = 0; j < K; j++)                                                   \
-                {                                                                                                     \
-                    const double *of = at + j * across;                                                               \
-                    const __m256d new = _mm256_setr_pd(of[0], of[apart], of[2 * apart], of[3 * apart]);               \
-                    sum[j] = _mm256_add_pd(_mm256_load_pd(now + j * LANES + l), new);                                 \
-                    total = _mm256_add_pd(total, _mm256_mul_pd(sum[j], sum[j]));                                      \
-                }                                                                                                     \
-                const __m256d length = _mm256_sqrt_pd(total), above = _mm256_sub_pd(length, allowance);               \
-                const __m256d left = _mm256_min_pd(_mm256_max_pd(above, zero), full);                                 \
-                const __m256d is_long = _mm256_cmp_pd(length, zero, _CMP_GT_OQ);                                      \
-                const __m256d part = _mm256_and_pd(_mm256_div_pd(left, length), is_long);                             \
-                _Pragma("GCC unroll 8") for (int j = 0; j < K; j++)                                                   \
-                    _mm256_store_pd(now + j * LANES + l, _mm256_mul_pd(sum[j], part));                                \
-                const __m128d low = _mm256_castpd256_pd128(left), high = _mm256_extractf128_pd(left, 1);              \
-                _mm_storel_pd(to, low);                                                                               \
-                _mm_storeh_pd(to + each, low);                                                                        \
-                _mm_storel_pd(to + 2 * each, high);                                                                   \
-                _mm_storeh_pd(to + 3 * each, high);                                                                   \
+                __m256d e[K];                                                                                         \
+                _Pragma("GCC unroll 8") for (int j = 0; j < K; j++) e[j] = one_of_each(at + j * across, apart);       \
+                put_one_of_each(to, each, shortened_##K(e, now + l, allowance, full));                                \
             }                                                                                                         \
         }                                                                                                             \
     }
@@ -531,43 +553,79 @@ DEFINE_LANES(3)
 DEFINE_LANES(4)
 DEFINE_LANES(5)
 DEFINE_LANES(6)
+
+/* The same of residuals that are whitened here, as many as there are: while roots and quotients are waited for, that
+ * costs little, also where a sample is read twice. */
+#define DEFINE_RAW_LANES(K)                                                                                           \
+    AVX2 static void raw_lanes_##K(const test_plan *t, double *restrict now, const piece *p, Py_ssize_t from,         \
+                                   Py_ssize_t some, Py_ssize_t each)                                                  \
+    {                                                                                                                 \
+        const __m256d allowance = _mm256_set1_pd(t->allowance), full = _mm256_set1_pd(FULL * t->threshold);           \
+        __m256d center[K], whitening[K * K];                                                                          \
+        for (int j = 0; j < K; j++)                                                                                   \
+            center[j] = _mm256_set1_pd(t->center[j]);                                                                 \
+        for (int j = 0; j < K * K; j++)                                                                               \
+            whitening[j] = _mm256_set1_pd(t->whitening[j]);                                                           \
+        for (Py_ssize_t i = from; i < from + some; i++) {                                                             \
+            const double *at = p->r + i * K;                                                                          \
+            double *to = p->statistic + i;                                                                            \
+            _Pragma("GCC unroll 4") for (int l = 0; l < LANES; l += 4, at += 4 * each * K, to += 4 * each)            \
+            {                                                                                                         \
+                __m256d e[K];                                                                                         \
+                _Pragma("GCC unroll 4") for (int j = 0; j < K; j++) e[j] = _mm256_setzero_pd();                       \
+                _Pragma("GCC unroll 4") for (int j = 0; j < K; j++)                                                   \
+                {                                                                                                     \
+                    const __m256d centred = _mm256_sub_pd(one_of_each(at + j, each * K), center[j]);                  \
+                    _Pragma("GCC unroll 4") for (int c = 0; c < K; c++)                                               \
+                        e[c] = _mm256_add_pd(e[c], _mm256_mul_pd(centred, whitening[j * K + c]));                     \
+                }                                                                                                     \
+                put_one_of_each(to, each, shortened_##K(e, now + l, allowance, full));                                \
+            }                                                                                                         \
+        }                                                                                                             \
+    }
+DEFINE_RAW_LANES(1)
+DEFINE_RAW_LANES(2)
+DEFINE_RAW_LANES(3)
+DEFINE_RAW_LANES(4)
 typedef void (*lanes_runner)(const test_plan *, double *, const piece *, Py_ssize_t, Py_ssize_t, Py_ssize_t);
 static const lanes_runner lanes_table[MAX_LANED] = {crosier_lanes_1, crosier_lanes_2, crosier_lanes_3,
                                                     crosier_lanes_4, crosier_lanes_5, crosier_lanes_6};
+static const lanes_runner raw_table[4] = {raw_lanes_1, raw_lanes_2, raw_lanes_3, raw_lanes_4};
 
-/* The first samples of a piece, which is cut into parts. Each part begins at zero, and then again with what the one
+/* Some samples of a piece from one on, which are cut into parts. Each part begins at zero, and then again with what the one
  * before has left: sums that begin apart come together, to the last bit, as what is left of either is shortened each
  * time. How many samples that were: the parts before one with an alarm; 0, where they do not come together within their
  * part. The statistics of all others are to be formed anew. `room` is for what has been at some samples. */
 static Py_ssize_t
-crosier_by_parts(const test_plan *t, double *sums, const piece *p, double *room, Py_ssize_t k)
+crosier_by_parts(const test_plan *t, double *sums, const piece *p, Py_ssize_t begin, double *room, Py_ssize_t k)
 {
-    const Py_ssize_t each = p->time / LANES / CHECKED * CHECKED, size = k * LANES;
+    const Py_ssize_t each = (p->time - begin) / LANES / CHECKED * CHECKED, size = k * LANES;
     if (!p->is_laned || k > MAX_LANED || each < LEAST_LANE || !all_set(p->usable, p->time))
         return 0;
     double now[MAX_LANED * LANES] __attribute__((aligned(32)));
     double *const ends = room + each / CHECKED * size;
-    const lanes_runner run = lanes_table[k - 1];
+    const lanes_runner run = p->is_raw ? raw_table[k - 1] : lanes_table[k - 1];
     for (Py_ssize_t j = 0; j < size; j++)
         now[j] = j % LANES == 0 ? sums[j / LANES] : 0.0;
     for (Py_ssize_t i = 0; i < each; i += CHECKED) {
-        run(t, now, p, i, CHECKED, each);
+        run(t, now, p, begin + i, CHECKED, each);
         memcpy(room + i / CHECKED * size, now, (size_t)size * sizeof(double));
     }
-    if (!(largest_of(p->statistic, each) <= t->threshold)) /* the first part, which began as it is, has an alarm */
+    const double *const statistic = p->statistic + begin;
+    if (!(largest_of(statistic, each) <= t->threshold)) /* the first part, which began as it is, has an alarm */
         return 0;
     memcpy(ends, now, (size_t)size * sizeof(double));
     for (Py_ssize_t j = 0; j < size; j++)
         now[j] = j % LANES == 0 ? sums[j / LANES] : ends[j - 1];
     int differs = 1;
     for (Py_ssize_t i = 0; i < each && differs; i += CHECKED) {
-        run(t, now, p, i, CHECKED, each);
+        run(t, now, p, begin + i, CHECKED, each);
         differs = memcmp(room + i / CHECKED * size, now, (size_t)size * sizeof(double)) != 0;
     }
     if (differs)
         return 0;
     Py_ssize_t parts = 0; /* before the first alarm */
-    while (parts < LANES && largest_of(p->statistic + parts * each, each) <= t->threshold)
+    while (parts < LANES && largest_of(statistic + parts * each, each) <= t->threshold)
         parts++;
     for (Py_ssize_t j = 0; j < k && parts; j++)
         sums[j] = ends[j * LANES + parts - 1];
@@ -575,22 +633,28 @@ crosier_by_parts(const test_plan *t, double *sums, const piece *p, double *room,
 }
 #else
 INLINE Py_ssize_t
-crosier_by_parts(const test_plan *t, double *sums, const piece *p, double *room, Py_ssize_t k)
+crosier_by_parts(const test_plan *t, double *sums, const piece *p, Py_ssize_t begin, double *room, Py_ssize_t k)
 {
-    (void)t, (void)sums, (void)p, (void)room, (void)k;
+    (void)t, (void)sums, (void)p, (void)begin, (void)room, (void)k;
     return 0;
 }
 #endif
 
-/* Put whitened residuals that lie in columns into rows, from some sample on. */
+/* Put whitened residuals into rows, from some sample on: those that lie in columns, or are not there yet. */
 INLINE void
-in_rows(piece *p, Py_ssize_t from, Py_ssize_t k)
+in_rows(const test_plan *t, piece *p, Py_ssize_t from, Py_ssize_t k)
 {
-    for (Py_ssize_t i = from; i < p->time; i++)
-        for (Py_ssize_t j = 0; j < k; j++)
-            p->rows[i * k + j] = p->q[j * p->apart + i];
-    p->e = p->rows;
+    if (p->is_raw)
+        for (Py_ssize_t i = from; i < p->time; i++)
+            whitened_of(t, p->r + i * k, p->q + i * k, k, k);
+    if (p->apart) {
+        for (Py_ssize_t i = from; i < p->time; i++)
+            for (Py_ssize_t j = 0; j < k; j++)
+                p->rows[i * k + j] = p->q[j * p->apart + i];
+        p->e = p->rows;
+    }
     p->apart = 0;
+    p->is_raw = 0;
 }
 
 /* Cumulative sums of a piece; `sums` of one plant, and whether it is in alarm behind them. */
@@ -598,11 +662,19 @@ INLINE void
 cumulative_sums(const test_plan *t, double *sums, piece *p, double *then, Py_ssize_t k)
 {
     const Py_ssize_t count = t->sums - 1;
-    int alarmed = sums[count] > 0;
-    Py_ssize_t i = t->kind == CROSIER && !alarmed ? crosier_by_parts(t, sums, p, p->history, k) : 0;
-    if (p->apart && i < p->time)
-        in_rows(p, i, k);
-    for (; i < p->time; i++) {
+    int alarmed = sums[count] > 0, by_parts = t->kind == CROSIER; /* as long as that comes to an end */
+    int is_over = !alarmed;                                       /* the last alarm, just now */
+    for (Py_ssize_t i = 0; i < p->time; i++) {
+        if (by_parts && is_over) {
+            const Py_ssize_t done = crosier_by_parts(t, sums, p, i, p->history, k);
+            by_parts = done > 0;
+            i += done;
+            if (i == p->time)
+                break;
+        }
+        is_over = 0;
+        if (p->apart || p->is_raw)
+            in_rows(t, p, i, k);
         const double *e = p->e + i * k;
         const double value = t->kind == PAGE      ? page(t, sums, e, then, k)
                              : t->kind == CROSIER ? crosier(t, sums, e, then, k)
@@ -615,6 +687,7 @@ cumulative_sums(const test_plan *t, double *sums, piece *p, double *then, Py_ssi
             for (Py_ssize_t j = 0; j < count; j++)
                 then[j] = 0.0;
             alarmed = 0;
+            is_over = 1;
         }
         for (Py_ssize_t j = 0; j < count; j++)
             sums[j] = then[j];

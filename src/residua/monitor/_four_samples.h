@@ -11,6 +11,7 @@
 typedef struct {
     lanes4 center[4], whitening[4][4]; /* each number four times: of a residual, and of a whitened one */
     double limit;      /* of squares */
+    int whitens;       /* whether residuals are judged at all */
     double *squares;   /* of each sample */
     double *columns;   /* of each whitened residual, so many numbers apart; NULL for none */
     double *rows;      /* the same in rows; NULL for none */
@@ -137,7 +138,9 @@ DEFINE_JUDGED_QUAD(4)
                 *(lanes4 *)r = out[0];                                                                                \
                 r += nr;                                                                                              \
             }                                                                                                         \
-            if (nr == 3)                                                                                              \
+            if (!to->whitens) {                                                                                       \
+                _Pragma("GCC unroll 4") for (int p = 0; p < 4; p++) sizes += (lanes4)((flags4)rows[p] & sign);        \
+            } else if (nr == 3)                                                                                       \
                 judge_quad_3(rows, to, k, &sizes, &within);                                                           \
             else if (nr == 2)                                                                                         \
                 judge_quad_2(rows, to, k, &sizes, &within);                                                           \

@@ -233,6 +233,7 @@ judge_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row
     if (b->out[OUT_READY].base != NULL)
         copy_flags(out_b1(b, OUT_READY, plant, first), s->usable, time);
     p.is_within = s->is_within;
+    p.is_raw = s->is_raw && all_set(p.usable, time);
     p.rows = s->e;
     read_runs(self, row, 1, runs);
     if (is_calm(self, b, &test, &p)) {
@@ -245,7 +246,8 @@ judge_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row
             write_last(self, row, &p, s, spare, k);
         return;
     }
-    const int has_squares = (s->is_short && !p.is_judged && squares_of_rows(t, &p, nr, k)) || whiten(t, &p, nr, k);
+    const int has_squares = !p.is_raw && ((s->is_short && !p.is_judged && squares_of_rows(t, &p, nr, k))
+                                          || whiten(t, &p, nr, k));
     p.apart = has_squares ? s->apart : 0;
     p.is_put = p.apart != 0;
     if (t->kind == NORM)
@@ -322,11 +324,12 @@ static Py_ssize_t
 filter_pieces(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row, Py_ssize_t k, Py_ssize_t time,
               scratch *s)
 {
+    s->may_be_raw = self->most_raw > 0.0 && time >= LANES * LEAST_LANE && b->out[OUT_WHITENED].base == NULL;
     if (time <= PIECE)
         return filter_piece(self, b, plant, row, k, time, s) ? time : 0;
     const scratch whole = *s;
     const Py_ssize_t apart = self->in_columns ? s->apart_if_columns : 0;
-    int is_judged = 1, is_within = 1;
+    int is_judged = 1, is_within = 1, is_raw = 1;
     Py_ssize_t done = 0;
     while (done < time) {
         const Py_ssize_t some = time - done < PIECE ? time - done : PIECE;
@@ -339,6 +342,7 @@ filter_pieces(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t r
             break;
         is_judged &= s->is_judged && s->apart == apart; /* a single sample is judged in a row */
         is_within &= s->is_within;
+        is_raw &= s->is_raw;
         done += some;
     }
     s->usable = whole.usable;
@@ -347,6 +351,7 @@ filter_pieces(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t r
     s->filter.squares = whole.filter.squares;
     s->r = b->out[OUT_RESIDUALS].base == NULL ? s->own_r : out_f8(b, OUT_RESIDUALS, plant, k);
     s->columns_of_q = whole.columns_of_q;
+    s->is_raw = is_raw;
     s->is_judged = is_judged;
     s->apart = is_judged ? apart : 0;
     s->is_within = is_within;
@@ -688,6 +693,21 @@ largest_square(double threshold)
     return square;
 }
 
+/* How large residuals may be together so that none, whitened, is too large; 0 if that depends. */
+static double
+most_raw(const test_plan *t)
+{
+    const double large = 1e50; /* its product with a weight of that size, and as much again, is far from LARGEST_WHITENED */
+    for (Py_ssize_t j = 0; j < t->nr; j++) {
+        if (!(fabs(t->center[j]) <= large))
+            return 0.0;
+        for (Py_ssize_t c = 0; c < t->k; c++)
+            if (!(fabs(t->whitening[j * t->k + c]) <= large))
+                return 0.0;
+    }
+    return large;
+}
+
 static void
 point_at_plan(Runner *self)
 {
@@ -716,6 +736,7 @@ point_at_plan(Runner *self)
     self->in_quads = is_square && self->sums_squares;
     const int is_summed = t->kind == CROSIER && !t->order && !t->knots_of_each && self->naming.kind == NOBODY;
     self->in_columns = is_square && (is_summed || (t->kind == NORM && t->window == 1 && self->naming.kind == DIRECTIONS));
+    self->most_raw = is_square && is_summed ? most_raw(t) : 0.0;
     self->limit = self->sums_squares && t->window == 1 ? largest_square(t->threshold) : LARGEST_SQUARES;
     const int limits[3] = {OFFSET, LOW, HIGH};
     const Py_ssize_t begins[3] = {0, 0, self->n_u}, ends[3] = {self->m, self->n_u, self->m};
@@ -943,7 +964,7 @@ make_scratch(const Runner *self, scratch *s, Py_ssize_t time)
     s->filter.squares = s->statistic;
     s->filter.k = k;
     s->columns_of_q = s->q;
-    s->is_within = 0;
+    s->is_within = s->may_be_raw = s->is_raw = 0;
     s->apart = 0;
     s->apart_if_columns = samples + 8;
     return room;

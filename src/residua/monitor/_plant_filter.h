@@ -69,6 +69,7 @@ typedef struct {
     int is_within;  /* and whether none of these is over the limit */
     Py_ssize_t apart, apart_if_columns; /* whether q is there in columns, so many numbers apart; else 0 */
     double *columns_of_q;
+    int may_be_raw, is_raw; /* whether residuals are not judged meanwhile, as what judges them whitens them; and were not */
     int is_deferred; /* whether it is the filter that finds out whether all signals are values */
     gain_store gains;
     double *stream;    /* the sums of a test that remembers, and whether an alarm stands */
@@ -123,6 +124,7 @@ typedef struct {
     Py_ssize_t span; /* samples of a plant that are judged at once, at most */
     double *tile; /* of four samples: offsets, lowest values, highest values; of u and y, of u, of y */
     int in_quads, in_columns; /* whether four samples are judged at once; whether their whitened residuals lie in columns */
+    double most_raw;          /* of the sizes of residuals together that are whitened where they are read; or 0 */
     double limit;             /* of squares so that nothing is over the threshold */
     double nearest;           /* as `nearest_limit`, of all signals; 0 where they have an offset */
     int has_offset, sums_squares; /* whether residuals are judged by the sum of the squares of each sample, and nothing else */
@@ -745,15 +747,16 @@ filter_and_judge(const Runner *self, double *x, double *whitened, Py_ssize_t tim
 #if defined(HAVE_AVX2)
     if (goes_in_quads(self, time, s)) {
         const Py_ssize_t nr = self->nr;
-        quads to = {.limit = self->limit, .squares = s->filter.squares, .apart = s->apart_if_columns};
+        const int whitens = !s->may_be_raw;
+        quads to = {.limit = self->limit, .squares = s->filter.squares, .apart = s->apart_if_columns, .whitens = whitens};
         for (Py_ssize_t j = 0; j < nr; j++) {
             to.center[j] = (lanes4){0.0} + self->judge[j];
             for (Py_ssize_t l = 0; l < nr; l++)
                 to.whitening[j][l] = (lanes4){0.0} + self->judge[4 + 4 * j + l];
         }
-        to.columns = self->in_columns ? s->columns_of_q : NULL;
+        to.columns = self->in_columns && whitens ? s->columns_of_q : NULL;
         to.rows = whitened;
-        s->apart = self->in_columns ? to.apart : 0;
+        s->apart = to.columns != NULL ? to.apart : 0;
         s->filter.time = time;
         s->filter.plants = 1;
         s->filter.x = s->filter.x_next = x;
@@ -761,7 +764,8 @@ filter_and_judge(const Runner *self, double *x, double *whitened, Py_ssize_t tim
         s->filter.r = s->r;
         s->filter.judge = self->judge;
         const int is_sound = run_quads(&s->filter, &to);
-        s->is_judged = 1;
+        s->is_judged = whitens;
+        s->is_raw = !whitens && to.sizes <= self->most_raw;
         s->is_within = to.is_within;
         s->is_deferred &= !(to.values <= self->nearest);
         return is_sound;
@@ -782,7 +786,7 @@ filter_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t ro
     const int is_apart = self->partial && *B1(self, APART, row);
     const int is_going = *B1(self, RUNNING, row) && !*B1(self, STARTING, row) && !is_apart;
     s->r = b->out[OUT_RESIDUALS].base == NULL ? s->own_r : out_f8(b, OUT_RESIDUALS, plant, k);
-    s->is_judged = s->is_within = 0;
+    s->is_judged = s->is_within = s->is_raw = 0;
     s->apart = 0;
     s->is_short = time > 1 && self->sums_squares && b->out[OUT_WHITENED].base == NULL;
     const int may_defer = is_going && goes_in_quads(self, time, s);
@@ -808,7 +812,7 @@ filter_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t ro
             return 1;
         }
         copy_doubles(x, before, n);
-        s->is_judged = 0;
+        s->is_judged = s->is_raw = 0;
         s->apart = 0;
     }
     if (self->partial && !self->has_gains && (!all || is_apart)) {

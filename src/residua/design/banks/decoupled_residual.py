@@ -22,7 +22,7 @@ from residua.design.core.canonical_design import designed_in_own_units
 from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
-from residua.design.core.internal_form import frequency_grid
+from residua.design.core.internal_form import frequency_grid, leak_frequencies
 from residua.design.core.method import method
 from residua.design.core.needs import FAULTS
 from residua.design.core.own_time import in_own_time
@@ -286,7 +286,9 @@ def rounding_share(generator: ResidualGenerator) -> float:
     :math:`C (zI - F)^{-1}` on to the residual, whose own terms are :math:`|C| |x| + |D| |y|`. Zero without faults.
     """
     system, plant = generator.system, generator.plant
-    w = frequency_grid(system, plant.system(()))
+    # of a sampled plant with several poles at one nothing is known of slower signals than those of leaks
+    sampled = plant.is_discrete
+    w = leak_frequencies(system, plant, ("fault",)) if sampled else frequency_grid(system, plant.system(()))
     w = w[: max(len(w) // 3, 1)]
     moved = plant.system("fault").frequency_response(w)
     n_u, n, y = len(plant.inputs), system.n_states, np.abs(moved)

@@ -27,7 +27,7 @@ from residua.words import unit_of_rates
 
 #: Frequencies of a grid, if nothing else is asked for.
 POINTS = 60
-#: Logarithms of the ends of a grid are rounded as if they were further out by this: poles are often round numbers.
+#: The logarithm of the span of a grid is rounded as if it were larger by this: poles are often round numbers.
 _OFF_ROUND = 0.01371
 #: Rounding in a response, relative to its terms; measured: below 2e-16 for up to 30 states.
 _MEASURED = 1e-15
@@ -249,16 +249,17 @@ def _driven(generator: StateSpace, plant: Plant) -> StateSpace:
 def frequency_grid(*systems: StateSpace, points: int = POINTS) -> NDArray[np.float64]:
     """Return frequencies in rad/s that span the dynamics of the systems, from far below to far above.
 
-    They begin and end at powers of two times the same number, off the round numbers where models have their poles: the
-    filters of one plant then often have the same, and what the plant does there is computed once.
+    They begin below the slowest pole, which often is one of the plant, and end at a power of two times that number: the
+    filters of one plant then often have the same ones, and what the plant does there is computed once.
     """
     dt = max(system.dt for system in systems)
     if dt:  # not at the ends of the circle, where models have poles
         return np.concatenate([np.pi / dt * np.logspace(-5, np.log10(0.97), points - 1), [0.37 * np.pi / dt]])
     sizes = np.concatenate([np.zeros(0), *(_pole_sizes(system) for system in systems)])
     low, high = (sizes.min(), sizes.max()) if sizes.size else (1.0, 1.0)
-    low, high = np.exp2(np.floor(np.log2(low) - _OFF_ROUND)), np.exp2(np.ceil(np.log2(high) + _OFF_ROUND))
-    return 1.0371 * low * np.geomspace(0.01, 100 * high / low, points)
+    span = np.exp2(np.ceil(np.log2(high / low) + _OFF_ROUND))
+    # the factor keeps round numbers, where models have their poles, off the grid
+    return 1.0371 * low * np.geomspace(0.01, 100 * span, points)
 
 
 def _pole_sizes(system: StateSpace) -> NDArray[np.float64]:

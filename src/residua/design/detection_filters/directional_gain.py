@@ -23,6 +23,7 @@ from residua.linear.subspaces.detection_space import (
 from residua.linear.subspaces.far_gain import refuse_far_gain
 from residua.linear.subspaces.observability import detectability, observability_form
 from residua.linear.subspaces.rank import DEFAULT_RTOL, decide_rank
+from residua.linear.systems.array_cache import cached_by_contents
 from residua.linear.systems.balancing import without_rounding
 from residua.words import as_given, counted
 
@@ -65,6 +66,7 @@ class DirectionalGain:
     note: str = ""
 
 
+@cached_by_contents
 def fault_events(
     A: NDArray, C: NDArray, events: Mapping[str, NDArray], *, rtol: float = DEFAULT_RTOL
 ) -> tuple[list[FaultEvent], list[str]]:
@@ -157,6 +159,7 @@ def scalar_pole(A: NDArray, C: NDArray, poles: Poles, margin: float | None, dt: 
     return pole
 
 
+@cached_by_contents
 def block_gain(
     A: NDArray,
     C: NDArray,
@@ -288,6 +291,7 @@ def _without(wanted: NDArray, fixed: NDArray) -> NDArray:
     return np.asarray(left, dtype=complex)
 
 
+@cached_by_contents
 def partition(A: NDArray, C: NDArray, events: Sequence[FaultEvent], dt: float) -> list[list[FaultEvent]]:
     """Split the events over as few filters as keep them apart.
 
@@ -298,16 +302,19 @@ def partition(A: NDArray, C: NDArray, events: Sequence[FaultEvent], dt: float) -
     DesignError
         If a fault cannot be kept in a direction even alone; the message says why.
     """
-    for event in events:
-        why = obstacle(A, C, [event], dt)
-        if why:
-            raise DesignError(f"no stable directional filter exists: {why}")
     known: dict[frozenset[int], bool] = {}
 
     def fits(members: frozenset[int]) -> bool:
         if members not in known:
             known[members] = obstacle(A, C, [events[i] for i in sorted(members)], dt) is None
         return known[members]
+
+    if fits(frozenset(range(len(events)))):  # then every part of them does
+        return [list(events)]
+    for event in events:
+        why = obstacle(A, C, [event], dt)
+        if why:
+            raise DesignError(f"no stable directional filter exists: {why}")
 
     def fill(i: int, groups: list[frozenset[int]], limit: int) -> list[frozenset[int]] | None:
         if i == len(events):

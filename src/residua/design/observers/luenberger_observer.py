@@ -14,13 +14,14 @@ from residua.design.core.evidence import Evidence
 from residua.design.core.method import method
 from residua.design.core.own_time import in_own_time
 from residua.design.observers.estimate_check import check_estimate
-from residua.design.observers.observer import Observer, in_units_of_the_plant
+from residua.design.observers.observer import Observer, in_units_of_the_plant, kept_observer_for
 from residua.design.observers.observer_gain import gain_size, place, pole_evidence
 from residua.errors import DesignError
 from residua.linear.subspaces.rank import DEFAULT_RTOL, without_rounded_gains
+from residua.linear.systems.array_cache import cached_by_contents
 from residua.linear.systems.balancing import without_rounding
 from residua.plant import Plant
-from residua.plant.comparable_units import even_plant
+from residua.plant.comparable_units import canonical_units, even_plant
 
 
 @method(
@@ -97,9 +98,22 @@ def luenberger_observer(
             "Luenberger's observer needs state equations, and E is singular: use descriptor_observer, or "
             "unknown_input_observer, which also serves singular plants without disturbances"
         )
+    used = arrays.different_positions(outputs, plant.outputs, "output")
+    units = canonical_units(plant)
+    return kept_observer_for(plant, units, _designed(units.applied(plant), used, poles, margin, rtol))
+
+
+@cached_by_contents
+def _designed(
+    plant: Plant,
+    used: list[int],
+    poles: Sequence[complex] | ArrayLike | None,
+    margin: float | None,
+    rtol: float,
+) -> Observer:
+    """Return the observer of a plant in its own units that uses the numbered outputs."""
     original, even = plant.explicit(), even_plant(plant, explicit=True)
     plant = even.plant
-    used = arrays.different_positions(outputs, plant.outputs, "output")
     placed = place(plant.A, plant.C[used], poles, margin, plant.dt, rtol)
     n, W = plant.n_states, np.eye(plant.n_outputs)[used]
     K = without_rounded_gains(placed.gain) @ W  # which would couple states that nothing couples

@@ -17,6 +17,7 @@ from residua.design.core.signals import sampled_filter, signal_names, stack_sign
 from residua.errors import DesignError
 from residua.linear import StateSpace
 from residua.linear.poles.matrix_poles import explicit_poles
+from residua.linear.systems.array_cache import copied
 from residua.linear.systems.balancing import power_of_two, sum_without_rounding, without_rounding
 from residua.linear.systems.response_terms import in_even_units, response_terms
 from residua.plant import Plant
@@ -265,6 +266,13 @@ def observer_in_units_of(observer: Observer, plant: Plant, units: PlantUnits) ->
         J=None if observer.J is None else S[:, None] * observer.J * R,
         V=None if observer.V is None else rows[:, None] * observer.V * R,
     )
+
+
+def kept_observer_for(plant: Plant, units: PlantUnits, own: Observer) -> Observer:
+    """Return an observer that is kept for a plant in its own units as one to hand out, for the plant."""
+    if own.plant.E is None:
+        plant = plant.explicit()
+    return observer_in_units_of(copied(own), plant, units)
 
 
 def without_measured_equations(observer: Observer, plant: Plant, N: NDArray) -> Observer:

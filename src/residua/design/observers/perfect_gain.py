@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,17 +105,22 @@ class _Problem:
     rtol: float
     beta: float
 
-    @property
+    @cached_property
     def M(self) -> Matrix:
         return self.inverse @ self.S
 
-    @property
+    @cached_property
+    def size(self) -> float:
+        """The largest singular value of ``M``."""
+        return float(np.linalg.norm(self.M, 2))
+
+    @cached_property
     def H(self) -> Matrix:
         H = self.left @ self.S
         # Redundant outputs alone give an H that is rounding, which nothing may be divided by.
         return H if float(np.linalg.norm(H)) > self.rtol * float(np.linalg.norm(self.S)) else np.zeros_like(H)
 
-    @property
+    @cached_property
     def rounding(self) -> float:
         """The size that ``M`` is judged by at least: rounding of its factors counts as zero."""
         return 1e-4 * float(np.linalg.norm(self.inverse) * np.linalg.norm(self.S))
@@ -400,7 +406,7 @@ def _attempt(
     c, count = len(p.M), len(p.H)
     Qo, Qu = Q[:, :k], Q[:, k:]
     Ho = p.H @ Qo
-    whole, seen = float(np.linalg.norm(p.M, 2)), spectral_norm(Ho)
+    whole, seen = p.size, spectral_norm(Ho)
     # What moves N as much as it is large already; without anything to move, what moves G as much.
     size = whole / seen if seen > p.rtol and whole > p.rtol else float(np.linalg.norm(p.inverse, 2))
     strength = size * (0.1, 0.3, 1.0)[attempt % 3]

@@ -13,7 +13,12 @@ from residua import arrays
 from residua.analysis.unknown_input import with_needed_equations
 from residua.design.core.evidence import Evidence
 from residua.design.observers.estimate_check import check_estimate
-from residua.design.observers.observer import Observer, in_units_of_the_plant, without_measured_equations
+from residua.design.observers.observer import (
+    Observer,
+    in_units_of_the_plant,
+    kept_observer_for,
+    without_measured_equations,
+)
 from residua.design.observers.observer_gain import margin_from, place, pole_evidence
 from residua.errors import AccuracyError, DesignError
 from residua.linear.poles.matrix_poles import explicit_poles
@@ -22,9 +27,10 @@ from residua.linear.poles.spectrum import describe_modes
 from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.far_gain import refuse_far_gain
 from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_basis, without_noise
+from residua.linear.systems.array_cache import cached_by_contents
 from residua.linear.systems.balancing import descriptor_units, sum_without_rounding, without_rounding
 from residua.plant import Plant
-from residua.plant.comparable_units import even_plant
+from residua.plant.comparable_units import canonical_units, even_plant
 from residua.tolerances import IDENTITY, RESIDUE, ROUNDING, TINY, above_rounding
 
 
@@ -45,11 +51,28 @@ def reduced_observer(
     :math:`X = X_0 - L N`, where the rows of ``N`` annihilate :math:`[E Q, E_d]`, so that ``F`` is that of an
     ordinary observer for the pair :math:`(N A Q, X_0 A Q)`.
     """
-    even = even_plant(plant)
     chosen = arrays.different_positions(outputs, plant.outputs, "output")
+    units = canonical_units(plant)
+    return kept_observer_for(
+        plant, units, _designed(units.applied(plant), method, reference, chosen, poles, margin, rtol)
+    )
+
+
+@cached_by_contents
+def _designed(
+    plant: Plant,
+    method: str,
+    reference: str,
+    chosen: list[int],
+    poles: Sequence[complex] | ArrayLike | None,
+    margin: float | None,
+    rtol: float,
+) -> Observer:
+    """Return the observer of a plant in its own units that uses the numbered outputs."""
+    even = even_plant(plant)
     if plant.E is not None:
         measured, N = with_needed_equations(even.plant, used=chosen, rtol=rtol)
-        chosen += range(plant.n_outputs, measured.n_outputs)
+        chosen = [*chosen, *range(plant.n_outputs, measured.n_outputs)]
         made = _reduced(measured, method, reference, chosen, poles, margin, rtol)
         made = without_measured_equations(made, even.plant, N)
     else:

@@ -23,15 +23,22 @@ from residua.design.core.evidence import Evidence
 from residua.design.core.method import method
 from residua.design.core.own_time import in_own_time
 from residua.design.observers.estimate_check import check_estimate
-from residua.design.observers.observer import Observer, in_units_of_the_plant, without_measured_equations
+from residua.design.observers.observer import (
+    Observer,
+    in_units_of_the_plant,
+    kept_observer_for,
+    without_measured_equations,
+)
 from residua.design.observers.observer_gain import gain_size, margin_from, place, pole_evidence
 from residua.errors import AccuracyError, DesignError
 from residua.linear.poles.placement import Placement
 from residua.linear.subspaces.far_gain import refuse_far_gain
 from residua.linear.subspaces.observability import staircase
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision
+from residua.linear.systems.array_cache import cached_by_contents
 from residua.linear.systems.balancing import sum_without_rounding, without_rounding
 from residua.plant import Plant
+from residua.plant.comparable_units import canonical_units
 from residua.tolerances import IDENTITY, TINY, above_rounding
 from residua.words import counted
 
@@ -125,7 +132,16 @@ def unknown_input_observer(
            [0., 0.],
            [0., 0.]])
     """
-    return observer_of(plant, decomposed_existence(plant, rtol=rtol), poles, margin, H0, rtol)
+    if H0 is not None:  # as the equations say, in the units of the plant
+        return observer_of(plant, decomposed_existence(plant, rtol=rtol), poles, margin, H0, rtol)
+    units = canonical_units(plant)
+    return kept_observer_for(plant, units, _designed(units.applied(plant), poles, margin, rtol))
+
+
+@cached_by_contents
+def _designed(plant: Plant, poles: Sequence[complex] | ArrayLike | None, margin: float | None, rtol: float) -> Observer:
+    """Return the observer of a plant in its own units."""
+    return observer_of(plant, decomposed_existence(plant, rtol=rtol), poles, margin, None, rtol)
 
 
 def observer_of(

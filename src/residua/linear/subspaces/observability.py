@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -73,16 +73,34 @@ class Detectability:
     detectable : bool
     unobservable_modes, unstable_modes : ndarray of complex
         All unobservable modes, and those of them that are not stable (the boundary counts as unstable).
-    form : ObservabilityForm
+    size : float
+        Spectral norm of ``A`` in balanced units.
+    in_doubt : bool
+        Whether rounding may have decided a rank, or moved a mode by more than 1e-10 of ``size``.
+    A, C : ndarray
+        What was asked about.
+    rtol : float
     undecided : bool
-        Whether all of the latter may be stable: rounding may have scattered them from one place across the boundary.
+        Whether all unstable modes may be stable: rounding may have scattered them from one place across the boundary.
     """
 
     detectable: bool
     unobservable_modes: NDArray[np.complex128]
     unstable_modes: NDArray[np.complex128]
-    form: ObservabilityForm
+    size: float
+    in_doubt: bool
+    A: NDArray[np.float64] = field(repr=False)
+    C: NDArray[np.float64] = field(repr=False)
+    rtol: float = DEFAULT_RTOL
     undecided: bool = False
+
+    @cached_property
+    def form(self) -> ObservabilityForm:
+        """The pair in coordinates in which what is seen stands first; see `observability_form`, which may refuse.
+
+        The answer does not need them: modes are those of balanced units.
+        """
+        return copied(_kept_form(self.A, self.C, rtol=self.rtol))
 
     def __bool__(self) -> bool:
         return self.detectable
@@ -283,9 +301,7 @@ def observability_form(A: ArrayLike, C: ArrayLike, *, rtol: float = DEFAULT_RTOL
     >>> form.n_observable, form.unobservable_modes
     (1, array([-2.+0.j]))
     """
-    A = arrays.matrix(A, "A", (None, None))
-    A = arrays.matrix(A, "A", (A.shape[0], A.shape[0]))
-    C = arrays.matrix(C, "C", (None, A.shape[0]))
+    A, C = _pair(A, C)
     form = staircase(A, C, rtol=rtol)
     k = form.n_observable
     Q, residual = _in_units_of_caller(form, A, C, rtol)
@@ -302,6 +318,22 @@ def observability_form(A: ArrayLike, C: ArrayLike, *, rtol: float = DEFAULT_RTOL
 
 
 _kept_form = cached_by_contents(observability_form)
+
+
+def _pair(A: ArrayLike, C: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return matrices that go together, as floats."""
+    A = arrays.matrix(A, "A", (None, None))
+    A = arrays.matrix(A, "A", (A.shape[0], A.shape[0]))
+    return A, arrays.matrix(C, "C", (None, A.shape[0]))
+
+
+@cached_by_contents
+def _kept_modes(
+    A: NDArray[np.float64], C: NDArray[np.float64], *, rtol: float
+) -> tuple[NDArray[np.complex128], NDArray[np.float64], float, bool]:
+    """Return the modes that no output sees, what rounding may have done to each, the size of ``A``, and a doubt."""
+    form = staircase(A, C, rtol=rtol)
+    return *form.hidden_modes, form.size, form.in_doubt
 
 
 def detectability(A: ArrayLike, C: ArrayLike, *, dt: float = 0, rtol: float = DEFAULT_RTOL) -> Detectability:
@@ -329,9 +361,9 @@ def detectability(A: ArrayLike, C: ArrayLike, *, dt: float = 0, rtol: float = DE
     >>> bool(detectability([[-1.0, 0.0], [0.0, 0.0]], [[1.0, 0.0]]))
     False
     """
-    form = copied(_kept_form(A, C, rtol=rtol))
-    stable = dies_out(form.unobservable_modes, form.mode_uncertainty, dt, form.size)
-    unstable = form.unobservable_modes[~stable]
-    may = may_die_out(form.unobservable_modes, form.mode_uncertainty, dt, form.size)
-    undecided = bool(unstable.size and may[~stable].all())
-    return Detectability(not unstable.size, form.unobservable_modes, unstable, form, undecided)
+    A, C = _pair(A, C)
+    modes, uncertainty, size, in_doubt = copied(_kept_modes(A, C, rtol=rtol))
+    stable = dies_out(modes, uncertainty, dt, size)
+    undecided = not stable.all() and bool(may_die_out(modes, uncertainty, dt, size)[~stable].all())
+    own = A.copy(), C.copy()  # theirs may change
+    return Detectability(bool(stable.all()), modes, modes[~stable], size, in_doubt, *own, rtol, undecided)

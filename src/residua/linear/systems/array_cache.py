@@ -32,6 +32,8 @@ _PLAIN = (type(None), bool, int, str, bytes)
 _KEPT = 512
 #: ... and the bytes that those of all functions take together, with what they are known by.
 _MOST_BYTES = 2**26
+#: Beyond, a part of them is let go of at once: whose result is the oldest is asked of all functions each time.
+_LET_GO = 1 / 16
 #: Bytes of an array besides its entries.
 _OBJECT = 128
 #: What has no parts.
@@ -93,6 +95,8 @@ class Latest(Generic[R]):
     def __init__(self, kept: int = _KEPT) -> None:
         self._results: OrderedDict[Hashable, _Kept[R]] = OrderedDict()
         self._kept, self.bytes = kept, 0
+        self._last: _Kept[R] | None = None  # the one that was used last, and its key
+        self._last_key: Hashable = None
         with _lock:
             _all.add(self)
 
@@ -100,6 +104,7 @@ class Latest(Generic[R]):
         """Let go of all results."""
         with _lock:
             self._results.clear()
+            self._last = self._last_key = None
             self._count(-self.bytes)
 
     def of(self, key: Hashable, compute: Callable[[], R]) -> R:
@@ -135,8 +140,10 @@ class Latest(Generic[R]):
         with _lock:
             known = self._results.get(key)
             if known is not None:
-                self._measure_again()
-                self._results.move_to_end(key)
+                if known is not self._last:
+                    self._measure_again()
+                    self._results.move_to_end(key)
+                    self._last, self._last_key = known, key
                 known.used = next(_uses)
         return known
 
@@ -147,7 +154,8 @@ class Latest(Generic[R]):
         with _lock:
             if size <= _MOST_BYTES and key not in self._results:
                 self._measure_again()
-                self._results[key] = _Kept(result, size, next(_uses), growing, _fields_of(growing))
+                self._results[key] = kept = _Kept(result, size, next(_uses), growing, _fields_of(growing))
+                self._last, self._last_key = kept, key
                 self._count(size)
                 if len(self._results) > self._kept:
                     self._drop_oldest()
@@ -165,18 +173,19 @@ class Latest(Generic[R]):
         return next(iter(self._results.values())).used if self._results else float("inf")
 
     def _drop_oldest(self) -> None:
-        self._count(-self._results.popitem(last=False)[1].bytes)
+        oldest = self._results.popitem(last=False)[1]
+        if oldest is self._last:
+            self._last = self._last_key = None
+        self._count(-oldest.bytes)
 
     def _measure_again(self) -> None:
         """Count what was added to the result that was used last, such as a cached property, since it was kept."""
-        if self._results:
-            key = next(reversed(self._results))
-            last = self._results[key]
-            if last.growing and _fields_of(last.growing) != last.size:
-                size, last.growing = _bytes(last.result)
-                size += _bytes_of_key(key)
-                self._count(size - last.bytes)
-                last.bytes, last.size = size, _fields_of(last.growing)
+        last = self._last
+        if last is not None and last.growing and _fields_of(last.growing) != last.size:
+            size, last.growing = _bytes(last.result)
+            size += _bytes_of_key(self._last_key)
+            self._count(size - last.bytes)
+            last.bytes, last.size = size, _fields_of(last.growing)
 
 
 def _answer(kept: R) -> R:
@@ -192,10 +201,11 @@ def _fields_of(growing: list[dict[str, Any]]) -> int:
 
 
 def _drop_to_limit() -> None:
-    """Let go of the results that were used least recently until the others are within the limit. Needs the lock."""
+    """Let go of the results that were used least recently until the others are below the limit. Needs the lock."""
     functions = list(_all)
     _kept_at_most.bytes = sum([one.bytes for one in functions])
-    while _kept_at_most.bytes > _MOST_BYTES:
+    limit = (1 - _LET_GO) * _MOST_BYTES
+    while _kept_at_most.bytes > limit:
         oldest = min(functions, key=lambda one: one._oldest_use)
         if not oldest._results:  # nor has any other: an interruption has come between a result and its count
             _kept_at_most.bytes = 0
@@ -203,7 +213,7 @@ def _drop_to_limit() -> None:
                 one.bytes = 0
         # all of one that are older than those of the others
         others = min([one._oldest_use for one in functions if one is not oldest], default=float("inf"))
-        while _kept_at_most.bytes > _MOST_BYTES and oldest._oldest_use < others:
+        while _kept_at_most.bytes > limit and oldest._oldest_use < others:
             oldest._drop_oldest()
 
 

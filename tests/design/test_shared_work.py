@@ -1,0 +1,113 @@
+"""What the designs for one plant share, and what of their checks is left out since nothing depends on it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import residua as rs
+from residua.design.core import internal_form
+from residua.design.core.internal_form import frequency_grid
+from residua.design.detection_filters import directional_gain
+from residua.linear import StateSpace
+from residua.linear.systems import resolvent
+
+
+def _plant(n: int = 6, outputs: int = 4) -> rs.Plant:
+    rng = np.random.default_rng([n, outputs, 2616])
+    A = rng.standard_normal((n, n)) / np.sqrt(n) - 2 * np.eye(n)
+    plant = rs.Plant(A, rng.standard_normal((n, 2)), rng.standard_normal((outputs, n)))
+    plant = plant.with_faults({"f1": rng.standard_normal(n), "f2": rng.standard_normal(n)})
+    return plant.with_noise(process=1.0, measurement=0.1)
+
+
+def _filter(*poles: float) -> StateSpace:
+    n = len(poles)
+    return StateSpace(np.diag(poles), np.ones((n, 1)), np.ones((1, n)))
+
+
+def test_filters_of_a_plant_whose_poles_differ_a_little_have_the_same_frequencies() -> None:
+    plant = _filter(-1.0, -3.0)
+    first, second, far = (frequency_grid(_filter(-2.0, pole), plant) for pole in (-5.0, -7.3, -9.0))
+    np.testing.assert_array_equal(first, second)
+    assert far[-1] > second[-1]
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_frequencies_go_from_far_below_all_poles_to_far_above_them_in_every_unit_of_time(seed: int) -> None:
+    poles = -np.exp(np.random.default_rng(seed).uniform(-9, 9, 5))
+    w = frequency_grid(_filter(*poles))
+    assert w[0] <= 0.0104 * np.abs(poles).min()
+    assert w[-1] >= 103.7 * np.abs(poles).max()
+    for power in (-20, -1, 7, 20):
+        np.testing.assert_array_equal(frequency_grid(_filter(*2.0**power * poles)), 2.0**power * w)
+
+
+def test_poles_at_round_numbers_that_rounding_moves_have_the_same_frequencies_to_rounding() -> None:
+    for pole in (0.25, 1.0, 8.0):
+        grids = [frequency_grid(_filter(-1.0, -pole * (1 + e))) for e in (-1e-12, 0.0, 1e-12)]
+        np.testing.assert_allclose(grids[0], grids[1], rtol=1e-10)
+        np.testing.assert_allclose(grids[2], grids[1], rtol=1e-10)
+
+
+def _count_points(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Count the points at which systems are evaluated from now on."""
+    points: list[int] = []
+    own = StateSpace.evaluate
+
+    def counted(self: StateSpace, at: Any) -> NDArray[np.complex128]:
+        points.append(np.size(at))
+        return own(self, at)
+
+    monkeypatch.setattr(StateSpace, "evaluate", counted)
+    return points
+
+
+def test_few_frequencies_tell_that_all_residuals_are_independent(monkeypatch: pytest.MonkeyPatch) -> None:
+    generator = rs.design.detection_filter(_plant())
+    points = _count_points(monkeypatch)
+    assert generator.residual_rank == 4
+    assert sum(points) <= 6
+
+
+def test_all_frequencies_tell_that_residuals_are_copies(monkeypatch: pytest.MonkeyPatch) -> None:
+    plant = rs.Plant([[-1.0, 2.0], [0.0, -3.0]], [[1.0], [1.0]], [[1.0, 0.0], [1.0, 0.0]])
+    plant = plant.with_faults({"f1": [1.0, 0.0], "f2": [0.0, 1.0]})
+    generator = rs.design.luenberger_observer(plant).residual_generator()
+    points = _count_points(monkeypatch)
+    assert generator.n_residuals == 2
+    assert generator.residual_rank == 1
+    assert sum(points) >= 60
+
+
+def test_faults_that_one_filter_keeps_apart_are_tried_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+    own = directional_gain.obstacle
+
+    def counted(A: Any, C: Any, events: Any, dt: float) -> str | None:
+        asked.append(len(events))
+        return own(A, C, events, dt)
+
+    monkeypatch.setattr(directional_gain, "obstacle", counted)
+    rs.design.detection_filter(_plant())
+    assert asked == [2]
+
+
+def test_the_plant_is_eliminated_once_for_filters_with_the_same_frequencies(monkeypatch: pytest.MonkeyPatch) -> None:
+    plant = _plant(40, 10)
+    places: list[NDArray[np.float64]] = []
+    own = resolvent._factors
+
+    def noted(A: Any, E: Any, points: Any) -> Any:
+        if len(points) == internal_form.POINTS:
+            places.append(A)
+        return own(A, E, points)
+
+    monkeypatch.setattr(resolvent, "_factors", noted)
+    slowest = float(np.abs(plant.system(()).poles()).max())
+    for margin in (0.9 * slowest, 0.95 * slowest):
+        rs.design.luenberger_observer(plant, margin=margin).residual_generator()
+    assert len(places) == 3  # two filters and the plant
