@@ -73,8 +73,6 @@ class Detectability:
     detectable : bool
     unobservable_modes, unstable_modes : ndarray of complex
         All unobservable modes, and those of them that are not stable (the boundary counts as unstable).
-    undecided : bool
-        Whether all of the latter may be stable: rounding may have scattered them from one place across the boundary.
     size : float
         Spectral norm of ``A`` in balanced units.
     in_doubt : bool
@@ -82,6 +80,8 @@ class Detectability:
     A, C : ndarray
         What was asked about.
     rtol : float
+    undecided : bool
+        Whether all unstable modes may be stable: rounding may have scattered them from one place across the boundary.
     """
 
     detectable: bool
@@ -364,7 +364,6 @@ def detectability(A: ArrayLike, C: ArrayLike, *, dt: float = 0, rtol: float = DE
     A, C = _pair(A, C)
     modes, uncertainty, size, in_doubt = copied(_kept_modes(A, C, rtol=rtol))
     stable = dies_out(modes, uncertainty, dt, size)
-    unstable = modes[~stable]
-    undecided = bool(unstable.size and may_die_out(modes, uncertainty, dt, size)[~stable].all())
+    undecided = not stable.all() and bool(may_die_out(modes, uncertainty, dt, size)[~stable].all())
     own = A.copy(), C.copy()  # theirs may change
-    return Detectability(not unstable.size, modes, unstable, size, in_doubt, *own, rtol, undecided)
+    return Detectability(bool(stable.all()), modes, modes[~stable], size, in_doubt, *own, rtol, undecided)
