@@ -1,15 +1,15 @@
 """Locks that are free in a process that was forked, and what they guard in one piece there.
 
 A process that is forked while another thread holds a lock has a copy of it that nobody lets go, and of what is half
-changed. So a fork waits until it holds all of them.
+changed. So a fork waits until it holds all of them. An error that comes while it waits, as of Ctrl-C, is only written
+to standard error by Python, which then forks all the same, without waiting any longer.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
 from itertools import count
-from threading import Lock, RLock
+from threading import RLock, local
 from weakref import WeakValueDictionary
 
 #: How long a fork waits for one lock with others in hand, at first: a thread may hold that one and want these.
@@ -17,8 +17,18 @@ _PATIENCE = 0.1
 
 _numbers = count()
 _locks: WeakValueDictionary[int, RLock] = WeakValueDictionary()
-_listing, _forking = Lock(), Lock()
-_held: list[RLock] = []
+#: Who has either may ask for it: Python may call the handler of a signal meanwhile, which makes a lock, or forks.
+_listing, _forking = RLock(), RLock()
+
+
+class _Own(local):
+    """What the forks hold that a thread is about to make: one, or another one of a handler within it."""
+
+    def __init__(self) -> None:
+        self.held: list[list[RLock]] = []
+
+
+_own = _Own()
 
 
 def forkable_lock() -> RLock:
@@ -31,48 +41,49 @@ def forkable_lock() -> RLock:
 
 def _listed() -> dict[int, RLock]:
     with _listing:
-        return dict(_locks)
+        return {one.key: lock for one in _locks.valuerefs() if (lock := one()) is not None}
 
 
 def _take_all() -> None:
     """Take all locks, and that of the list of them; one thread at a time."""
+    held: list[RLock] = []
+    _own.held.append(held)
     _forking.acquire()
+    held.append(_forking)
     patience = _PATIENCE
     first: int | None = None
     while True:
         locks = _listed()
-        # The latest first, as threads do: a monitor's, and within that what everybody shares.
-        order = sorted(locks, key=lambda number: (number != first, -number))
-        first = _take((locks[number] for number in order), patience)
+        first = _take(locks, held, patience, first)
         if first is None:
             _listing.acquire()
-            if locks.keys() == dict(_locks).keys():
+            held.append(_listing)
+            first = _take({n: lock for n, lock in _listed().items() if n not in locks}, held, patience)
+            if first is None:
                 return
-            _listing.release()
-        else:
-            first = order[first]
-        _let_go()
+        _let_go(held, but=1)
         patience *= 2
 
 
-def _take(locks: Iterable[RLock], patience: float) -> int | None:
-    """Take locks one after the other; return the place of one that did not come free, if any."""
-    for place, lock in enumerate(locks):
-        if not lock.acquire(timeout=patience if _held else -1):
-            return place
-        _held.append(lock)
+def _take(locks: dict[int, RLock], held: list[RLock], patience: float, first: int | None = None) -> int | None:
+    """Take locks one after the other; return the number of one that did not come free, if any."""
+    # The latest first, as threads do: a monitor's, and within that what everybody shares.
+    for number in sorted(locks, key=lambda number: (number != first, -number)):
+        if not locks[number].acquire(timeout=patience if len(held) > 1 else -1):
+            return number
+        held.append(locks[number])
     return None
 
 
-def _let_go() -> None:
-    while _held:
-        _held.pop().release()
+def _let_go(held: list[RLock], but: int = 0) -> None:
+    """Let go of the last of these locks, but so many."""
+    while len(held) > but:
+        held.pop().release()
 
 
 def _let_all_go() -> None:
-    _let_go()
-    _forking.release()
-    _listing.release()
+    if _own.held:  # unless an interruption came before all else
+        _let_go(_own.held.pop())
 
 
 if hasattr(os, "register_at_fork"):
