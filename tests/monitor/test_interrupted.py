@@ -317,6 +317,39 @@ def test_what_alarms_did_in_a_block_that_was_interrupted_comes_with_the_next_one
     assert late
 
 
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda fleet: fleet,
+        lambda fleet: fleet.add(["new"]),
+        lambda fleet: fleet.remove([8]),
+        lambda fleet: rs.Fleet.joined(fleet.split(3)),
+    ],
+    ids=["none", "added", "removed", "split and joined"],
+)
+def test_what_alarms_did_in_an_interrupted_block_is_told_when_plants_have_come_and_gone(
+    change: Callable[[rs.Fleet], rs.Fleet | None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was lost with the block that the plants were in before."""
+    u, y = data(9, 60)
+    y[0, 55:57, 0] += 3.0
+    before, ids = of_one_monitor().snapshot(), list(range(9))
+    interrupted, whole = (rs.Fleet.restore(before, NORM) for _ in range(2))
+    events = whole.follow(ids, u[:, 40:57], y[:, 40:57])
+    with monkeypatch.context() as patch:
+
+        def interrupts(*_: Any) -> None:
+            raise KeyboardInterrupt
+
+        patch.setattr(interrupted._blocks[""], "_follow_skipped", interrupts)
+        with pytest.raises(KeyboardInterrupt):
+            interrupted.follow(ids, u[:, 40:57], y[:, 40:57])
+    fleet = change(interrupted) or interrupted
+    assert {"raised", "ended"} <= {event.kind for event in events}
+    told = [event for event in events if event.plant in fleet.plants]
+    assert fleet.follow([0], u[:1, 57:], y[:1, 57:]) == told + whole.follow([0], u[:1, 57:], y[:1, 57:])
+
+
 @pytest.mark.skipif(fused._kernel is None, reason="no compiled kernel")
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
 def test_a_block_is_undone_where_an_isolation_in_numpy_raises(

@@ -592,6 +592,7 @@ class FleetBlock:
         ids = [self.ids[row] for row in rows]
         part = FleetBlock(self.monitor, ids, rows_of(self.state, rows), self.standing.of(rows), self.skipped.of(rows))
         part.take_over(rows_of(self.last, rows), self._made[rows], self._place_in_made[rows])
+        part._untold = [event for event in self._untold if event.plant in part.rows]
         return part
 
     def take_over(self, last: LastSample, made: NDArray | None = None, places: NDArray | None = None) -> None:
@@ -612,6 +613,7 @@ class FleetBlock:
         made = np.concatenate([part._made for part in parts])
         places = np.concatenate([part._place_in_made for part in parts])
         whole.take_over(_stacked([part.last for part in parts]), made, places)
+        whole._untold = [event for part in parts for event in part._untold]
         return whole
 
 
