@@ -74,6 +74,11 @@ def test_names_are_imported_when_they_are_first_asked_for() -> None:
     assert not [name for name in loaded("residua.Monitor") if name.startswith("residua.identify")]
 
 
+def test_the_catalogue_of_methods_is_found_without_an_import_of_its_own() -> None:
+    """The page on methods uses it so."""
+    assert "residua.design.catalogue" in loaded("residua.design.catalogue.methods()")
+
+
 @pytest.mark.parametrize("path", facades(), ids=module_of)
 def test_no_room_imports_its_files(path: Path) -> None:
     """So that a file that needs its room waits for nothing that waits for the file, in whichever threads."""

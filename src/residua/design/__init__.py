@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from residua.facade import hand_on
 
 if TYPE_CHECKING:
+    from residua.design import catalogue
     from residua.design.banks.actuator_fault_bank import actuator_fault_bank
     from residua.design.banks.bank import Bank
     from residua.design.banks.decoupled_residual import decoupled_residual
@@ -81,6 +82,7 @@ __all__ = [
     "SensorFaultEstimators",
     "Suggestion",
     "actuator_fault_bank",
+    "catalogue",
     "certified_thresholds",
     "chow_willsky_matrices",
     "closed_loop",
@@ -167,4 +169,5 @@ hand_on(
         "residua.robust.parity.optimal_parity": ("OptimalParity", "optimal_parity"),
         "residua.robust.parity.select_equations": ("EquationChoice", "select_equations"),
     },
+    ["residua.design.catalogue"],
 )
