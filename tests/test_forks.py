@@ -12,12 +12,15 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import pytest
 
 import residua as rs
 from residua import forks
+from residua.errors import DataError
 from residua.forks import forkable_lock
+from residua.monitor.fleet_block import FleetBlock
 from running_examples import plant, recording
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are not forked here")
@@ -120,7 +123,9 @@ def test_a_handler_of_a_signal_may_make_a_lock_while_one_is_made() -> None:
 
 def test_a_handler_of_a_signal_may_fork_while_a_fork_waits() -> None:
     """In a process without ``concurrent.futures``, whose own lock no such fork gets."""
-    done = subprocess.run([sys.executable, "-W", "ignore", "-c", FORK_IN_A_HANDLER], capture_output=True, text=True, timeout=60)
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", FORK_IN_A_HANDLER], capture_output=True, text=True, timeout=60
+    )
     assert (done.returncode, done.stdout, done.stderr) == (0, "inner 0\nouter 0\n", "")
 
 
@@ -216,6 +221,36 @@ def test_a_child_goes_on_with_whole_blocks() -> None:
         is_over.set()
         thread.join()
     assert ends == [0] * 6
+
+
+def test_a_fleet_that_is_forked_in_the_middle_of_a_block_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    fleet = rs.Fleet(rs.Monitor(rs.design.kalman_filter(plant())), plants=["north"])
+    u, y = recording(3)
+    is_within, ends = threading.Event(), threading.Event()
+    follow = FleetBlock._follow_block
+
+    def waits(*block: Any) -> None:
+        is_within.set()
+        ends.wait()
+        follow(*block)
+
+    def refuses() -> bool:
+        monkeypatch.undo()
+        with pytest.raises(DataError, match="forked in the middle of a block"):
+            fleet.tick(None, u[:1], y[:1])
+        return True
+
+    monkeypatch.setattr(FleetBlock, "_follow_block", waits)
+    thread = threading.Thread(target=fleet.run, args=(u[None], y[None]))
+    thread.start()
+    is_within.wait()
+    try:
+        assert status_of_child(refuses) == 0
+    finally:
+        ends.set()
+        thread.join()
+    monkeypatch.undo()
+    assert fleet.tick(None, u[:1], y[:1]).statistic.shape == (1,)
 
 
 def test_a_fork_waits_for_no_thread_that_waits_for_it() -> None:

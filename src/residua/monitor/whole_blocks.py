@@ -309,7 +309,8 @@ class Worker:
         if work.is_under_way:
             raise DataError(
                 "a block is under way: a test or an isolation of your own calls the monitor or the fleet that it runs "
-                "in, or two threads share a fleet. Take what it needs before the block, or a copy of the monitor"
+                "in, two threads share a fleet, or this process was forked in the middle of a block. Take what it "
+                "needs before the block, or a copy of the monitor"
             )
         work.wait()  # an interruption may have come in the middle of this, too
         if work.is_begun and not work.take_back():
