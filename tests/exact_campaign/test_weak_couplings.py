@@ -128,7 +128,9 @@ def test_rational_zeros_are_those_of_the_largest_minors(kind: str, seed: int) ->
     for which, B, D in (("d", plant.Bd, plant.Dd), ("none", plant.Bd[:, :0], plant.Dd[:, :0])):
         wanted, rank = questions.zeros_from(X, which)
         left = reduced(plant.A, B, plant.C, D, RATIONAL)
-        zeros = rational_roots(characteristic_polynomial(left.A, RATIONAL))
+        polynomial = characteristic_polynomial(left.A)
+        assert polynomial is not None
+        zeros = rational_roots(polynomial)
         assert zeros is not None
         assert (left.rank, len(zeros)) == (rank - X.n, wanted.degree())
         assert zeros_missed(zeros, wanted, 1.0) < 1e-13

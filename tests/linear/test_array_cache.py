@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import threading
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, cast
@@ -427,6 +428,23 @@ def test_mappings_of_evidence_that_are_handed_out_are_the_users_own(dt):
         for mapping in mappings(ask()):
             mapping["changed"] = 1.0
         assert not any("changed" in mapping for mapping in mappings(ask()))
+
+
+@pytest.mark.parametrize(
+    "design",
+    [
+        rs.design.luenberger_observer,
+        rs.design.unknown_input_observer,
+        lambda plant: rs.design.perfect_observer(plant, least_order=True),
+        lambda plant: rs.design.fault_estimator(plant).observer,
+    ],
+)
+def test_mappings_of_observers_that_are_handed_out_are_the_users_own(design: Callable[[rs.Plant], Any]) -> None:
+    """What was written into the observer of a fault estimator was in that of the next one."""
+    plant = rs.Plant([[-1, 1], [0, -2]], [[0], [1]], np.eye(2)).with_actuator_faults()
+    for name in ("decoupling", "conditions", "ranks"):
+        getattr(design(plant).evidence, name)["changed"] = 1.0
+        assert "changed" not in getattr(design(plant).evidence, name)
 
 
 class Interrupted(array_cache.Latest[np.ndarray]):

@@ -252,7 +252,7 @@ def fault_estimator(
         raise SettingError(f"bandwidth must be a positive number in rad/s, got {as_given(bandwidth)!r}")
     units = canonical_units(plant)
     own = _designed(units.applied(plant), names, poles, margin, bandwidth, rtol)
-    return _in_units_of(plant, names, units, own)
+    return _in_units_of(plant, names, units, copied(own))  # what is kept is not handed out to be changed
 
 
 @dataclass(frozen=True, eq=False)
@@ -327,7 +327,7 @@ def _in_units_of(plant: Plant, names: tuple[str, ...], units: PlantUnits, own: _
         system,
         plant,
         _METHOD,
-        copied(own.evidence),  # what is kept is not handed out to be changed
+        own.evidence,
         decouples=Decoupled(),
         known_form=form,
         state_units=1 / z,

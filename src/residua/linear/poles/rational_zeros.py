@@ -13,10 +13,10 @@ finding all zeros of a polynomial simultaneously, Math. Comp. 27 (1973) 339-344.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
+from math import floor, lcm
 from typing import Any
 
 import numpy as np
@@ -26,8 +26,11 @@ Matrix = NDArray[np.float64]
 Rows = list[list[Any]]
 
 _EPS = float(np.finfo(float).eps)
-#: Ranks modulo this prime are those of the rational numbers, but for an accident of one in 10^17.
-_PRIME = 2**61 - 1
+#: Ranks modulo this prime, the first after 10^18 pi, are those of the rational numbers, but for an accident of one in
+#: 10^17. Of a prime beside a power of two, powers of two that are so far apart would be the same.
+_PRIME = 3141592653589793239
+#: Binary digits of all entries of a matrix up to which its characteristic polynomial takes less than a second.
+_LONGEST = 2**18
 #: Roots are there after a few rounds; where they are not, nothing is returned.
 _ROUNDS = 100
 
@@ -180,39 +183,23 @@ def _without_inputs(A: Rows, B: Rows, C: Rows, D: Rows, field: Field) -> Rows:
     return out
 
 
-def characteristic_polynomial(A: Rows, field: Field) -> list[Any]:
-    """Return the coefficients of ``det(sI - A)``, highest first, by way of a Hessenberg matrix."""
-    H, n = [list(row) for row in A], len(A)
-    for k in range(n - 2):
-        found = next((i for i in range(k + 1, n) if H[i][k]), None)
-        if found is None:
-            continue
-        H[k + 1], H[found] = H[found], H[k + 1]
-        for row in H:
-            row[k + 1], row[found] = row[found], row[k + 1]
-        inverse = field.inverse(H[k + 1][k])
-        for i in range(k + 2, n):
-            if H[i][k]:
-                factor = field.reduced(H[i][k] * inverse)
-                H[i] = _minus(H[i], factor, H[k + 1], field)
-                for row in H:
-                    row[k + 1] = field.reduced(row[k + 1] + factor * row[i])
-    one = field.of(1.0)
-    leading: Rows = [[one]]  # of the leading blocks, lowest coefficient first
-    for k in range(n):
-        new = [field.of(0.0), *leading[k]]
-        product = one
-        for i in range(k, -1, -1):
-            factor = field.reduced(product * H[i][k])
-            if factor:
-                lower = leading[i]
-                new[: len(lower)] = _minus(new[: len(lower)], factor, lower, field)
-            if i:
-                product = field.reduced(product * H[i][i - 1])
-                if not product:
-                    break
-        leading.append(new)
-    return leading[n][::-1]
+def characteristic_polynomial(A: Rows) -> list[Fraction] | None:
+    """Return the coefficients of ``det(sI - A)``, highest first; nothing where they are too long to wait for.
+
+    By the method of Faddeev and Le Verrier in whole numbers: its divisions leave no rest. Fractions would be shortened
+    at every step, which takes longer than all else.
+    """
+    n, unit = len(A), lcm(*(x.denominator for row in A for x in row))
+    M = np.array([[x.numerator * (unit // x.denominator) for x in row] for row in A], dtype=object).reshape(n, n)
+    if n * n * max((x.bit_length() for x in M.flat), default=0) > _LONGEST:
+        return None
+    out, P, diagonal = [Fraction(1)], np.eye(n, dtype=int).astype(object), np.arange(n)
+    for k in range(1, n + 1):
+        P = M @ P
+        c = -sum(P[diagonal, diagonal].tolist()) // k
+        out.append(Fraction(c, unit**k))
+        P[diagonal, diagonal] += c
+    return out
 
 
 def _derivative(p: list[Any], field: Field) -> list[Any]:
@@ -249,6 +236,8 @@ def different_factors(p: list[Fraction]) -> list[tuple[list[Fraction], int]]:
     out: list[tuple[list[Fraction], int]] = []
     if len(p) == 1:
         return out
+    if _has_no_repeated_root(p):
+        return [(p, 1)]
     slope = _derivative(p, RATIONAL)
     common = _common(p, slope, RATIONAL)
     rest, times = _divided(p, common, RATIONAL)[0], 0
@@ -269,22 +258,35 @@ def different_factors(p: list[Fraction]) -> list[tuple[list[Fraction], int]]:
     return out
 
 
+def _has_no_repeated_root(p: list[Fraction]) -> bool:
+    """Tell by residues, which is sure, and fast; what is not told so may have one, or not."""
+    if any(a.denominator % _PRIME == 0 for a in p):
+        return False
+    residues = [a.numerator * pow(a.denominator, -1, _PRIME) % _PRIME for a in p]
+    return len(_common(residues, _derivative(residues, MODULAR), MODULAR)) == 1
+
+
 def roots(p: list[Fraction]) -> NDArray[np.complex128] | None:
     """Return the roots of a monic polynomial without repeated ones, each to the last digits; or nothing."""
     z = _first_roots(p)
     if z is None:
         return None
-    slope = _derivative(p, RATIONAL)
+    unit = lcm(*(a.denominator for a in p))
+    whole = [a.numerator * (unit // a.denominator) for a in p]
+    slope = [a * (len(p) - 1 - i) for i, a in enumerate(whole[:-1])]
     for _ in range(_ROUNDS):
-        step = np.array([_newton(p, slope, x) for x in z.tolist()])
+        if not np.all(np.isfinite(z)):
+            return None
+        step = np.array([_newton(whole, slope, x) for x in z.tolist()])
         apart = z[:, None] - z
         np.fill_diagonal(apart, 1.0)
-        if not (np.all(apart) and np.all(np.isfinite(step))):
+        if not np.all(apart):
             return None
-        inverse = 1.0 / apart
-        np.fill_diagonal(inverse, 0.0)
-        moved = step / (1.0 - step * inverse.sum(axis=1))
-        z = z - moved
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what is not finite ends it
+            inverse = 1.0 / apart
+            np.fill_diagonal(inverse, 0.0)
+            moved = step / (1.0 - step * inverse.sum(axis=1))
+            z = z - moved
         if np.all(np.abs(moved) <= 4 * _EPS * np.abs(z)):
             return _mirrored(z)
     return None
@@ -294,7 +296,7 @@ def _first_roots(p: list[Fraction]) -> NDArray[np.complex128] | None:
     """Return roots to begin with, off the real axis: those of the companion matrix where they are of size one."""
     n = len(p) - 1
     sizes = [(a.numerator.bit_length() - a.denominator.bit_length()) / i for i, a in enumerate(p) if i and a]
-    shift = math.floor(max(sizes, default=0.0) + 0.5)
+    shift = floor(max(sizes, default=0.0) + 0.5)
     try:
         scaled = [float(a / Fraction(2) ** (shift * i)) for i, a in enumerate(p)]
     except OverflowError:
@@ -306,23 +308,27 @@ def _first_roots(p: list[Fraction]) -> NDArray[np.complex128] | None:
     return np.asarray(np.ldexp(z.real, shift) + 1j * np.ldexp(z.imag, shift)) * turn
 
 
-def _newton(p: list[Fraction], slope: list[Fraction], z: complex) -> complex:
-    """Return the step of Newton's method, without rounding but that of the result."""
-    value, own = _value(p, z), _value(slope, z)
-    size = own[0] ** 2 + own[1] ** 2
+def _newton(p: list[int], slope: list[int], z: complex) -> complex:
+    """Return the step of Newton's method, without rounding but that of the result; nan where there is none."""
+    (x, below_x), (y, below_y) = z.real.as_integer_ratio(), z.imag.as_integer_ratio()
+    places = max(below_x, below_y).bit_length() - 1  # both are powers of two
+    x, y = x << places - below_x.bit_length() + 1, y << places - below_y.bit_length() + 1
+    value, own = _value(p, x, y, places), _value(slope, x, y, places)
+    size = (own[0] ** 2 + own[1] ** 2) << places
     if not size:
         return complex(np.nan)
-    real = (value[0] * own[0] + value[1] * own[1]) / size
-    imaginary = (value[1] * own[0] - value[0] * own[1]) / size
-    return complex(float(real), float(imaginary))
+    try:
+        real = (value[0] * own[0] + value[1] * own[1]) / size
+        return complex(real, (value[1] * own[0] - value[0] * own[1]) / size)
+    except OverflowError:
+        return complex(np.nan)
 
 
-def _value(p: list[Fraction], z: complex) -> tuple[Fraction, Fraction]:
-    """Return the real and the imaginary part of a polynomial at a point."""
-    x, y = Fraction(z.real), Fraction(z.imag)
-    real, imaginary = Fraction(0), Fraction(0)
-    for a in p:
-        real, imaginary = real * x - imaginary * y + a, real * y + imaginary * x
+def _value(p: list[int], x: int, y: int, places: int) -> tuple[int, int]:
+    """Return the real and the imaginary part of a polynomial at a point, each with so many places for every degree."""
+    real, imaginary = 0, 0
+    for i, a in enumerate(p):
+        real, imaginary = real * x - imaginary * y + (a << places * i), real * y + imaginary * x
     return real, imaginary
 
 

@@ -77,8 +77,9 @@ def are_exact(*matrices: Matrix) -> bool:
 
 
 def _exact_zeros(M: Matrices) -> NDArray[np.complex128] | None:
-    """Return the zeros of a system from rational numbers, if their roots are found."""
-    return rational_roots(characteristic_polynomial(reduced(*M, RATIONAL).A, RATIONAL))
+    """Return the zeros of a system from rational numbers, if these are not too long and their roots are found."""
+    polynomial = characteristic_polynomial(reduced(*M, RATIONAL).A)
+    return None if polynomial is None else rational_roots(polynomial)
 
 
 @dataclass(frozen=True, eq=False)
