@@ -190,7 +190,7 @@ def _settled(form: Staircase, decided: WeakCouplings) -> Staircase:
     if not in_doubt and (k == n or form.hidden_modes[1].max() <= RANK * form.size):
         return form
     found = settled_hidden_part(form.A, form.C, form.hidden_modes[0])
-    if found is None:
+    if found is None or (not in_doubt and found.basis.shape[1] != n - k):  # couplings that are surely rounding are none
         return replace(form, in_doubt=True)
     Q, modes = form.Q, found.modes
     if in_doubt:
