@@ -152,3 +152,13 @@ def test_hidden_lags_that_feedback_makes_unstable_are_a_fact() -> None:
     found = rs.linear.detectability(*equal_lags(1e-10, 0))
     assert not found
     assert not found.undecided
+
+
+@pytest.mark.parametrize("residue", [2.0**-56, 0.1 * 3 - 0.3])
+def test_what_rounding_leaves_of_zero_couplings_does_not_show_a_hidden_double_mode(residue: float) -> None:
+    """Of so few digits it looked exact: the modes of two states were said to be those of none, and none unstable."""
+    A = np.array([[-3.0, -3, 0, -residue], [0, -2, 0, 0], [residue, 0, 1, 1], [residue, -residue, -1, -1]])
+    form = rs.linear.observability_form(A, [[2.0, -2.0, 0.0, 0.0]])
+    assert form.n_observable == 2
+    np.testing.assert_allclose(form.unobservable_modes, [0, 0], atol=1e-7)
+    assert not rs.linear.detectability(A, [[2.0, -2.0, 0.0, 0.0]])

@@ -6,8 +6,18 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from residua.linear.poles.rational_zeros import characteristic_polynomial, different_factors, rational_roots
-from residua.linear.poles.settled_zeros import counted_hidden
+from residua.linear.poles import settled_zeros
+from residua.linear.poles.rational_zeros import (
+    RATIONAL,
+    Field,
+    Matrix,
+    Reduced,
+    characteristic_polynomial,
+    different_factors,
+    rational_roots,
+    reduced,
+)
+from residua.linear.poles.settled_zeros import counted_hidden, settled, settled_hidden_part
 
 
 def _product(*factors: list[Fraction]) -> list[Fraction]:
@@ -54,3 +64,21 @@ def test_repeated_factors_are_told_from_near_ones() -> None:
     one, near = [Fraction(1), Fraction(-1)], [Fraction(1), Fraction(-1) - Fraction(1, 2**60)]
     assert different_factors(_product(one, near)) == [(_product(one, near), 1)]
     assert different_factors(_product(one, one, one, near)) == [(near, 1), (one, 3)]
+
+
+def test_where_residues_count_nothing_no_rational_number_is_computed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of 23 states with 32 binary digits they took seconds, to say the same."""
+
+    def watched(A: Matrix, B: Matrix, C: Matrix, D: Matrix, field: Field) -> Reduced:
+        assert field is not RATIONAL
+        return reduced(A, B, C, D, field)
+
+    monkeypatch.setattr(settled_zeros, "reduced", watched)
+    A, C = np.rint(np.random.default_rng(0).normal(0, 2**20, (8, 8))), np.eye(1, 8)
+    found = settled_hidden_part(A, C, np.zeros(0, dtype=complex))
+    assert found is not None
+    assert found.modes is not None
+    assert (found.basis.shape, found.modes.shape) == ((8, 0), (0,))
+    rank, zeros = settled((A, np.eye(8, 0), C, np.eye(1, 0)), (1, None))
+    assert zeros is not None
+    assert (rank, zeros.shape) == (0, (0,))

@@ -66,7 +66,7 @@ def settled(M: Matrices, found: Found, *, unless_alike: bool = False) -> Found:
         return found
     if not are_exact(*M) and (zeros is None or not _is_more_degenerate(structure, (rank, len(zeros)), M[3].shape)):
         return found
-    exact = _exact_zeros(M)
+    exact = _exact_zeros(M, structure[1])
     return found if exact is None else (structure[0], exact)
 
 
@@ -76,8 +76,10 @@ def are_exact(*matrices: Matrix) -> bool:
     return bool(np.all(whole == np.rint(whole)))
 
 
-def _exact_zeros(M: Matrices) -> NDArray[np.complex128] | None:
-    """Return the zeros of a system from rational numbers, if these are not too long and their roots are found."""
+def _exact_zeros(M: Matrices, count: int) -> NDArray[np.complex128] | None:
+    """Return so many zeros of a system from rational numbers, if these are not too long and their roots are found."""
+    if not count:
+        return np.zeros(0, dtype=complex)
     polynomial = characteristic_polynomial(reduced(*M, RATIONAL).A)
     return None if polynomial is None else rational_roots(polynomial)
 
@@ -111,8 +113,9 @@ def settled_hidden_part(A: Matrix, C: Matrix, modes: NDArray[np.complex128]) -> 
     if count is None or (not exact and count <= len(modes)):
         return None
     M = _without_inputs(A, C)
-    basis = np.array([[float(x) for x in row] for row in reduced(*M, RATIONAL).basis]).reshape(len(A), count)
-    return HiddenPart(basis, _exact_zeros(M) if exact else None)
+    rows = reduced(*M, RATIONAL).basis if count else []
+    basis = np.array([[float(x) for x in row] for row in rows]).reshape(len(A), count)
+    return HiddenPart(basis, _exact_zeros(M, count) if exact else None)
 
 
 def counted_hidden(A: Matrix, C: Matrix) -> int | None:

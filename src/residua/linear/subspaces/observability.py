@@ -192,6 +192,8 @@ def _settled(form: Staircase, decided: WeakCouplings) -> Staircase:
     found = settled_hidden_part(form.A, form.C, form.hidden_modes[0])
     if found is None:
         return replace(form, in_doubt=True)
+    if not in_doubt and found.basis.shape[1] != n - k:  # by couplings that are surely rounding, as the modes may be
+        return form
     Q, modes = form.Q, found.modes
     if in_doubt:
         k = n - found.basis.shape[1]
