@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 _BITS = 200
 #: A response below this part of the terms that it is the sum of is none: the plant's own numbers have no more digits.
 _NO_RESPONSE = 1e-13
+#: What a ball is asked whether it holds.
+_ZERO = acb(0)
 
 
 def _matrix(M: NDArray) -> acb_mat:
@@ -22,10 +24,10 @@ def _matrix(M: NDArray) -> acb_mat:
 
 @dataclass(frozen=True, eq=False)
 class _Solved:
-    """A system at a point: its response, and the solution ``X = (sE - A)^-1 B`` that it comes of."""
+    """A system at a point: its response, and the sizes of the solution ``X = (sE - A)^-1 B`` that it comes of."""
 
     M: acb_mat | None
-    X: acb_mat | None
+    sizes_of_X: NDArray[np.float64] | None
     response: acb_mat
     terms: NDArray[np.float64]
 
@@ -43,12 +45,13 @@ class _System:
             return _Solved(None, None, self.D, self.sizes_of_D)
         M = self.E * s - self.A
         X = M.solve(self.B)
-        return _Solved(M, X, self.C * X + self.D, self.sizes_of_C @ np.abs(_floats(X)) + self.sizes_of_D)
+        sizes = np.abs(_floats(X))
+        return _Solved(M, sizes, self.C * X + self.D, self.sizes_of_C @ sizes + self.sizes_of_D)
 
 
 def _floats(M: acb_mat) -> NDArray[np.complex128]:
     """Return the middles of the balls as floats; a ball that holds zero, with a radius that no float sees, is zero."""
-    entries = [0.0 if z.contains(0) else complex(z) for z in M.entries()]
+    entries = [0.0 if z.contains(_ZERO) else complex(z) for z in M.entries()]
     return np.array(entries, dtype=complex).reshape(M.nrows(), M.ncols())
 
 
@@ -57,10 +60,10 @@ def _made_of(found: _Solved, B: NDArray, C: NDArray) -> NDArray[np.float64]:
 
     The terms of its sum, and what every number of the equations moves it by, relative to that number.
     """
-    if found.M is None or found.X is None:
+    if found.M is None or found.sizes_of_X is None:
         return found.terms
-    X, Y = np.abs(_floats(found.X)), np.abs(_floats(found.M.transpose().solve(_matrix(C.T)))).T
-    return found.terms + Y @ (np.abs(_floats(found.M)) @ X + np.abs(B))
+    Y = np.abs(_floats(found.M.transpose().solve(_matrix(C.T)))).T
+    return found.terms + Y @ (np.abs(_floats(found.M)) @ found.sizes_of_X + np.abs(B))
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,36 +145,86 @@ def frequencies(dt: float, rates: float = 1.0) -> list[float]:
     return [x * rates for x in (0.0137, 0.2113, 1.7311, 13.371)]
 
 
-def paths(filter: Any, plant: Any, y: NDArray[np.float64], w: list[float]) -> Paths:
-    """Return the responses of a filter from controls and outputs of a plant, whose outputs have units ``y``."""
+@dataclass(frozen=True, eq=False)
+class Scales:
+    """Powers of two that take a plant to base units: a signal there is the factor times that of the plant.
+
+    ``equations`` and ``rate`` are what the equations, and the rates in them, were multiplied by.
+    """
+
+    states: NDArray[np.float64]
+    equations: NDArray[np.float64]
+    outputs: NDArray[np.float64]
+    inputs: NDArray[np.float64]  # controls, disturbances and faults
+    rate: float
+
+    def of_plant(self, E: NDArray | None, A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> tuple[NDArray | None, ...]:
+        """Return the matrices of the plant in base units."""
+        left, rates = self.equations[:, None], self.rate * self.equations[:, None]
+        y = self.outputs[:, None]
+        whole = None if E is None else E / left / self.states
+        return whole, A / rates / self.states, B / rates / self.inputs, y * C / self.states, y * D / self.inputs
+
+    def of_filter(self, filter: Any, controls: int) -> tuple[tuple[NDArray, ...], NDArray[np.float64]]:
+        """Return the matrices of a filter for that plant, its states and residuals of sizes near one, and these."""
+        signals = np.concatenate([self.inputs[:controls], self.outputs])
+        A, B, C, D = filter.A / self.rate, filter.B / self.rate / signals, filter.C, filter.D / signals
+        x = _power_of_two(np.abs(B).max(axis=1, initial=0.0))
+        r = _power_of_two(np.abs(np.hstack([C * x, D])).max(axis=1, initial=0.0))
+        return (A / x[:, None] * x, B / x[:, None], C / r[:, None] * x, D / r[:, None]), r
+
+
+def _power_of_two(sizes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the power of two below each size, one for zero."""
+    return np.ldexp(1.0, np.where(sizes > 0, np.frexp(sizes)[1], 0))
+
+
+def paths(filter: Any, plant: Any, y: NDArray[np.float64], w: list[float], scales: Scales | None = None) -> Paths:
+    """Return the responses of a filter from controls and outputs of a plant, whose outputs have units ``y``.
+
+    What is the same filter of the same plant in base units is evaluated once: powers of two change no digit.
+    """
+    B, D = np.hstack([plant.Bu, plant.Bd, plant.Bf]), np.hstack([plant.Du, plant.Dd, plant.Df])
+    if scales is None:
+        scales = Scales(*(np.ones(count) for count in (len(plant.A), len(plant.A), len(D), D.shape[1])), 1.0)
+    of_plant = scales.of_plant(plant.E, plant.A, B, plant.C, D)
+    of_filter, residuals = scales.of_filter(filter, len(plant.inputs))
+    points = tuple(x / scales.rate for x in w)
+    sizes = len(plant.inputs), len(plant.disturbances)
+    entries = [_bytes(M) for M in (*of_plant, *of_filter)]
+    found = _paths(sizes, float(plant.dt), points, _bytes((y / scales.outputs)[None]), *entries)
+    units = residuals[:, None] * scales.inputs
+    return replace(found, total=units * found.total, terms=units * found.terms, reach=units * found.reach)
+
+
+@lru_cache(maxsize=128)
+def _paths(sizes: tuple[int, int], dt: float, w: tuple[float, ...], y: bytes, *entries: bytes) -> Paths:
+    """Return the responses; arrays come as their shapes and bytes, which can be kept."""
     before, ctx.prec = ctx.prec, _BITS
     try:
-        m = len(plant.inputs)
-        B = np.hstack([plant.Bu, plant.Bd, plant.Bf])
-        D = np.hstack([plant.Du, plant.Dd, plant.Df])
-        dt = float(plant.dt)
-        entries = [_bytes(M) for M in (plant.E, plant.A, B, plant.C, D)]
+        m, of_plant, units = sizes[0], entries[:5], _array(y)[0]
+        A, B, C, D = (_array(one) for one in entries[5:])
+        rest = _array(of_plant[2]).shape[1] - m
         total, terms, reach, own = [], [], [], []
-        system = _System(None, filter.A, filter.B, filter.C, filter.D)
+        system = _System(None, A, B, C, D)
         for x in w:
-            at = _plant_at(x, dt, m, *entries)
+            at = _plant_at(x, dt, m, *of_plant)
             of_filter = system.at(at.s)
             Q, r, rows = of_filter.response, at.sizes, of_filter.response.nrows()
             whole = Q * at.signals
             q = np.abs(_floats(Q))
-            inside = (of_filter.terms[:, m:] / y).max(axis=1, initial=0.0)
-            own.append((q[:, m:] / y).max(axis=1, initial=0.0) / np.where(inside > 0, inside, 1.0))
+            inside = (of_filter.terms[:, m:] / units).max(axis=1, initial=0.0)
+            largest = (q[:, m:] / units).max(axis=1, initial=0.0)
+            own.append(largest / np.where(inside > 0, inside, 1.0))
             # a control that no residual reads is no response either, though its ways cancel in the states of the filter
-            made = _made_of(of_filter, filter.B, filter.C)[:, :m]
+            made = _made_of(of_filter, B, C)[:, :m]
             direct = np.where(q[:, :m] < _NO_RESPONSE * made, made, q[:, :m])
-            direct = np.hstack([direct, np.zeros((rows, B.shape[1] - m))])
+            direct = np.hstack([direct, np.zeros((rows, rest))])
             total.append(_floats(whole))
             terms.append(direct + q[:, m:] @ r)
-            largest = (q[:, m:] / y).max(axis=1, initial=0.0)
-            reach.append(direct + np.outer(largest, (r * y[:, None]).max(axis=0, initial=0.0)))
-        apart = _apart(*entries)
+            reach.append(direct + np.outer(largest, (r * units[:, None]).max(axis=0, initial=0.0)))
         relative = np.array(own).max(axis=0, initial=0.0)
-        return Paths(np.array(total), np.array(terms), np.array(reach), m, len(plant.disturbances), apart, relative)
+        return Paths(np.array(total), np.array(terms), np.array(reach), *sizes, _apart(*of_plant), relative)
     finally:
         ctx.prec = before
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import residua as rs
+from exact.responses import Scales
 from residua.plant.comparable_units import unit_of_rates_of
 
 Rows = list[list[Fraction]]
@@ -123,6 +124,26 @@ def plant_of(case: Case, by: Units | None = None, *, noise: bool = False) -> rs.
     if noise:
         plant = plant.with_noise(process=np.diag(rates**2), measurement=np.diag(1 / by.y**2))
     return plant
+
+
+def units_of_faults(plant: rs.Plant, by: Units) -> NDArray[np.float64]:
+    """Return the factors of the faults of a plant: those of sensors and actuators have that of their channel."""
+    units = np.ones(len(plant.faults))
+    for i, fault in enumerate(plant.fault_list):
+        if fault.kind == "sensor":
+            units[i] = by.y[plant.outputs.index(fault.component)]
+        else:
+            units[i] = by.u[plant.inputs.index(fault.component)] if fault.kind == "actuator" else by.f[i]
+    return units
+
+
+def scales_of(plant: rs.Plant, by: Units) -> Scales | None:
+    """Return the powers of two that take a plant in some units to base units; ``None`` where these are no such."""
+    if by.name == "powers of ten":
+        return None
+    equations = 1 / by.x if plant.E is None else by.r
+    inputs = np.concatenate([by.u, by.d, units_of_faults(plant, by)])
+    return Scales(by.x, equations, by.y, inputs, by.t)
 
 
 def literal(plant: rs.Plant) -> str:

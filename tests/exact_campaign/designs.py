@@ -13,6 +13,7 @@ from exact.matrices import block, rank
 from exact.plants import ExactPlant
 from exact.stability import distance_to_boundary
 from exact_campaign.answers import Record, Subject
+from exact_campaign.cases import units_of_faults
 from exact_campaign.generators import examine_estimate, examine_generator
 
 #: Rows of a structure that banks are asked for, attainable ones and others.
@@ -214,14 +215,8 @@ def _banks_of_rows(subject: Subject) -> None:
 def _sizes(subject: Subject) -> dict[str, float]:
     """Return one base unit of each fault and disturbance in the units of the plant: the same expected sizes."""
     plant, by = subject.plant, subject.by
-    sizes = {name: 1 / by.d[i] for i, name in enumerate(plant.disturbances)}
-    for i, fault in enumerate(plant.fault_list):
-        if fault.kind == "sensor":
-            unit = by.y[plant.outputs.index(fault.component)]
-        else:
-            unit = by.u[plant.inputs.index(fault.component)] if fault.kind == "actuator" else by.f[i]
-        sizes[plant.faults[i]] = 1 / unit
-    return {name: float(size) for name, size in sizes.items()}
+    units = np.concatenate([by.d, units_of_faults(plant, by)])
+    return {name: float(1 / unit) for name, unit in zip((*plant.disturbances, *plant.faults), units, strict=True)}
 
 
 def _parity(subject: Subject) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from exact.responses import Paths, frequencies, paths
 from exact_campaign.answers import Record, Subject, plain
+from exact_campaign.cases import scales_of
 
 #: A response above this, relative to the terms that cancel there, is a leak.
 _LEAK = 1e-6
@@ -35,7 +37,7 @@ def examine_generator(subject: Subject, record: Record, made: Any, plant: Any, p
     """Check leak, structure and subspaces of a generator, and keep its facts."""
     y = _output_units(subject, plant)
     w = _frequencies(subject, plant)
-    found = paths(made.system, plant, y, w)
+    found = paths(made.system, plant, y, w, scales_of(plant, subject.by))
     decoupled = any(name in made.evidence.decoupling for name in ("disturbance", "everything ignored"))
     structure = np.asarray(made.structure)
     live = _live(found, structure)
@@ -182,7 +184,9 @@ def examine_estimate(subject: Subject, record: Record, system: Any, plant: Any, 
     B = np.hstack([system.B, zero((len(system.A), n))])
     error = SimpleNamespace(A=system.A, B=B, C=system.C, D=D)
     y = np.concatenate([_output_units(subject, plant), subject.by.x])
-    found = paths(error, seen, y, _frequencies(subject, plant))
+    scales = scales_of(plant, subject.by)
+    scales = scales and replace(scales, outputs=y)
+    found = paths(error, seen, y, _frequencies(subject, plant), scales)
     for name, columns in [("control", found.to_controls), ("disturbance", found.to_disturbances)]:
         if name == "disturbance" and not decoupled:
             continue
