@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 import residua as rs
-from exact import pencils, questions
+from exact import pencils, questions, responses
 from exact.plants import exact_plant
 from exact_campaign import examination, runs
 from exact_campaign.analyses import analyses
 from exact_campaign.answers import FAILURES, Record, Subject, answered, without_numbers
-from exact_campaign.cases import Case, base_units, literal, plant_of, units
+from exact_campaign.cases import Case, base_units, in_other_time, literal, plant_of, scales_of, units
 from exact_campaign.generators import examine_generator
 from exact_campaign.kinds import KINDS, case_of
 from exact_campaign.results import counted, smallest_failures
@@ -91,6 +91,23 @@ def problems(made: rs.design.ResidualGenerator) -> set[str]:
 
 def test_a_sound_generator_has_no_problem() -> None:
     assert problems(rs.design.decoupled_residual(subject().plant)) == set()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_responses_of_a_filter_in_base_units_are_those_in_powers_of_two(kind: str) -> None:
+    """To the last bit, and evaluated once for the plant in base units and in others."""
+    case = case_of(kind, 5)
+    evaluated = responses._paths.cache_info
+    for by in (base_units(case), in_other_time(case, units(case, 5, powers_of_two=True), 5)):
+        plant = plant_of(case, by)
+        made = rs.design.primary_residuals(plant)
+        asked = made.system, made.plant, by.y, [x * by.t for x in responses.frequencies(plant.dt)]
+        plain, before = responses.paths(*asked), evaluated()
+        scaled = responses.paths(*asked, scales_of(made.plant, by))
+        assert by.name == "base" or evaluated().misses == before.misses
+        assert plain.reach.any()
+        for name, value in vars(plain).items():
+            assert np.array_equal(value, getattr(scaled, name)), name
 
 
 def test_a_leak_of_a_millionth_is_noticed() -> None:
