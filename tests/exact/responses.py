@@ -22,10 +22,10 @@ def _matrix(M: NDArray) -> acb_mat:
 
 @dataclass(frozen=True, eq=False)
 class _Solved:
-    """A system at a point: its response, and the solution ``X = (sE - A)^-1 B`` that it comes of."""
+    """A system at a point: its response, and the sizes of the solution ``(sE - A)^-1 B`` that it comes of."""
 
     M: acb_mat | None
-    X: acb_mat | None
+    sizes: NDArray[np.float64] | None
     response: acb_mat
     terms: NDArray[np.float64]
 
@@ -43,7 +43,8 @@ class _System:
             return _Solved(None, None, self.D, self.sizes_of_D)
         M = self.E * s - self.A
         X = M.solve(self.B)
-        return _Solved(M, X, self.C * X + self.D, self.sizes_of_C @ np.abs(_floats(X)) + self.sizes_of_D)
+        sizes = np.abs(_floats(X))
+        return _Solved(M, sizes, self.C * X + self.D, self.sizes_of_C @ sizes + self.sizes_of_D)
 
 
 def _floats(M: acb_mat) -> NDArray[np.complex128]:
@@ -57,10 +58,10 @@ def _made_of(found: _Solved, B: NDArray, C: NDArray) -> NDArray[np.float64]:
 
     The terms of its sum, and what every number of the equations moves it by, relative to that number.
     """
-    if found.M is None or found.X is None:
+    if found.M is None or found.sizes is None:
         return found.terms
-    X, Y = np.abs(_floats(found.X)), np.abs(_floats(found.M.transpose().solve(_matrix(C.T)))).T
-    return found.terms + Y @ (np.abs(_floats(found.M)) @ X + np.abs(B))
+    of_rows = np.abs(_floats(found.M.transpose().solve(_matrix(C.T)))).T
+    return found.terms + of_rows @ (np.abs(_floats(found.M)) @ found.sizes + np.abs(B))
 
 
 @dataclass(frozen=True, eq=False)
