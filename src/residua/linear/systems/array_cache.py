@@ -254,7 +254,7 @@ def cached_by_entries(function: Callable[..., R]) -> Callable[..., R]:
     def cached(*matrices: NDArray) -> R:
         arrays = [np.asarray(M, dtype=float) for M in matrices]
         # a copy: results may be views of the arguments, which the caller may write to
-        return latest.of(entries(*arrays), lambda: function(*(read_only(M.copy()) for M in arrays)))
+        return latest.of(entries(*arrays), lambda: function(*map(_own, arrays)))
 
     return cached
 
@@ -313,7 +313,7 @@ def cached_by_contents(function: Callable[..., R]) -> Callable[..., R]:
 
         def compute() -> R:
             # of the arrays among the values it has copies, and the dictionary with the options is its own
-            others = [*(value for value in values if type(value) is not np.ndarray), *options.values()]
+            others = *(value for value in values if type(value) is not np.ndarray), *options.values()
             return _apart_from(function(*map(_own, own), **options), others)
 
         return latest.of_texts(key, compute)
@@ -323,14 +323,10 @@ def cached_by_contents(function: Callable[..., R]) -> Callable[..., R]:
 
 def _own(value: Any) -> Any:
     """Return an argument that nobody else writes to, if it is an array."""
-    return read_only(value.copy()) if type(value) is np.ndarray else value
-
-
-def read_only(result: R) -> R:
-    """Return a result whose arrays, its own or those of its parts, refuse to be written to."""
-    for part in _arrays(result):
-        part.flags.writeable = False
-    return result
+    if type(value) is np.ndarray:
+        value = value.copy()
+        value.flags.writeable = False
+    return value
 
 
 def copied(result: R) -> R:
@@ -338,7 +334,7 @@ def copied(result: R) -> R:
     return _rebuilt(result, lambda _: True)
 
 
-def _apart_from(result: R, arguments: list[object]) -> R:
+def _apart_from(result: R, arguments: tuple[object, ...]) -> R:
     """Return a result with copies of what its arguments hold and their owner may write to, and of views of that."""
     theirs = {
         _memory(part)
@@ -415,11 +411,6 @@ def _parts(value: object) -> Iterator[object]:
             left += part.values()
         elif _is_dataclass(kind):
             left += getattr(part, "__dict__", {}).values()
-
-
-def _arrays(result: object) -> Iterator[NDArray]:
-    """Return the arrays of a result: itself, or those in it and in its parts."""
-    return (part for part in _parts(result) if isinstance(part, np.ndarray))
 
 
 def _bytes(value: object, *, freeze: bool = False) -> tuple[int, list[dict[str, Any]]]:
