@@ -7,8 +7,11 @@ import pytest
 import scipy.linalg
 
 import residua as rs
+from exact.responses import paths
 from generated import random_plant
+from guards import trips
 from residua.design.core.internal_form import internal_form
+from residua.errors import AccuracyError
 
 STEPS = (0.1, 0.001)
 
@@ -90,3 +93,17 @@ def test_an_oscillator_is_seen_between_samples() -> None:
     plant = rs.Plant([[0, 1.0], [-1, 0]], [[0.0], [1]], [[1.0, 0]]).with_noise(process=0.3, measurement=0.1)
     made = rs.design.luenberger_observer(plant.with_sensor_faults()).residual_generator().discretize(0.2)
     assert scipy.linalg.norm(made.internal_form().A[2:, :2]) > 0
+
+
+@trips("design.core.sampled_form:refuse_growth")
+def test_a_step_is_refused_in_which_the_plant_outgrows_the_digits() -> None:
+    """A mode at 256 1/s grows by exp(25.6) in a tenth of a second: responses were wrong without a word."""
+    plant = rs.Plant([[256.0, 1], [0, -1]], [[1.0], [1]], np.eye(2)).with_sensor_faults().with_actuator_faults()
+    made = rs.design.parity_relations(plant)
+    with pytest.raises(AccuracyError, match=r"grows by exp\(26\).*at most 0\.078 s"):
+        made.discretize(0.1)
+    sampled, w = made.discretize(0.077), [0.1, 1.0, 10.0]
+    wanted = paths(sampled.system, sampled.plant, np.ones(2), w)  # with 200 bits
+    found = sampled.internal_form().frequency_response(w)
+    missed = np.abs(found - wanted.total[:, :, wanted.to_faults]) / wanted.terms[:, :, wanted.to_faults]
+    assert missed.max() < 1e-6

@@ -214,13 +214,17 @@ def _settled_fixed_poles(
     return zeros, zeros[~stable], True
 
 
+def _cannot_be_told(pair: str, zero: str) -> str:
+    return (
+        f"whether {pair} is detectable cannot be told: rounding may have moved {zero}, one of several near one place, "
+        "across the boundary of stability; add a sensor"
+    )
+
+
 def _unstable_fixed_pole(unstable: NDArray[np.complex128], told: bool, q: int) -> str:
     bad = describe_modes(unstable)
     if not told:
-        return (
-            f"whether (C, A1) is detectable cannot be told: rounding may have moved the invariant zero {bad} of "
-            "(A, E, C), one of several near one place, across the boundary of stability; add a sensor"
-        )
+        return _cannot_be_told("(C, A1)", f"the invariant zero {bad} of (A, E, C)")
     if not q:
         return f"(C, A) is not detectable: no measurement sees the mode {bad}; add a sensor"
     return (
@@ -460,10 +464,7 @@ class SingularDecoupling:
 def _unstable_zero_of_singular(seen: Detectability) -> str:
     bad = describe_modes(seen.unstable_modes)
     if seen.undecided:
-        return (
-            f"whether ([C; N A], T A) is detectable cannot be told: rounding may have moved the finite invariant zero "
-            f"{bad} of (E, A, D, C), one of several near one place, across the boundary of stability; add a sensor"
-        )
+        return _cannot_be_told("([C; N A], T A)", f"the finite invariant zero {bad} of (E, A, D, C)")
     return (
         f"([C; N A], T A) is not detectable: the finite invariant zero {bad} of (E, A, D, C) is a fixed pole "
         "outside the stability region; add a sensor, or decouple other disturbances"

@@ -54,6 +54,15 @@ class PlantUnits:
     faults: Factors
     noise: float = 1.0
 
+    @property
+    def signals(self) -> Factors:
+        """What the columns of a filter of inputs and outputs are multiplied by, for the scaled plant."""
+        return np.concatenate([self.inputs, 1 / self.outputs])
+
+    def hidden(self, noises: int) -> Factors:
+        """Return the same for columns of faults, disturbances and so many noises."""
+        return np.concatenate([self.faults, self.disturbances, np.full(noises, self.noise)])
+
     def applied(self, plant: Plant) -> Plant:
         """Return the plant in these units."""
         R, S, Y = self.equations[:, None], self.states, self.outputs[:, None]
@@ -180,6 +189,13 @@ def even_plant(plant: Plant, *, explicit: bool = False) -> EvenPlant:
         return EvenPlant(second.plant, first.units.then(second.units, explicit=True))
     units = copied(_even.of(_matrices(plant), lambda: _even_units(plant)))  # which answers about a plant hold
     return EvenPlant(units.applied(plant), units)
+
+
+def plant_contents(plant: Plant) -> Hashable:
+    """Return by what a plant is known, where something about it is kept: all that a design reads of it."""
+    p = plant
+    matrices = entries(p.A, p.E, p.C, p.Bu, p.Du, p.Bd, p.Dd, p.Bf, p.Df, p.Bw, p.Dw)
+    return matrices, p.dt, p.inputs, p.outputs, p.states, p.disturbances, p.faults
 
 
 def _matrices(plant: Plant) -> Hashable:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +15,7 @@ from residua.linear import StateSpace
 from residua.linear.systems.array_cache import Latest, entries
 from residua.linear.systems.balancing import power_of_two
 from residua.plant import Plant
-from residua.plant.comparable_units import PlantUnits, canonical_units
+from residua.plant.comparable_units import PlantUnits, canonical_units, plant_contents
 
 Factors = NDArray[np.float64]
 
@@ -59,13 +58,11 @@ class _Filter:
 
     def for_scaled(self, units: PlantUnits) -> _Filter:
         """Return the filter for the plant in other units."""
-        signals = np.concatenate([units.inputs, 1 / units.outputs])
-        system = self.system.replaced(B=self.system.B * signals, D=self.system.D * signals)
+        system = self.system.replaced(B=self.system.B * units.signals, D=self.system.D * units.signals)
         form = self.form
         if form is not None:
-            known = np.concatenate([units.faults, units.disturbances])
-            known = np.concatenate([known, np.full(form.n_inputs - len(known), units.noise)])
-            form = form.replaced(B=form.B * known, D=form.D * known)
+            hidden = units.hidden(form.n_inputs - len(units.faults) - len(units.disturbances))
+            form = form.replaced(B=form.B * hidden, D=form.D * hidden)
         T, V = (None if M is None else M / units.equations for M in (self.T, self.V))
         return _Filter(system, T, V, form)
 
@@ -99,7 +96,7 @@ _own: Latest[Plant] = Latest()
 
 def _own_plant(plant: Plant, units: PlantUnits) -> Plant:
     """Return a plant in its canonical units; of one plant always the same, which keeps its systems and their poles."""
-    return _own.of((_matrices(plant), *_named(plant)), lambda: _applied(units, plant))
+    return _own.of(plant_contents(plant), lambda: _applied(units, plant))
 
 
 def _applied(units: PlantUnits, plant: Plant) -> Plant:
@@ -107,14 +104,6 @@ def _applied(units: PlantUnits, plant: Plant) -> Plant:
     if plant.E is None:
         own.system(()).with_poles_of(plant.system(()))
     return own
-
-
-def _matrices(p: Plant) -> Hashable:
-    return entries(p.A, p.E, p.C, p.Bu, p.Du, p.Bd, p.Dd, p.Bf, p.Df, p.Bw, p.Dw)
-
-
-def _named(plant: Plant) -> tuple[Hashable, ...]:
-    return plant.dt, plant.inputs, plant.outputs, plant.states, plant.disturbances, plant.faults
 
 
 def checked(
@@ -144,8 +133,7 @@ def checked(
     key = (
         entries(s.A, s.B, s.C, s.D, scaled.T, scaled.V),
         None if known is None else entries(known.A, known.B, known.C, known.D),
-        _matrices(own),
-        _named(own),
+        plant_contents(own),
         decoupled,
     )
     found = _kept.of_texts(key, lambda: _measured(scaled, own, evidence, decoupled))

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from residua.design.core.generator import ResidualGenerator
 from residua.design.core.signatures import Signature
 from residua.linear import StateSpace
-from residua.linear.systems.array_cache import Latest, copied, entries
+from residua.linear.systems.array_cache import Latest, copied
 from residua.plant import Plant
-from residua.plant.comparable_units import PlantUnits, canonical_units
+from residua.plant.comparable_units import PlantUnits, canonical_units, plant_contents
 
 _kept: Latest[ResidualGenerator] = Latest()
 
@@ -34,9 +34,7 @@ def designed_in_own_units(
     own = units.applied(plant)
     if asked is None:
         return in_units_of(plant, units, design(own))
-    matrices = entries(own.A, own.E, own.C, own.Bu, own.Du, own.Bd, own.Dd, own.Bf, own.Df, own.Bw, own.Dw)
-    names = (own.inputs, own.outputs, own.states, own.disturbances, own.faults)
-    return in_units_of(plant, units, _kept.of_texts((asked, matrices, own.dt, *names), lambda: design(own)))
+    return in_units_of(plant, units, _kept.of_texts((asked, plant_contents(own)), lambda: design(own)))
 
 
 def in_units_of(
@@ -75,12 +73,12 @@ def _rescaled(
     made: ResidualGenerator, plant: Plant, units: PlantUnits, power: float, known: StateSpace | None = None
 ) -> ResidualGenerator:
     """Return a generator from scaled units to those of the plant, or the other way with a power of minus one."""
-    signals = np.concatenate([1 / units.inputs, units.outputs]) ** power
+    signals = (1 / units.signals) ** power
     equations = units.equations**power
     known = made.known_form if known is None else known
     if known is not None:
-        noises = np.full(known.n_inputs - len(units.faults) - len(units.disturbances), 1 / units.noise)
-        through = np.concatenate([1 / units.faults, 1 / units.disturbances, noises]) ** power
+        noises = known.n_inputs - len(units.faults) - len(units.disturbances)
+        through = (1 / units.hidden(noises)) ** power
         known = known.replaced(B=known.B * through, D=known.D * through)
     return replace(
         made,

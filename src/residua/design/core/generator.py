@@ -22,7 +22,7 @@ from residua.design.core.internal_form import (
 )
 from residua.design.core.own_time import has_rates
 from residua.design.core.responses import covariance_of_sums, steady_responses
-from residua.design.core.sampled_form import sampled_form
+from residua.design.core.sampled_form import refuse_growth, sampled_form
 from residua.design.core.signals import discretized_filter, run_signals, sampled_filter
 from residua.errors import AccuracyError
 from residua.linear import RankDecision, StateSpace, decide_rank
@@ -295,9 +295,16 @@ class ResidualGenerator:
         Returns
         -------
         ResidualGenerator
+
+        Raises
+        ------
+        AccuracyError
+            If an unstable plant grows so much from one sample to the next (more than :math:`10^8`) that its digits hide
+            the residual.
         """
         system = discretized_filter(self.system, self.plant, dt, hold_outputs)
         plant = self.plant.discretize(dt)
+        refuse_growth(plant)
         known = None
         if self.state_map is not None and plant.n_states == self.plant.n_states:
             known = sampled_form(self.system, self.state_map, self.plant, system, plant, hold_outputs)

@@ -17,12 +17,27 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
+from residua.errors import AccuracyError
 from residua.linear import StateSpace
+from residua.linear.poles.spectrum import spectral_radius
 from residua.linear.poles.zero_structure import rounding_of, scatter_of, without_zero_eigenvalues
 from residua.linear.subspaces.observability import staircase
 from residua.linear.systems.sampling import exponentials
 from residua.plant import Plant
-from residua.tolerances import above_rounding
+from residua.tolerances import LEAKAGE, above_rounding
+
+#: The most that a plant may grow by from one sample to the next: rounding of that is then what may leak.
+_MOST_GROWTH = LEAKAGE / float(np.finfo(float).eps)
+
+
+def refuse_growth(plant: Plant) -> None:
+    """Refuse a sampled plant that grows so far in one step that what rounding leaves beside it hides the residual."""
+    growth, most = np.log(max(float(spectral_radius(plant.A)), 1.0)), np.log(_MOST_GROWTH)
+    if growth > most:
+        raise AccuracyError(
+            f"sampled every {plant.dt:g} s the residual is lost in rounding: an unstable mode of the plant grows by "
+            f"exp({growth:.0f}) from one sample to the next; take a step of at most {most / growth * plant.dt:.2g} s"
+        )
 
 
 def sampled_form(

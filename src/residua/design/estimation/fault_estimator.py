@@ -317,8 +317,7 @@ def _in_units_of(plant: Plant, names: tuple[str, ...], units: PlantUnits, own: _
     f = units.faults[[plant.faults.index(name) for name in names], None]
     z = np.ones(own.system.n_states)
     z[: observer.order] = 1 / units.states if observer.order == plant.n_states else 1.0  # those of the observer
-    signals = np.concatenate([1 / units.inputs, units.outputs])
-    hidden = np.concatenate([1 / units.faults, 1 / units.disturbances, np.full(len(plant.noises), 1 / units.noise)])
+    signals, hidden = 1 / units.signals, 1 / units.hidden(len(plant.noises))
     s, form = own.system, own.form
     system = s.replaced(A=s.A / z[:, None] * z, B=s.B / z[:, None] * signals, C=f * s.C * z, D=f * s.D * signals)
     form = form.replaced(B=form.B * hidden, C=f * form.C, D=f * form.D * hidden)

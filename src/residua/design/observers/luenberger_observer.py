@@ -21,7 +21,7 @@ from residua.linear.subspaces.rank import DEFAULT_RTOL, without_rounded_gains
 from residua.linear.systems.array_cache import cached_by_contents
 from residua.linear.systems.balancing import without_rounding
 from residua.plant import Plant
-from residua.plant.comparable_units import canonical_units, even_plant
+from residua.plant.comparable_units import even_plant
 
 
 @method(
@@ -99,8 +99,7 @@ def luenberger_observer(
             "unknown_input_observer, which also serves singular plants without disturbances"
         )
     used = arrays.different_positions(outputs, plant.outputs, "output")
-    units = canonical_units(plant)
-    return kept_observer_for(plant, units, _designed(units.applied(plant), used, poles, margin, rtol))
+    return kept_observer_for(plant, lambda own: _designed(own, used, poles, margin, rtol))
 
 
 @cached_by_contents

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -21,7 +22,7 @@ from residua.linear.systems.array_cache import copied
 from residua.linear.systems.balancing import power_of_two, sum_without_rounding, without_rounding
 from residua.linear.systems.response_terms import in_even_units, response_terms
 from residua.plant import Plant
-from residua.plant.comparable_units import EvenPlant, PlantUnits, even_plant
+from residua.plant.comparable_units import EvenPlant, PlantUnits, canonical_units, even_plant
 from residua.tolerances import DESIGN_ROUNDING, TINY, above_rounding
 from residua.words import counted, used_up
 
@@ -268,8 +269,10 @@ def observer_in_units_of(observer: Observer, plant: Plant, units: PlantUnits) ->
     )
 
 
-def kept_observer_for(plant: Plant, units: PlantUnits, own: Observer) -> Observer:
-    """Return an observer that is kept for a plant in its own units as one to hand out, for the plant."""
+def kept_observer_for(plant: Plant, design: Callable[[Plant], Observer]) -> Observer:
+    """Return what a design makes, and keeps, of the plant in canonical units, as one to hand out, for the plant."""
+    units = canonical_units(plant)
+    own = design(units.applied(plant))
     if own.plant.E is None:
         plant = plant.explicit()
     return observer_in_units_of(copied(own), plant, units)

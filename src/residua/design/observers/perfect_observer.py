@@ -70,12 +70,6 @@ def _both(units: PlantUnits) -> NDArray[np.float64]:
     return np.concatenate([units.states, units.disturbances])
 
 
-def _columns(units: PlantUnits, noises: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the factors of columns for the scaled plant: of signals, and of faults, disturbances and noises."""
-    hidden = np.concatenate([1 / units.faults, 1 / units.disturbances, np.full(noises, 1 / units.noise)])
-    return np.concatenate([1 / units.inputs, units.outputs]), hidden
-
-
 @has_rates(T=-1, N=-1, bandwidth=1)
 @written_by(_in_other_time)
 @dataclass(frozen=True, eq=False)
@@ -241,7 +235,7 @@ class PerfectObserver:
             )
         own, units, rows = self._own
         system, form, order = own._filters()
-        signals, hidden = _columns(units, len(p.noises))
+        signals, hidden = 1 / units.signals, 1 / units.hidden(len(p.noises))
         R = rows[:, None]
         system = system.replaced(B=system.B * signals, C=R * system.C, D=R * system.D * signals)
         form = form.replaced(B=form.B * hidden, C=R * form.C, D=R * form.D * hidden)
@@ -282,8 +276,8 @@ class PerfectObserver:
         """Return the rows ``part`` of what the state and the disturbances are of the signals, ``Gv, N Gv, ...``."""
         own, units, _ = self._own
         pick = np.eye(len(self.N))[part]
-        rows, columns = _both(units)[part][:, None], _columns(units, 0)[0]
-        return [rows * P * columns for P in own.series(own._known, pick, [])]
+        rows = _both(units)[part][:, None]
+        return [rows * P / units.signals for P in own.series(own._known, pick, [])]
 
     def series(
         self, G: NDArray, pick: NDArray, first: list[NDArray], direct: tuple[NDArray, NDArray] | None = None

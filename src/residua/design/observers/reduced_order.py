@@ -30,7 +30,7 @@ from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_b
 from residua.linear.systems.array_cache import cached_by_contents
 from residua.linear.systems.balancing import descriptor_units, sum_without_rounding, without_rounding
 from residua.plant import Plant
-from residua.plant.comparable_units import canonical_units, even_plant
+from residua.plant.comparable_units import even_plant
 from residua.tolerances import IDENTITY, RESIDUE, ROUNDING, TINY, above_rounding
 
 
@@ -52,10 +52,7 @@ def reduced_observer(
     ordinary observer for the pair :math:`(N A Q, X_0 A Q)`.
     """
     chosen = arrays.different_positions(outputs, plant.outputs, "output")
-    units = canonical_units(plant)
-    return kept_observer_for(
-        plant, units, _designed(units.applied(plant), method, reference, chosen, poles, margin, rtol)
-    )
+    return kept_observer_for(plant, lambda own: _designed(own, method, reference, chosen, poles, margin, rtol))
 
 
 @cached_by_contents

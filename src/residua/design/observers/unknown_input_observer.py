@@ -38,7 +38,6 @@ from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision
 from residua.linear.systems.array_cache import cached_by_contents
 from residua.linear.systems.balancing import sum_without_rounding, without_rounding
 from residua.plant import Plant
-from residua.plant.comparable_units import canonical_units
 from residua.tolerances import IDENTITY, TINY, above_rounding
 from residua.words import counted
 
@@ -134,8 +133,7 @@ def unknown_input_observer(
     """
     if H0 is not None:  # as the equations say, in the units of the plant
         return observer_of(plant, decomposed_existence(plant, rtol=rtol), poles, margin, H0, rtol)
-    units = canonical_units(plant)
-    return kept_observer_for(plant, units, _designed(units.applied(plant), poles, margin, rtol))
+    return kept_observer_for(plant, lambda own: _designed(own, poles, margin, rtol))
 
 
 @cached_by_contents

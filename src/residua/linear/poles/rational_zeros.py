@@ -52,7 +52,7 @@ class Field:
     inverse: Callable[[Any], Any]
 
 
-def _residue(x: float) -> int:
+def _residue(x: float | Fraction) -> int:
     top, bottom = x.as_integer_ratio()
     return top * pow(bottom, -1, _PRIME) % _PRIME
 
@@ -215,20 +215,24 @@ def _divided(p: list[Any], q: list[Any], field: Field) -> tuple[list[Any], list[
         out.append(factor)
         if factor:
             p[i : i + len(q)] = _minus(p[i : i + len(q)], factor, q, field)
-    rest = p[max(len(p) - len(q) + 1, 0) :]
-    first = next((i for i, a in enumerate(rest) if a), len(rest))
-    return out, rest[first:]
+    return out, _without_leading_zeros(p[max(len(p) - len(q) + 1, 0) :])
+
+
+def _without_leading_zeros(p: list[Any]) -> list[Any]:
+    return p[next((i for i, a in enumerate(p) if a), len(p)) :]
+
+
+def _monic(p: list[Any], field: Field) -> list[Any]:
+    inverse = field.inverse(p[0])
+    return [field.reduced(a * inverse) for a in p]
 
 
 def _common(p: list[Any], q: list[Any], field: Field) -> list[Any]:
     """Return the greatest common divisor, monic."""
     while q:
         p, q = q, _divided(p, q, field)[1]
-        if q:
-            inverse = field.inverse(q[0])
-            q = [field.reduced(a * inverse) for a in q]
-    inverse = field.inverse(p[0])
-    return [field.reduced(a * inverse) for a in p]
+        q = _monic(q, field) if q else q
+    return _monic(p, field)
 
 
 def different_factors(p: list[Fraction]) -> list[tuple[list[Fraction], int]]:
@@ -247,8 +251,7 @@ def different_factors(p: list[Fraction]) -> list[tuple[list[Fraction], int]]:
         own = _derivative(rest, RATIONAL)
         padded = [Fraction(0)] * (len(other) - len(own)) + own
         whole = [Fraction(0)] * (len(own) - len(other)) + other
-        left = [a - b for a, b in zip(whole, padded, strict=True)]
-        left = left[next((i for i, a in enumerate(left) if a), len(left)) :]
+        left = _without_leading_zeros([a - b for a, b in zip(whole, padded, strict=True)])
         factor = _common(rest, left, RATIONAL) if left else rest
         if len(factor) > 1:
             out.append((factor, times))
@@ -262,7 +265,7 @@ def _has_no_repeated_root(p: list[Fraction]) -> bool:
     """Tell by residues, which is sure, and fast; what is not told so may have one, or not."""
     if any(a.denominator % _PRIME == 0 for a in p):
         return False
-    residues = [a.numerator * pow(a.denominator, -1, _PRIME) % _PRIME for a in p]
+    residues = [_residue(a) for a in p]
     return len(_common(residues, _derivative(residues, MODULAR), MODULAR)) == 1
 
 

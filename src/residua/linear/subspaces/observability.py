@@ -178,7 +178,8 @@ def staircase(
         scaled = balance_system(A, np.zeros((n, 0)), C, np.zeros((p, 0)))
         A, C, T, Y = scaled.A, scaled.C, scaled.states, scaled.outputs
     steps = staircase_steps(A, C, rtol, compare=compare)
-    form = Staircase(A, C, steps.Q, steps.n_observable, steps.n_seen, steps.decisions, T, Y, steps.dropped)
+    decisions = tuple(steps.decided.decisions)
+    form = Staircase(A, C, steps.Q, steps.n_observable, steps.n_seen, decisions, T, Y, steps.dropped)
     return _settled(form, steps.decided) if compare and rtol <= RANK and units == "balanced" else form
 
 
@@ -303,7 +304,7 @@ def observability_form(A: ArrayLike, C: ArrayLike, *, rtol: float = DEFAULT_RTOL
     >>> form.n_observable, form.unobservable_modes
     (1, array([-2.+0.j]))
     """
-    A, C = _pair(A, C)
+    A, C = pair(A, C)
     form = staircase(A, C, rtol=rtol)
     k = form.n_observable
     Q, residual = _in_units_of_caller(form, A, C, rtol)
@@ -322,7 +323,7 @@ def observability_form(A: ArrayLike, C: ArrayLike, *, rtol: float = DEFAULT_RTOL
 _kept_form = cached_by_contents(observability_form)
 
 
-def _pair(A: ArrayLike, C: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def pair(A: ArrayLike, C: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return matrices that go together, as floats."""
     A = arrays.matrix(A, "A", (None, None))
     A = arrays.matrix(A, "A", (A.shape[0], A.shape[0]))
@@ -363,7 +364,7 @@ def detectability(A: ArrayLike, C: ArrayLike, *, dt: float = 0, rtol: float = DE
     >>> bool(detectability([[-1.0, 0.0], [0.0, 0.0]], [[1.0, 0.0]]))
     False
     """
-    A, C = _pair(A, C)
+    A, C = pair(A, C)
     modes, uncertainty, size, in_doubt = copied(_kept_modes(A, C, rtol=rtol))
     stable = dies_out(modes, uncertainty, dt, size)
     undecided = not stable.all() and bool(may_die_out(modes, uncertainty, dt, size)[~stable].all())

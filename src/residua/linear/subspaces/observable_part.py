@@ -11,7 +11,7 @@ from residua import arrays
 from residua.errors import AccuracyError, DesignError
 from residua.linear.poles.spectrum import describe_modes
 from residua.linear.poles.stability import dies_out, may_die_out
-from residua.linear.subspaces.observability import Staircase, staircase
+from residua.linear.subspaces.observability import Staircase, pair, staircase
 from residua.linear.subspaces.rank import without_rounded_gains
 from residua.linear.systems.array_cache import cached_by_contents
 
@@ -113,9 +113,7 @@ def observable_part(A: ArrayLike, C: ArrayLike, dt: float, rtol: float) -> Obser
         If rounding may have decided that.
     """
     dt = arrays.sample_step(dt)
-    A = arrays.matrix(A, "A", (None, None))
-    A = arrays.matrix(A, "A", (A.shape[0], A.shape[0]))
-    C = arrays.matrix(C, "C", (None, A.shape[0]))
+    A, C = pair(A, C)
     form = staircase(A, C, rtol=rtol)
     k, r = form.n_observable, form.n_seen
     Q1 = form.Q[:, :k]

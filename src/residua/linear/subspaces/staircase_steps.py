@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.linear.subspaces.rank import RankDecision, spectral_norm
+from residua.linear.subspaces.rank import spectral_norm
 from residua.linear.subspaces.weak_couplings import UnclearRankError, WeakCouplings, copies_of
 
 _EPS = float(np.finfo(float).eps)
@@ -25,17 +25,15 @@ class Steps:
         An orthogonal basis, the observable states first.
     n_observable, n_seen : int
         States that outputs see in the end, and those that they see directly.
-    decisions : tuple of RankDecision
     dropped : float
         The largest coupling that was called zero; one with outputs as if these were as large as ``A``.
     decided : WeakCouplings
-        How ranks were.
+        How ranks were, step by step.
     """
 
     Q: NDArray[np.float64]
     n_observable: int
     n_seen: int
-    decisions: tuple[RankDecision, ...]
     dropped: float
     decided: WeakCouplings
 
@@ -76,13 +74,13 @@ def staircase_steps(A: NDArray[np.float64], C: NDArray[np.float64], rtol: float,
     Q = np.zeros_like(A)
     Q[np.ix_(order[:k], np.arange(k))] = found.Q
     Q[order[k:], np.arange(k, len(A))] = 1.0
-    return Steps(Q, found.n_observable, found.n_seen, found.decisions, found.dropped, found.decided)
+    return Steps(Q, found.n_observable, found.n_seen, found.dropped, found.decided)
 
 
 def _steps(A: NDArray[np.float64], C: NDArray[np.float64], rtol: float, compare: bool) -> Steps:
     """Take the steps where every state has a path; with copies where a weak coupling may be rounding."""
     if not len(A):
-        return Steps(np.eye(0), 0, 0, (), 0.0, WeakCouplings(rtol))
+        return Steps(np.eye(0), 0, 0, 0.0, WeakCouplings(rtol))
     sizes = _Sizes.of(A, C, rtol)
     try:
         return _taken([(A, C)], sizes, rtol, compare)
@@ -129,7 +127,7 @@ def _taken(pairs: list[Pair], sizes: _Sizes, rtol: float, compare: bool) -> Step
         first = first or rank
         for run in runs:
             run.take(rank)
-    return Steps(one.Q, one.seen, first, tuple(decided.decisions), dropped * sizes.couplings, decided)
+    return Steps(one.Q, one.seen, first, dropped * sizes.couplings, decided)
 
 
 class _Run:
