@@ -270,8 +270,8 @@ class Plant(FaultFacts):
 
     def _with(self, **changes: object) -> Plant:
         new = object.__new__(Plant)
-        for key in self.__dataclass_fields__:
-            object.__setattr__(new, key, changes.get(key, getattr(self, key)))
+        own = vars(self)
+        vars(new).update({key: own[key] for key in self.__dataclass_fields__}, **changes)
         return new
 
     def with_disturbances(

@@ -71,9 +71,13 @@ class BlockBand:
         squares = BlockBand(np.where(floor < W, W, 0.0) ** 2)
         left, right = np.ones(of_rows.shape), np.ones(of_columns.shape)
         for _ in range(sweeps):
-            left = left / power_of_two(np.sqrt(squares.scaled(left**2, right**2).blocks.sum(axis=(2, 3))))
+            row_sizes = power_of_two(np.sqrt(squares.scaled(left**2, right**2).blocks.sum(axis=(2, 3))))
+            left = left / row_sizes
             scaled = squares.scaled(left**2, right**2)
-            right = right / power_of_two(np.sqrt(scaled._over_columns(scaled.blocks.sum(axis=1))))
+            column_sizes = power_of_two(np.sqrt(scaled._over_columns(scaled.blocks.sum(axis=1))))
+            right = right / column_sizes
+            if (row_sizes == 1.0).all() and (column_sizes == 1.0).all():
+                break  # nor does another sweep change anything
         return left, right
 
     def dense(self) -> NDArray[np.float64]:

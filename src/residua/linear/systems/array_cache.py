@@ -7,12 +7,14 @@ members, for every check of the result. The functions are pure, so that a kept r
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Collection, Hashable, Iterator
 from copy import copy
 from dataclasses import dataclass
 from functools import cache, cached_property, wraps
 from hashlib import sha256
 from itertools import count
+from operator import is_
+from struct import Struct
 from sys import getsizeof
 from typing import Any, Generic, TypeVar, cast
 from weakref import WeakSet
@@ -26,7 +28,9 @@ from residua.words import rates_in
 
 R = TypeVar("R")
 #: Numbers and words whose value says all, once their type is known.
-_PLAIN = (type(None), bool, int, str, bytes)
+_PLAIN = frozenset((type(None), bool, int, str, bytes))
+#: All bits of a float.
+_bits = Struct("d").pack
 
 #: Results of each function that are kept, ...
 _KEPT = 512
@@ -36,6 +40,8 @@ _MOST_BYTES = 2**26
 _LET_GO = 1 / 16
 #: Bytes of an array besides its entries.
 _OBJECT = 128
+#: The types of names.
+_WORDS = {str}
 #: What has no parts.
 _SIMPLE = frozenset((*_PLAIN, float, complex))
 #: Matrices of more bytes together are known by a digest of their entries.
@@ -227,10 +233,14 @@ def entries(*matrices: NDArray | None) -> Hashable:
     present = [M for M in matrices if M is not None]
     if sum([M.nbytes for M in present]) <= _LARGE:
         return shapes, tuple([M.tobytes() for M in present])
+    return shapes, _digest(present)
+
+
+def _digest(matrices: list[NDArray]) -> bytes:
     digest = sha256()
-    for M in map(np.ascontiguousarray, present):
+    for M in map(np.ascontiguousarray, matrices):
         digest.update(M.data if M.size else b"")
-    return shapes, digest.digest()
+    return digest.digest()
 
 
 def cached_by_entries(function: Callable[..., R]) -> Callable[..., R]:
@@ -244,7 +254,7 @@ def cached_by_entries(function: Callable[..., R]) -> Callable[..., R]:
     def cached(*matrices: NDArray) -> R:
         arrays = [np.asarray(M, dtype=float) for M in matrices]
         # a copy: results may be views of the arguments, which the caller may write to
-        return latest.of(entries(*arrays), lambda: function(*(read_only(M.copy()) for M in arrays)))
+        return latest.of(entries(*arrays), lambda: function(*map(_own, arrays)))
 
     return cached
 
@@ -265,16 +275,21 @@ def contents(value: object) -> Hashable:
     if isinstance(value, np.ndarray):
         if kind is not np.ndarray or value.dtype.hasobject:
             raise UnkeyedError
-        ordered = value.flags.c_contiguous or value.ndim < 2
-        return value.dtype.str, entries(value), None if ordered else value.strides
-    if isinstance(value, (float, np.generic)):
-        return kind, np.asarray(value).tobytes()
+        ordered = value.ndim < 2 or value.flags.c_contiguous
+        held = value.tobytes() if value.nbytes <= _LARGE else _digest([value])
+        return value.dtype.str, value.shape, held, None if ordered else value.strides
     if isinstance(value, (tuple, list)):
+        if set(map(type, value)) == _WORDS:  # names, which are many
+            return kind, tuple(value)
         return kind, tuple([contents(part) for part in value])
+    if kind is float:
+        return kind, _bits(value)
+    if names := _field_names(kind):
+        return kind, tuple([contents(getattr(value, name)) for name in names])
     if isinstance(value, dict):
         return kind, tuple([(contents(name), contents(part)) for name, part in value.items()])
-    if names := getattr(value, "__dataclass_fields__", None):
-        return kind, tuple([contents(getattr(value, name)) for name in names])
+    if isinstance(value, (float, np.generic)):
+        return kind, np.asarray(value).tobytes()
     raise UnkeyedError
 
 
@@ -295,21 +310,23 @@ def cached_by_contents(function: Callable[..., R]) -> Callable[..., R]:
             key = contents((own, tuple(options.items())))
         except UnkeyedError:
             return function(*values, **options)
-        return latest.of_texts(key, lambda: _apart_from(function(*map(_own, own), **options), (values, options)))
+
+        def compute() -> R:
+            # of the arrays among the values it has copies, and the dictionary with the options is its own
+            others = *(value for value in values if type(value) is not np.ndarray), *options.values()
+            return _apart_from(function(*map(_own, own), **options), others)
+
+        return latest.of_texts(key, compute)
 
     return cached
 
 
 def _own(value: Any) -> Any:
     """Return an argument that nobody else writes to, if it is an array."""
-    return read_only(value.copy()) if type(value) is np.ndarray else value
-
-
-def read_only(result: R) -> R:
-    """Return a result whose arrays, its own or those of its parts, refuse to be written to."""
-    for part in _arrays(result):
-        part.flags.writeable = False
-    return result
+    if type(value) is np.ndarray:
+        value = value.copy()
+        value.flags.writeable = False
+    return value
 
 
 def copied(result: R) -> R:
@@ -317,7 +334,7 @@ def copied(result: R) -> R:
     return _rebuilt(result, lambda _: True)
 
 
-def _apart_from(result: R, arguments: object) -> R:
+def _apart_from(result: R, arguments: tuple[object, ...]) -> R:
     """Return a result with copies of what its arguments hold and their owner may write to, and of views of that."""
     theirs = {
         _memory(part)
@@ -344,28 +361,35 @@ def _memory(part: object) -> int:
 
 def _rebuilt(value: R, to_copy: Callable[[Any], bool]) -> R:
     """Return a value with copies of some arrays, lists and dictionaries in it; itself when there are none."""
+    kind: Any = type(value)
     if isinstance(value, np.ndarray):
         return cast("R", value.copy(order="K")) if to_copy(value) else value
     if isinstance(value, dict):
-        new = {name: _rebuilt(part, to_copy) for name, part in value.items()}
-        return cast("R", new) if to_copy(value) or any(new[name] is not value[name] for name in new) else value
+        parts, same = _rebuilt_parts(value.values(), to_copy)
+        return value if same and not to_copy(value) else cast("R", dict(zip(value, parts, strict=True)))
     if isinstance(value, (tuple, list)):
-        parts = [_rebuilt(part, to_copy) for part in value]
-        same = all(one is other for one, other in zip(parts, value, strict=True))
+        parts, same = _rebuilt_parts(value, to_copy)
         if same and not (isinstance(value, list) and to_copy(value)):
             return value
-        make = getattr(type(value), "_make", type(value))  # of named tuples
+        make = getattr(kind, "_make", kind)  # of named tuples
         return cast("R", make(parts))
-    if hasattr(value, "__dataclass_fields__") and hasattr(value, "__dict__"):
+    if hasattr(value, "__dict__") and (names := _field_names(kind)):
         own = vars(value)
-        given = {name: own[name] for name in getattr(value, "__dataclass_fields__", ()) if name in own}
-        new = {name: _rebuilt(part, to_copy) for name, part in given.items()}
-        if any(new[name] is not part for name, part in given.items()):
+        given = [name for name in names if name in own]
+        parts, same = _rebuilt_parts([own[name] for name in given], to_copy)
+        if not same:
             value = copy(value)
-            for name in [name for name in vars(value) if isinstance(getattr(type(value), name, None), cached_property)]:
-                del vars(value)[name]  # computed from what was copied
-            vars(value).update(new)
+            own = vars(value)
+            for name in _kept_properties(kind):
+                own.pop(name, None)  # computed from what was copied
+            own.update(zip(given, parts, strict=True))
     return value
+
+
+def _rebuilt_parts(parts: Collection[Any], to_copy: Callable[[Any], bool]) -> tuple[list[Any], bool]:
+    """Return the same of each part, and whether all are the parts themselves."""
+    new = [part if type(part) in _SIMPLE else _rebuilt(part, to_copy) for part in parts]
+    return new, all(map(is_, new, parts))
 
 
 def _parts(value: object) -> Iterator[object]:
@@ -385,13 +409,8 @@ def _parts(value: object) -> Iterator[object]:
             left += part
         elif isinstance(part, dict):
             left += part.values()
-        elif hasattr(part, "__dataclass_fields__"):
-            left += list(getattr(part, "__dict__", {}).values())
-
-
-def _arrays(result: object) -> Iterator[NDArray]:
-    """Return the arrays of a result: itself, or those in it and in its parts."""
-    return (part for part in _parts(result) if isinstance(part, np.ndarray))
+        elif _is_dataclass(kind):
+            left += getattr(part, "__dict__", {}).values()
 
 
 def _bytes(value: object, *, freeze: bool = False) -> tuple[int, list[dict[str, Any]]]:
@@ -423,12 +442,12 @@ def _bytes(value: object, *, freeze: bool = False) -> tuple[int, list[dict[str, 
             left += part
         elif isinstance(part, dict):
             whole += getsizeof(part)
-            left += list(part.values())
+            left += part.values()
         elif _is_dataclass(kind):
             fields = getattr(part, "__dict__", {})
             whole += _OBJECT + getsizeof(fields)
-            left += list(fields.values())
-            if _keeps_properties(kind):
+            left += fields.values()
+            if _kept_properties(kind):
                 growing.append(fields)
     return whole, growing
 
@@ -439,19 +458,26 @@ def _is_dataclass(kind: type) -> bool:
 
 
 @cache
-def _keeps_properties(kind: type) -> bool:
-    """Tell whether a class has properties that are kept once they were asked for."""
-    return any(isinstance(value, cached_property) for one in kind.__mro__ for value in vars(one).values())
+def _field_names(kind: type) -> tuple[str, ...]:
+    """Return the names of the fields of a dataclass; none of other classes."""
+    return tuple(getattr(kind, "__dataclass_fields__", ()))
+
+
+@cache
+def _kept_properties(kind: type) -> tuple[str, ...]:
+    """Return the names of the properties of a class that are kept once they were asked for."""
+    names = dict.fromkeys(name for one in kind.__mro__ for name in vars(one))
+    return tuple([name for name in names if isinstance(getattr(kind, name, None), cached_property)])
 
 
 def _bytes_of_key(key: Hashable) -> int:
     """Return the bytes that a key takes: tuples of the bytes of arrays, and of what counts nothing."""
-    whole, left = 0, [key]
-    while left:
-        part = left.pop()
-        if type(part) is tuple:
+    whole, parts = 0, cast("list[Any]", [key])
+    for part in parts:  # which grows on the way
+        kind = type(part)
+        if kind is tuple:
             whole += 40 + 8 * len(part)
-            left += part
-        elif type(part) is bytes:
+            parts += part
+        elif kind is bytes:
             whole += 33 + len(part)
     return whole

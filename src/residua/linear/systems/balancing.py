@@ -104,8 +104,12 @@ def evened(
         rows, columns = matrix_units(W)
     W = without_residue(W, rows, columns)
     for _ in range(sweeps):
-        rows = rows / power_of_two(_lengths(rows[:, None] * W * columns, axis=1))
-        columns = columns / power_of_two(_lengths(rows[:, None] * W * columns, axis=0))
+        row_sizes = power_of_two(_lengths(rows[:, None] * W * columns, axis=1))
+        rows = rows / row_sizes
+        column_sizes = power_of_two(_lengths(rows[:, None] * W * columns, axis=0))
+        columns = columns / column_sizes
+        if (row_sizes == 1.0).all() and (column_sizes == 1.0).all():
+            break  # nor does another sweep change anything
     return rows, columns
 
 
@@ -374,7 +378,7 @@ def _scale_channels(
             continue
         real = norms > RESIDUE * norms.max(initial=0.0)
         f = np.where(real, power_of_two(level / np.where(real, norms, level)), 1.0)
-        moved |= bool(np.any(f != 1.0))
+        moved |= bool((f != 1.0).any())
         block *= f[:, None] if axis else f
         factors[n:] *= f
     return moved
