@@ -137,6 +137,15 @@ def test_contents_tell_types_signs_and_last_bits_apart():
         (0,),
         [0],
         {0: 0},
+        (),
+        [],
+        ("a", "b"),  # names alone are their own key
+        ["a", "b"],
+        ("ab",),
+        (("a", "b"),),
+        ("a", b"b"),
+        ("a", None),
+        {"a": "b"},
     ]
     assert len({contents(value) for value in plain}) == len(plain)
     large = np.ones((60, 60))

@@ -7,7 +7,7 @@ import pytest
 
 import residua as rs
 from generated import random_plant
-from residua.linear.systems.balancing import balance_system, descriptor_units
+from residua.linear.systems.balancing import balance_system, descriptor_units, evened
 
 
 def spread(*scales: np.ndarray) -> float:
@@ -70,3 +70,20 @@ def test_an_estimator_decouples_faults_that_several_outputs_read(count: int) -> 
     K = found.system
     gain = K.C @ np.linalg.solve(s * np.eye(K.n_states) - K.A, K.B) + K.D
     assert np.abs((gain[:, 1:] @ from_faults)[0, 1]) < 1e-9
+
+
+def test_evening_ends_early_with_the_factors_of_all_sweeps() -> None:
+    rng = np.random.default_rng(3)
+    differ = 0
+    for _ in range(200):
+        p, q = rng.integers(1, 7, 2)
+        W = np.where(rng.random((p, q)) < 0.6, 2.0 ** rng.uniform(-10, 10, (p, q)), 0.0)  # nothing of it is residue
+        start = np.ones(p), np.ones(q)
+        step = start
+        for sweeps in range(1, 7):
+            before, step = step, evened(W, *step, sweeps=1)
+            whole = evened(W, *start, sweeps=sweeps)
+            assert np.array_equal(whole[0], step[0])
+            assert np.array_equal(whole[1], step[1])
+            differ += sweeps > 1 and not (np.array_equal(step[0], before[0]) and np.array_equal(step[1], before[1]))
+    assert differ > 20  # a second sweep does matter
