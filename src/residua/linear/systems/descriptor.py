@@ -13,6 +13,7 @@ from residua.errors import AccuracyError, ModelError
 from residua.linear.poles.matrix_poles import explicit_poles
 from residua.linear.poles.zero_structure import scatter_of, without_zero_eigenvalues
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, null_basis, range_basis
+from residua.linear.systems.array_cache import cached_by_entries
 from residua.linear.systems.balancing import evened, power_of_two, without_rounding
 from residua.linear.systems.units import pencil_units, pencil_without_residue
 
@@ -270,13 +271,14 @@ def weierstrass_form(
     return _assembled(p, V, W, levels, tolerance, decisions)
 
 
-def finite_poles(A: NDArray, E: NDArray, *, rtol: float = DEFAULT_RTOL) -> NDArray[np.complex128]:
+@cached_by_entries
+def finite_poles(A: NDArray, E: NDArray) -> NDArray[np.complex128]:
     """Return the finite poles of a regular pencil: all eigenvalues where ``E`` is invertible, else those of ``A1``."""
     p = unit_free_pencil(A, E)
     values = np.linalg.svd(p.E, compute_uv=False) if p.E.size else np.ones(1)
-    if values[-1] > rtol * values[0]:
+    if values[-1] > DEFAULT_RTOL * values[0]:
         return p.unit * _generalised_eigenvalues(p.A, p.E, float(values[-1]))
-    return weierstrass_form(A, E, rtol=rtol).poles
+    return weierstrass_form(A, E).poles
 
 
 def _generalised_eigenvalues(A: Matrix, E: Matrix, smallest: float) -> NDArray[np.complex128]:
