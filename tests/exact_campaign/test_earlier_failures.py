@@ -192,6 +192,9 @@ EARLIER = [
     ("delays", 18011, designs._noise),
     # whether a coefficient of a derivative is rounding was decided in units of the caller
     ("sparse", 19027, designs._perfect),
+    # what rounding left of gains that do not reach the other states coupled these, and poles were placed through it
+    ("delays", 25101, designs._filters),
+    ("repeated poles", 25117, designs._filters),
 ]
 
 
