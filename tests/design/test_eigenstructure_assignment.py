@@ -379,6 +379,30 @@ def test_plants_that_it_does_not_serve_are_told() -> None:
         eigenstructure_assignment(direct, insensitive_to=["y1 sensor", "y2 sensor"])
 
 
+def with_a_hidden_mode() -> rs.Plant:
+    """Return a plant with two equal lags in one output: their difference, with the pole -1, is seen by none."""
+    plant = rs.Plant(np.diag([-2, -1, -1]), np.zeros((3, 0)), [[1, 0, 0], [0, 1, 1]])
+    return plant.with_faults({"f": [1, 0, 0], "other": [1, 1, 1]})
+
+
+@pytest.mark.parametrize("combine", [True, False])
+def test_a_hidden_mode_is_a_fixed_pole_in_combined_spaces_too(combine: bool) -> None:
+    """A margin was promised and missed: the space of combinations has all in it that no output sees."""
+    plant = with_a_hidden_mode()
+    with pytest.raises(DesignError, match=r"the mode -1, which the measurements .* not stable with the margin 1\.5"):
+        eigenstructure_assignment(plant, insensitive_to="f", margin=1.5, combine=combine)
+    found = eigenstructure_assignment(plant, insensitive_to="f", margin=0.5, combine=combine)
+    np.testing.assert_allclose(found.evidence.fixed_poles, [-1])
+
+
+@pytest.mark.parametrize("poles", [[-3, -4], [-3, -4, -1], {"f": [-3], "rest": [-4]}], ids=["free", "all", "named"])
+def test_a_detection_filter_says_what_no_gain_moves(poles: object) -> None:
+    """A list with or without the fixed pole was refused, each for the sake of the other."""
+    found = rs.design.detection_filter(with_a_hidden_mode(), faults=["f"], poles=poles)
+    np.testing.assert_allclose(np.sort(found.evidence.poles.real), [-4, -3, -1])
+    np.testing.assert_allclose(found.evidence.fixed_poles, [-1])
+
+
 def test_nothing_to_ignore_is_a_plain_observer() -> None:
     plant = rs.library.gertler()
     found = eigenstructure_assignment(plant, poles=[0.1, 0.2, 0.3])

@@ -46,6 +46,12 @@ def _joint_zero() -> Plant:
     return rs.Plant(a, np.zeros((3, 1)), TWO).with_faults({"f": [1.0, 0, 1], "g": [0, 1.0, 0.5]})
 
 
+def _own_zero() -> Plant:
+    """Return a plant whose fault has the invariant zero -3, and that has no hidden mode."""
+    a = np.array([[-1, 0.5, 2.0], [0.3, -2, 0], [1, 0.2, -1]])
+    return rs.Plant(a, np.zeros((3, 1)), TWO).with_faults({"f": [1.0, 0, 1]})
+
+
 def _singular() -> Plant:
     plant = rs.Plant([[1, 2], [3, 4.0]], [[1], [1.0]], [[1, 1.0]], E=[[1, 0], [0, 0.0]])
     return plant.with_actuator_faults().with_sensor_faults()
@@ -64,9 +70,14 @@ TEXTS: dict[str, tuple[Callable[[], Plant], Callable[[Plant, float], Any], dict[
     "detection filter, hidden mode": (lambda: _hidden(1), lambda p, t: D.detection_filter(p), {"the mode": 1}),
     "eigenstructure, hidden mode": (lambda: _hidden(1), lambda p, t: D.eigenstructure_assignment(p), {"the mode": 1}),
     "luenberger, hidden mode": (lambda: _hidden(1), lambda p, t: D.luenberger_observer(p), {"mode": 1}),
-    "zero and margin": (
+    "hidden mode and margin": (
         lambda: _hidden(-3, sensors=False),
-        lambda p, t: D.eigenstructure_assignment(p, margin=3.5 * t, combine=False),
+        lambda p, t: D.eigenstructure_assignment(p, margin=3.5 * t),
+        {"the mode": 1, "margin": 1},
+    ),
+    "zero and margin": (
+        _own_zero,
+        lambda p, t: D.eigenstructure_assignment(p, insensitive_to="f", margin=3.5 * t, combine=False),
         {"zero": 1, "margin": 1},
     ),
     "one pole for all": (_all_seen, lambda p, t: D.detection_filter(p, poles=[3 * t] * 3), {"the pole": 1}),

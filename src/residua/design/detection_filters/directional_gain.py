@@ -21,7 +21,8 @@ from residua.linear.subspaces.detection_space import (
     split_blocks,
 )
 from residua.linear.subspaces.far_gain import refuse_far_gain
-from residua.linear.subspaces.observability import detectability, observability_form
+from residua.linear.subspaces.observability import detectability
+from residua.linear.subspaces.observable_part import observable_part
 from residua.linear.subspaces.rank import DEFAULT_RTOL, decide_rank
 from residua.linear.systems.array_cache import cached_by_contents
 from residua.linear.systems.balancing import without_rounding
@@ -178,14 +179,14 @@ def block_gain(
     :math:`K C F = A F - F \Lambda`.
     """
     blocks = split_blocks(A, C, [event.space for event in events], rtol=rtol)
-    A0, C0 = blocks.rest
-    form = observability_form(A0, C0, rtol=rtol)
-    fixed = np.asarray(form.unobservable_modes, dtype=complex)
-    sizes = [event.space.dimension for event in events]
-    shares = share_poles(poles, [event.faults for event in events], sizes, form.n_observable, fixed, dt)
+    pairs = [*blocks.pairs, blocks.rest]
+    seen = [observable_part(Ai, Ci, dt, rtol) for Ai, Ci in pairs]
+    fixed = np.concatenate([part.fixed for part in seen])
+    *sizes, rest = (part.order for part in seen)
+    shares = share_poles(poles, [event.faults for event in events], sizes, rest, fixed, dt)
     distance = default_margin(A, dt) if margin is None else margin
     gains, requested, errors = [], [], [0.0]
-    for (Ai, Ci), share in zip([*blocks.pairs, (A0, C0)], shares, strict=True):
+    for (Ai, Ci), share in zip(pairs, shares, strict=True):
         placed = placed_share(Ai, Ci, share, distance, dt, rtol=rtol)
         gains.append(placed.gain)
         requested.append(np.zeros(0, complex) if share is None else share)

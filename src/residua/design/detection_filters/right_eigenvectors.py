@@ -20,7 +20,7 @@ from residua.linear.subspaces.detection_space import (
     separation,
     split_blocks,
 )
-from residua.linear.subspaces.observability import observability_form
+from residua.linear.subspaces.observability import detectability
 from residua.linear.subspaces.rank import left_null_basis, range_basis, spectral_norm
 from residua.linear.subspaces.reachability import reachable_basis
 from residua.tolerances import TINY, above_rounding
@@ -116,9 +116,16 @@ def _chains(parts: IgnoredColumns, scale: float, rtol: float) -> list[FaultEvent
 
 
 def fixed_poles(parts: IgnoredColumns, confined: Confinement, *, rtol: float) -> NDArray[np.complex128]:
-    """Return the poles that no gain moves once the spaces are invariant: invariant zeros of the ignored columns."""
-    rest = split_blocks(parts.A, parts.C, [event.space for event in confined.events], rtol=rtol).rest
-    return np.asarray(observability_form(*rest, rtol=rtol).unobservable_modes, dtype=complex)
+    """Return the poles that no gain moves once the spaces are invariant: invariant zeros of the ignored columns.
+
+    And modes that no output sees, whether they are in a space or not.
+    """
+    blocks = split_blocks(parts.A, parts.C, [event.space for event in confined.events], rtol=rtol)
+    return np.concatenate([_modes_unseen(parts, *pair, rtol=rtol) for pair in (*blocks.pairs, blocks.rest)])
+
+
+def _modes_unseen(parts: IgnoredColumns, A: NDArray, C: NDArray, *, rtol: float) -> NDArray[np.complex128]:
+    return detectability(A, C, dt=parts.plant.dt, rtol=rtol).unobservable_modes
 
 
 def right_gain(
@@ -159,6 +166,14 @@ def right_gain(
     bad = fixed[~is_stable_mode(fixed, dt, margin or 0.0)]
     if len(bad):
         which = "not stable" if margin is None else f"not stable with the margin {margin * unit_of_rates():g}"
+        unseen = _modes_unseen(parts, parts.A, parts.C, rtol=rtol)
+        slow = unseen[~is_stable_mode(unseen, dt, margin or 0.0)]
+        if len(slow):
+            raise DesignError(
+                f"the mode {describe_modes(slow)}, which the measurements that are left do not see, is a fixed pole, "
+                f"and {which}; add a sensor, ask for a smaller margin, or use decoupled_residual, which observes only "
+                "what it needs"
+            )
         raise DesignError(
             f"the invariant zero {describe_modes(bad)} of the columns of {parts.text} is a fixed pole once they are "
             f"eigenvectors, and {which}; allow combine=True, or use decoupled_residual, whose poles are all free"

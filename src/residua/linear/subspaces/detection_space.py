@@ -154,7 +154,7 @@ class Blocks:
     Attributes
     ----------
     pairs : list of (A_i, C_i)
-        One per detection space; observable, all poles free.
+        One per detection space; all poles free but for modes that no output sees, of which a space has its own.
     rest : (A_0, C_0)
         The rest; its unobservable modes are poles that no gain can move: invariant zeros of
         ``(A, F, C)`` that belong to no single fault, and unobservable modes of ``(C, A)``.
