@@ -196,6 +196,8 @@ EARLIER = [
     ("companion", 25245, designs._parity),
     # outputs that an observer need not read were combined with what rounding left of a disturbed one
     ("no states", 25206, designs._observers),
+    # gains that cancel, of outputs that hardly read a state, were what rounding of that state had left
+    ("stiff", 25272, designs._observers),
 ]
 
 
