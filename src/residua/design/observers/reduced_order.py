@@ -209,7 +209,8 @@ def _unused(plant: Plant, used: list[int]) -> NDArray:
     rest = rest or list(range(p))  # of more outputs than states some are redundant
     if not np.any(plant.Dd[rest]):
         return np.eye(p)[rest]
-    return _embedded(scipy.linalg.null_space(plant.Dd[rest].T), rest, p).T
+    # what rounding leaves of an output in these would bring in the disturbance that they leave out
+    return _embedded(without_noise(scipy.linalg.null_space(plant.Dd[rest].T)), rest, p).T
 
 
 def _check(
