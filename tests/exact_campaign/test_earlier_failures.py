@@ -196,6 +196,8 @@ EARLIER = [
     ("companion", 25245, designs._parity),
     # outputs that an observer need not read were combined with what rounding left of a disturbed one
     ("no states", 25206, designs._observers),
+    # outputs that nothing connects were mixed, and in other units one of them was rounding beside the others
+    ("no states", 25327, designs._observers),
     # what rounding left of gains that do not reach the other states coupled these, and poles were placed through it
     ("delays", 25101, designs._filters),
     ("repeated poles", 25117, designs._filters),
