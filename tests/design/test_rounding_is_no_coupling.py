@@ -60,6 +60,18 @@ def test_no_pole_is_placed_through_rounding(plant: rs.Plant, design: Any) -> Non
     assert np.abs(made.system.A).max(initial=0.0) < GAIN
 
 
+def test_the_gain_of_left_eigenvectors_does_not_reach_the_other_states() -> None:
+    """It left 1e-17 of nothing there, which seemed to couple two delays: the gain that moved them was 2e14."""
+    A = np.diag(np.ones(3), -1)
+    A[2, 2] = 0.5
+    C = [[0, 3, 0, 0], [1, 0, -1, 2], [-1, -1, -3, 1], [-3, -1, 0, -3]]
+    plant = rs.Plant(A, np.zeros((4, 0)), C, dt=0.5).with_disturbances({"d1": [3, 0, 0, 0]})
+    plant = plant.with_faults({"f1": [0, 0, -3, 0]}).with_sensor_faults([0, 1, 2, 3])
+    made = rs.design.eigenstructure_assignment(plant, side="left", insensitive_to="f1")
+    assert made.observer is not None
+    assert np.abs(made.observer.K).max() < GAIN
+
+
 @pytest.mark.parametrize("design", [rs.design.reduced_order_observer, rs.design.descriptor_observer])
 @pytest.mark.parametrize("outputs", [None, [0, 1, 2]])
 def test_a_hidden_unstable_mode_is_not_seen_through_rounding(design: Any, outputs: list[int] | None) -> None:
@@ -103,6 +115,16 @@ def test_what_only_a_huge_gain_moves_is_refused(design: Any) -> None:
     plant = rs.Plant(np.diag([-1, -1 - 2.0**-33]), np.zeros((2, 0)), [[1, 1]]).with_faults({"f1": [1, 2]})
     with pytest.raises(AccuracyError, match="the mode -1 is seen too weakly"):
         design(plant, margin=1.5)
+
+
+@trips("linear.subspaces.far_gain:refuse_far_gain")
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_nor_are_they_moved_beside_assigned_eigenvectors(side: str) -> None:
+    plant = rs.Plant(np.diag([-2, -1, -1 - 2.0**-33]), np.zeros((3, 0)), [[1, 0, 0], [0, 1, 1]])
+    ignored = [1, 0, 0] if side == "right" else [0, 1, 2]
+    plant = plant.with_faults({"ignored": ignored, "other": [1, 1, 1]})
+    with pytest.raises(AccuracyError, match="the mode -1 is seen too weakly"):
+        rs.design.eigenstructure_assignment(plant, side=side, insensitive_to="ignored", margin=1.5, combine=False)
 
 
 def test_a_gain_that_far_poles_take_is_not_refused() -> None:

@@ -198,6 +198,11 @@ EARLIER = [
     ("no states", 25206, designs._observers),
     # gains that cancel, of outputs that hardly read a state, were what rounding of that state had left
     ("stiff", 25272, designs._observers),
+    # outputs that nothing connects were mixed, and in other units one of them was rounding beside the others
+    ("no states", 25327, designs._observers),
+    # what rounding left of gains that do not reach the other states coupled these, and poles were placed through it
+    ("delays", 25101, designs._filters),
+    ("repeated poles", 25117, designs._filters),
 ]
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import DesignError
-from residua.linear.poles.placement import default_margin, place_observer_margin, place_observer_poles
+from residua.linear.poles.placement import Placement, default_margin, place_observer_margin, place_observer_poles
 from residua.linear.poles.spectrum import describe_modes
 from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.detection_space import (
@@ -186,17 +186,31 @@ def block_gain(
     distance = default_margin(A, dt) if margin is None else margin
     gains, requested, errors = [], [], [0.0]
     for (Ai, Ci), share in zip([*blocks.pairs, (A0, C0)], shares, strict=True):
-        placed = (
-            place_observer_margin(Ai, Ci, distance, dt=dt, rtol=rtol)
-            if share is None
-            else place_observer_poles(Ai, Ci, share, dt=dt, rtol=rtol)
-        )
-        refuse_far_gain(Ai, Ci, placed.gain, _rate(share, distance, dt))
+        placed = placed_share(Ai, Ci, share, distance, dt, rtol=rtol)
         gains.append(placed.gain)
         requested.append(np.zeros(0, complex) if share is None else share)
         errors.append(float(placed.error))
     K = blocks.gain(gains[:-1], gains[-1])
     return DirectionalGain(K, fixed, np.concatenate(requested), max(errors))
+
+
+def placed_share(A: NDArray, C: NDArray, poles: NDArray | None, margin: float, dt: float, *, rtol: float) -> Placement:
+    """Place the poles of a pair in even units where its share says, or beyond the margin, with no gain from rounding.
+
+    Raises
+    ------
+    DesignError
+        If a mode that no output sees is not stable.
+    AccuracyError
+        If the poles are not reached, or only by a gain so large that rounding would be what it acts through.
+    """
+    placed = (
+        place_observer_margin(A, C, margin, dt=dt, rtol=rtol)
+        if poles is None
+        else place_observer_poles(A, C, poles, dt=dt, rtol=rtol)
+    )
+    refuse_far_gain(A, C, placed.gain, _rate(poles, margin, dt))
+    return placed
 
 
 def _rate(poles: NDArray | None, margin: float, dt: float) -> float:

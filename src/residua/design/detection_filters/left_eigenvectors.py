@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.design.detection_filters.directional_gain import DirectionalGain, Poles, share_poles
+from residua.design.detection_filters.directional_gain import DirectionalGain, Poles, placed_share, share_poles
 from residua.design.detection_filters.ignored_columns import Frame, IgnoredColumns
 from residua.errors import DesignError
-from residua.linear.poles.placement import place_observer_margin, place_observer_poles
 from residua.linear.poles.pole_assignment import real_block_diagonal
+from residua.linear.subspaces.detection_space import inverse_without_rounding
 from residua.linear.subspaces.observability import observability_form
 from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_basis, null_basis, spectral_norm
 from residua.linear.systems.balancing import without_rounding
@@ -107,15 +107,16 @@ def left_gain(
     r"""Return a gain with :math:`H (A - K C) = \Lambda H`, the other poles placed on the null space of ``H``.
 
     :math:`H K C = H A - \Lambda H` fixes ``H K``; what is left of the gain acts inside the null space ``N`` of ``H``,
-    where :math:`(C N, N^T A N)` is observable if the plant is.
+    where :math:`(C N, N^T A N)` is observable if the plant is: :math:`N^T H^+ = 0`, so that what ``H K`` fixes does
+    not reach it.
     """
     A, C, dt = parts.A, parts.C, parts.plant.dt
     H = rows.H
     k, n = H.shape
-    inverse = np.linalg.pinv(H) if k else np.zeros((n, 0))
+    inverse = inverse_without_rounding(H) if k else np.zeros((n, 0))
     N = null_basis(H)[0] if k else np.eye(n)
-    own = np.linalg.pinv(C, rcond=1e-12)
-    A2, C2 = _rest(A, inverse @ (H @ A @ own), C, N), without_rounding(C, N)
+    # Sums that cancel leave exact zeros: what rounding leaves of them would be couplings that poles are placed through.
+    A2, C2 = without_rounding(N.T, A, N), without_rounding(C, N)
     form = observability_form(A2, C2, rtol=rtol)
     fixed = np.asarray(form.unobservable_modes, dtype=complex)
     shares = share_poles(poles, [("left",)], [k], form.n_observable, fixed, dt)
@@ -124,23 +125,12 @@ def left_gain(
         target = float(share[0].real) * np.eye(k)
     else:
         target = real_block_diagonal(share)
-    K_left = inverse @ ((H @ A - target @ H) @ own)
-    A2 = _rest(A, K_left, C, N)
+    wanted = np.hstack([H, -without_rounding(target, H)]), np.vstack([A, np.eye(n)])
+    K_left = without_rounding(inverse, *wanted, inverse_without_rounding(C))
     rest = shares[1]
-    placed = (
-        place_observer_margin(A2, C2, distance, dt=dt, rtol=rtol)
-        if rest is None
-        else place_observer_poles(A2, C2, rest, dt=dt, rtol=rtol)
-    )
+    placed = placed_share(A2, C2, rest, distance, dt, rtol=rtol)
     requested = np.concatenate([share, np.zeros(0, complex) if rest is None else rest])
     return DirectionalGain(K_left + N @ placed.gain, fixed, requested, float(placed.error))
-
-
-def _rest(A: NDArray, K: NDArray, C: NDArray, N: NDArray) -> NDArray[np.float64]:
-    """Return :math:`N^T (A - K C) N` without what is rounding, which placement would take for couplings."""
-    rest = N.T @ A @ N - N.T @ K @ (C @ N)
-    terms = np.abs(N.T) @ (np.abs(A) + np.abs(K) @ np.abs(C)) @ np.abs(N)
-    return above_rounding(rest, len(A) * terms)
 
 
 def row_error(parts: IgnoredColumns, rows: LeftRows, K0: NDArray) -> float:
