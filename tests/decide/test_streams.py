@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 import residua as rs
@@ -281,6 +282,38 @@ def test_what_is_foretold_exactly_does_not_depend_on_how_many_samples_say_so(sam
     test = rs.decide.EWMA(mean_time_between_false_alarms=500)
     monitor = rs.Monitor(rs.design.robust_detection_filter(engine), test=test).fit(np.zeros((samples, 1)), y)
     assert "; 2 combinations of residuals foretold exactly" in monitor.norm_test.basis
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        rs.decide.ChiSquared(false_alarm_rate=0.01),
+        rs.decide.CUSUM(false_alarm_rate=0.01),
+        rs.decide.EWMA(),
+    ],
+    ids=named,
+)
+@pytest.mark.parametrize("seed", [1, 3, 7, 11])
+def test_what_is_foretold_exactly_has_no_tails(settings: rs.decide.TestSettings, seed: int) -> None:
+    """Four residuals of two heavy-tailed noises: what is left of two combinations is the ends of the recording.
+
+    Judged by how rare it is, it was an alarm for good, or none ever, or no number.
+    """
+    rng = np.random.default_rng(seed)
+    now, before = rng.standard_normal((2, 2, 2))
+
+    def residuals(samples: int) -> NDArray[np.float64]:
+        e = rng.standard_t(4, (samples + 1, 2))
+        return np.hstack([e[1:], 0.5 * e[:-1] @ before + e[1:] @ now])
+
+    monitor = rs.Monitor(given(4), test=settings, isolate=None).fit(None, residuals(2_000))
+    assert "2 combinations of residuals foretold exactly" in monitor.norm_test.basis
+    assert "heavy tails" in monitor.norm_test.basis
+    rate = monitor.fit_check.held_out.asked
+    assert monitor.run(None, residuals(20_000)).alarm.mean() < 4 * rate
+    broken = residuals(1_000)
+    broken[500:, 2] += 3.0  # which breaks what the past foretells
+    assert monitor.run(None, broken).alarm[510:].mean() > 0.9
 
 
 def test_a_residual_that_hardly_moves_in_a_recording_is_refused() -> None:

@@ -1,4 +1,4 @@
-"""What a filter of floats does to a plant of floats, evaluated with 200 bits: totals, and the terms that cancel."""
+"""What a filter of floats does to a plant of floats, in balls of 200 bits or more: totals, and terms that cancel."""
 
 from __future__ import annotations
 
@@ -11,6 +11,9 @@ from flint import acb, acb_mat, arb, ctx
 from numpy.typing import NDArray
 
 _BITS = 200
+#: What is allowed for the radius of a response beside the terms of its row, where these are none, and to how many bits
+#: it is tried: a filter whose states have sizes far apart loses more than the first bits have.
+_NO_FLOAT_SEES, _NOTHING_AT_ALL, _MOST_BITS = arb(2) ** -100, arb(2) ** -600, 6400
 #: A response below this part of the terms that it is the sum of is none: the plant's own numbers have no more digits.
 _NO_RESPONSE = 1e-13
 #: What a ball is asked whether it holds.
@@ -31,6 +34,16 @@ class _Solved:
     response: acb_mat
     terms: NDArray[np.float64]
 
+    @property
+    def known(self) -> bool:
+        """Tell whether the balls are so narrow that what holds zero is zero, beside all else in its row."""
+        height = [arb(max(row, default=0.0)) * _NO_FLOAT_SEES for row in self.terms.tolist()]
+        return all(
+            max(z.real.rad(), z.imag.rad()) <= max(height[i], _NOTHING_AT_ALL)
+            for i, row in enumerate(self.response.tolist())
+            for z in row
+        )
+
 
 class _System:
     """A system of balls, made once for all points."""
@@ -47,6 +60,21 @@ class _System:
         X = M.solve(self.B)
         sizes = np.abs(_floats(X))
         return _Solved(M, sizes, self.C * X + self.D, self.sizes_of_C @ sizes + self.sizes_of_D)
+
+
+def _at_point(x: float, dt: float) -> acb:
+    """Return a point of the imaginary axis or of the unit circle, to as many bits as are asked for."""
+    angle = arb(x) * arb(dt if dt else 1.0)
+    return acb(angle.cos(), angle.sin()) if dt else acb(0, arb(x))
+
+
+def _evaluated(system: _System, x: float, dt: float) -> _Solved:
+    """Return a system at a frequency with as many bits as its balls need, which are asked for from then on."""
+    while not (found := system.at(_at_point(x, dt))).known:
+        if ctx.prec >= _MOST_BITS:
+            raise ArithmeticError(f"a response is not known with {ctx.prec} bits")
+        ctx.prec *= 2
+    return found
 
 
 def _floats(M: acb_mat) -> NDArray[np.complex128]:
@@ -68,9 +96,8 @@ def _made_of(found: _Solved, B: NDArray, C: NDArray) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, eq=False)
 class _PlantAt:
-    """A plant at a frequency, for all filters of it: the point, the responses of the outputs and their sizes."""
+    """A plant at a frequency, for all filters of it: the responses of the outputs and their sizes."""
 
-    s: acb
     signals: acb_mat  # what controls, disturbances and faults make of controls and outputs
     sizes: NDArray[np.float64]
 
@@ -79,14 +106,12 @@ class _PlantAt:
 def _plant_at(x: float, dt: float, controls: int, *entries: bytes) -> _PlantAt:
     """Return what is the same for all filters of a plant; arrays come as their shapes and bytes, which can be kept."""
     E, A, B, C, D = (_array(one) for one in entries)
-    angle = arb(x) * arb(dt if dt else 1.0)
-    s = acb(angle.cos(), angle.sin()) if dt else acb(0, arb(x))
-    found = _System(E if E.size else None, A, B, C, D).at(s)
+    found = _evaluated(_System(E if E.size else None, A, B, C, D), x, dt)
     r, made = np.abs(_floats(found.response)), _made_of(found, B, C)
     columns = B.shape[1]
     read = [acb(i == j) for i in range(controls) for j in range(columns)]
     signals = acb_mat(controls + len(C), columns, [*read, *found.response.entries()])
-    return _PlantAt(s, signals, np.where(r < _NO_RESPONSE * made, made, r))  # not its own rounding
+    return _PlantAt(signals, np.where(r < _NO_RESPONSE * made, made, r))  # not its own rounding
 
 
 def _bytes(M: NDArray | None) -> bytes:
@@ -208,8 +233,9 @@ def _paths(sizes: tuple[int, int], dt: float, w: tuple[float, ...], y: bytes, *e
         total, terms, reach, own = [], [], [], []
         system = _System(None, A, B, C, D)
         for x in w:
+            ctx.prec = _BITS
             at = _plant_at(x, dt, m, *of_plant)
-            of_filter = system.at(at.s)
+            of_filter = _evaluated(system, x, dt)
             Q, r, rows = of_filter.response, at.sizes, of_filter.response.nrows()
             whole = Q * at.signals
             q = np.abs(_floats(Q))

@@ -93,6 +93,21 @@ def test_a_sound_generator_has_no_problem() -> None:
     assert problems(rs.design.decoupled_residual(subject().plant)) == set()
 
 
+def test_responses_are_known_whatever_the_sizes_of_states() -> None:
+    """A state that rounding alone moves is 2^94 times as large as others in units in which all are moved alike."""
+    B, C = np.zeros((20, 4)), np.kron(np.eye(4), np.eye(5)[-1:])
+    weights = np.array([[-24.0, 32.0, -1e-29, 16.0, last] for last in (192.0, 5e-29, 5e-29, 5e-29)])
+    for i, row in enumerate(weights):
+        B[5 * i : 5 * i + 5, i] = row
+    made = rs.StateSpace(np.kron(np.eye(4), np.diag(np.full(4, 0.25), -1)), B, C, np.eye(4), dt=1.0)
+    plant = rs.Plant(np.zeros((0, 0)), np.zeros((0, 0)), np.zeros((4, 0)), dt=1.0).with_sensor_faults()
+    w = responses.frequencies(1.0)
+    found = responses.paths(made, plant, np.ones(4), w)
+    z = np.exp(1j * np.array(w))
+    truth = np.array([1 + sum(b * 0.25 ** (4 - j) * z ** (j - 5.0) for j, b in enumerate(row)) for row in weights])
+    np.testing.assert_allclose(np.einsum("wii->wi", found.total), truth.T, rtol=1e-12)
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_responses_of_a_filter_in_base_units_are_those_in_powers_of_two(kind: str) -> None:
     """To the last bit, and evaluated once for the plant in base units and in others."""

@@ -192,6 +192,14 @@ EARLIER = [
     ("delays", 18011, designs._noise),
     # whether a coefficient of a derivative is rounding was decided in units of the caller
     ("sparse", 19027, designs._perfect),
+    # balls of 200 bits held zero without being narrow, in a filter with states of far sizes: a flaw of the campaign
+    ("companion", 25245, designs._parity),
+    # outputs that an observer need not read were combined with what rounding left of a disturbed one
+    ("no states", 25206, designs._observers),
+    # gains that cancel, of outputs that hardly read a state, were what rounding of that state had left
+    ("stiff", 25272, designs._observers),
+    # outputs that nothing connects were mixed, and in other units one of them was rounding beside the others
+    ("no states", 25327, designs._observers),
     # what rounding left of gains that do not reach the other states coupled these, and poles were placed through it
     ("delays", 25101, designs._filters),
     ("repeated poles", 25117, designs._filters),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from functools import cache
 from pathlib import Path
 
@@ -12,6 +13,8 @@ from hypothesis import given, settings, strategies as st
 import residua as rs
 from residua.decide import NormThreshold, PeakThreshold
 from residua.errors import SettingError
+from residua.json_files import dumps
+from residua.linear import StateSpace
 from residua.monitor.fused import run_block
 from residua.monitor.running import initial_state
 
@@ -186,3 +189,50 @@ def test_thresholds_that_are_bounds_start_from_rest_and_wait() -> None:
 def test_an_unknown_start_is_refused() -> None:
     with pytest.raises(SettingError, match="'estimated' or 'rest'"):
         rs.Monitor(rs.design.kalman_filter(tank()), start="guess")
+
+
+def _diagnosis(monitor: rs.Monitor, u: np.ndarray, y: np.ndarray) -> rs.Diagnosis:
+    found = monitor.run(u, y)
+    assert isinstance(found, rs.Diagnosis)
+    return found
+
+
+@pytest.mark.parametrize("seed", [14, 16, 28, 39])
+def test_a_fit_does_not_depend_on_units_of_the_states(seed: int) -> None:
+    """Four residuals of two outputs: by what is left of a start, other orders of a model were chosen."""
+    rng = np.random.default_rng(seed)
+    A = rng.standard_normal((4, 4))
+    A *= 0.5 / np.abs(np.linalg.eigvals(A)).max()
+    B, C = rng.standard_normal((4, 1)), rng.standard_normal((2, 4))
+    system = StateSpace(A, np.hstack([B, 0.05 * np.eye(4)]), C, np.zeros((2, 5)), dt=0.5)
+    u = rng.standard_normal((1_500, 1))
+    y = system.simulate(np.hstack([u, rng.standard_normal((1_500, 4))])) + 0.1 * rng.standard_normal((1_500, 2))
+    found = []
+    for x, of_y in [(np.ones(4), np.ones(2)), (2.0 ** np.array([-20, 3, 20, 9]), 2.0 ** np.array([16, -7]))]:
+        plant = rs.Plant(A * x / x[:, None], B / x[:, None], C * x * of_y[:, None], dt=0.5)
+        plant = plant.with_sensor_faults().with_actuator_faults()
+        plant = plant.with_noise(process=np.diag((0.05 / x) ** 2), measurement=np.diag((0.1 * of_y) ** 2))
+        monitor = rs.Monitor(rs.design.detection_filter(plant), test=rs.decide.ChiSquared(false_alarm_rate=0.01))
+        monitor.fit(u, y * of_y)
+        found.append((monitor.threshold, monitor.norm_test.basis, _diagnosis(monitor, u, y * of_y).statistic))
+    assert found[0][0] == pytest.approx(found[1][0], rel=1e-9)
+    assert found[0][1] == found[1][1]
+    np.testing.assert_allclose(found[0][2], found[1][2], rtol=1e-6)
+
+
+def test_weights_of_a_start_are_kept_where_the_test_has_none(tmp_path: Path) -> None:
+    """A threshold that is given, without noise: the start is weighed by how residuals see it; older files do so too."""
+    plant = rs.Plant([[0.9, 0.2], [0, 0.8]], [[1.0], [0.5]], np.eye(2), dt=1.0).with_sensor_faults()
+    design = rs.design.luenberger_observer(plant, poles=[0.7, 0.6]).residual_generator()
+    monitor = rs.Monitor(design, test=NormThreshold(threshold=1.0))
+    rng = np.random.default_rng(0)
+    u = rng.standard_normal((60, 1))
+    y = plant.system(("control",)).simulate(u, [3.0, -2.0])
+    monitor.save(tmp_path / "m.json")
+    content = json.loads((tmp_path / "m.json").read_text())
+    assert content["running"]["first"]["weights"] is not None
+    again = rs.Monitor.load(tmp_path / "m.json")
+    np.testing.assert_array_equal(_diagnosis(again, u, y).residuals, _diagnosis(monitor, u, y).residuals)
+    del content["running"]["first"]["weights"]
+    (tmp_path / "older.json").write_text(dumps(content))
+    assert not _diagnosis(rs.Monitor.load(tmp_path / "older.json"), u, y).alarm.any()

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.linear.subspaces.whitening import VARIANCE_FLOOR
 from residua.linear.systems.recursion import ordered_product
+from residua.tolerances import RANK
 
 #: Orders that are compared; fewer where the data are few.
 _ORDERS = (1, 2, 3, 4, 6, 8, 12, 16, 24)
@@ -226,10 +228,10 @@ def _solved(means: NDArray[np.float64], order: int, joint: bool) -> Autoregressi
     A = np.zeros((order, k, k))
     if joint:
         left = means[1:lags, 1:lags].transpose(0, 2, 1, 3).reshape(order * k, order * k)
-        A = np.linalg.lstsq(left, means[1:lags, 0].reshape(order * k, k), rcond=None)[0].reshape(order, k, k)
+        A = np.linalg.lstsq(left, means[1:lags, 0].reshape(order * k, k), rcond=RANK)[0].reshape(order, k, k)
     elif order:
         for j in range(k):
-            A[:, j, j] = np.linalg.lstsq(means[1:lags, 1:lags, j, j], means[1:lags, 0, j, j], rcond=None)[0]
+            A[:, j, j] = np.linalg.lstsq(means[1:lags, 1:lags, j, j], means[1:lags, 0, j, j], rcond=RANK)[0]
     terms = [np.eye(k), *(-A)]
     covariance = np.zeros((k, k))
     for i, a in enumerate(terms):
@@ -252,8 +254,9 @@ def _between(products: NDArray[np.float64], i: int, j: int) -> NDArray[np.float6
 
 
 def _log_determinant(covariance: NDArray[np.float64]) -> float:
+    """Return it of a covariance in units of samples; combinations that are foretold exactly count alike."""
     values = np.linalg.eigvalsh(covariance)
-    return float(np.log(np.maximum(values, np.finfo(float).tiny)).sum())
+    return float(np.log(np.maximum(values, VARIANCE_FLOOR)).sum())
 
 
 __all__ = ["LAGS", "Autoregression", "Past", "autoregression", "unforetold", "whiteness"]

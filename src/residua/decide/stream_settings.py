@@ -290,14 +290,15 @@ class StreamSettings(TestSettings):
             model = autoregression(q, data.usable, data.parts)
             if not model.order:
                 notes.append("the residual is coloured, and no autoregression explains it")
-        e = q[data.usable]
+        e, varies = q[data.usable], np.ones(len(live), dtype=bool)
         if model is not None and model.order:
             e = np.concatenate([_innovations(model.coefficients, q[part], data.usable[part]) for part in data.parts])
             values, vectors = np.linalg.eigh(e.T @ e / max(len(e), 1))  # in parts of the variance of each direction
             floor = self._floor(len(e))
             V = vectors / np.sqrt(np.maximum(values, floor))
             notes.append(f"coloured: what the last {model.order} samples foretell is taken off")
-            exact = int(np.sum(values <= floor))
+            varies = values > floor
+            exact = int(np.count_nonzero(~varies))
             if exact == moving:
                 raise DataError(
                     f"the past foretells all of this residual but for {number(float(values[-1]), 2)} of its variance, "
@@ -311,11 +312,12 @@ class StreamSettings(TestSettings):
             coefficients[:, live[:, None], live] = model.coefficients
             rewhitening[live[:, None], live] = V
             parts = {**parts, "coefficients": coefficients, "rewhitening": rewhitening}
-        if self.treatment == "auto" and is_heavy_tailed(e):
-            knots, scores = knots_of(e)
+        if self.treatment == "auto" and is_heavy_tailed(e[:, varies]):
+            knots, scores = knots_of(e[:, varies])
             notes.append("heavy tails: each value is judged by how rare it is")
-            everywhere = np.tile(scores, (len(parts["center"]), 1))  # what never moves stays as it is
-            everywhere[live] = knots
+            # what never moves, or is foretold exactly, stays as it is: that is rounding, and the ends of recordings
+            everywhere = np.tile(scores, (len(parts["center"]), 1))
+            everywhere[live[varies]] = knots
             parts = {**parts, "knots": everywhere, "scores": scores}
         return parts, moving, notes
 

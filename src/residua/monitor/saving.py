@@ -32,7 +32,7 @@ from residua.monitor.partial_update import PartialUpdate
 from residua.monitor.plausible import Plausible
 from residua.monitor.running import State, initial_state
 from residua.monitor.specification import Specification
-from residua.monitor.starting import MOST_SAMPLES, StartFit, start_from
+from residua.monitor.starting import MOST_SAMPLES, StartFit, known_weights, start_from
 from residua.number_kinds import ANY, ENTRY, INDEX, POSITIVE
 from residua.records import (
     array_in,
@@ -271,7 +271,11 @@ def _running_out(spec: Specification) -> dict[str, Any]:
         "plausible": array_out(spec.plausible),
         "first": None
         if spec.first is None
-        else {"samples": int(spec.first.samples), "correction": array_out(spec.first.correction)},
+        else {
+            "samples": int(spec.first.samples),
+            "correction": array_out(spec.first.correction),
+            "weights": array_out(spec.first.weights) if known_weights(spec.test) is None else None,
+        },
         "partial": None
         if spec.partial is None
         else {"covariance": array_out(spec.partial.covariance), "settled": array_out(spec.partial.settled)},
@@ -314,12 +318,16 @@ def _first_in(value: Any, spec: Specification) -> StartFit | None:
     """Return what estimates a start, with the correction that was saved."""
     if value is None:
         return None
-    content = record(value, "running.first", ("samples", "correction"))
+    content = {"weights": None} | table_in(value, "running.first")  # which were not kept at first
+    content = record(content, "running.first", ("samples", "correction", "weights"))
     samples = whole_in(content["samples"], "running.first.samples")
     correction = _square_in(content["correction"], "running.first.correction", len(spec.A))
     if not 1 <= samples <= MOST_SAMPLES:
         raise FileFormatError(f"running.first.samples must be 1 to {MOST_SAMPLES}, got {samples}")
-    return start_from(spec.A, spec.C, spec.test, samples, correction)
+    weights = content["weights"]
+    if weights is not None:
+        weights = _square_in(weights, "running.first.weights", len(spec.C))
+    return start_from(spec.A, spec.C, spec.test, samples, correction, weights)
 
 
 def _partial_in(value: Any, spec: Specification) -> PartialUpdate | None:

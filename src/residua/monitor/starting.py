@@ -17,6 +17,7 @@ from residua.decide.test import ResidualTest
 from residua.design import ResidualGenerator
 from residua.errors import SettingError
 from residua.linear.systems.recursion import ordered_product
+from residua.linear.systems.units import system_units
 from residua.visible import echo
 
 #: How a filter starts: from rest at the first sample, or with the state that its first residuals show.
@@ -111,7 +112,10 @@ def start_fit(generator: ResidualGenerator, test: ResidualTest, settle: int) -> 
     if not n or not samples or not np.any(system.C):
         return None
     A, C = system.A, system.C
-    weights = _weights(test, C, A, samples)
+    weights = known_weights(test)
+    if weights is None:  # in units of the states that come to the same whatever those of the plant are
+        T = system_units(A, np.zeros((n, 0)), C, np.zeros((len(C), 0))).states
+        weights = _weights_by_size(C * T, A / T[:, None] * T, samples)
     blocks, block = [], weights.T @ C
     for _ in range(samples):
         blocks.append(block)
@@ -135,7 +139,7 @@ def start_fit(generator: ResidualGenerator, test: ResidualTest, settle: int) -> 
     if not rank:
         return None
     carried = np.linalg.matrix_power(A, samples) @ inverse @ inverse.T
-    return start_from(system.A, system.C, test, samples, carried)
+    return start_from(A, C, test, samples, carried, weights)
 
 
 def start_from(
@@ -144,18 +148,28 @@ def start_from(
     test: ResidualTest,
     samples: int,
     correction: NDArray[np.float64],
+    weights: NDArray[np.float64] | None,
 ) -> StartFit:
-    """Return the estimator of a start, from the filter, its test and the correction."""
-    return StartFit(samples, A, C, _weights(test, C, A, samples), test.per_threshold, correction)
+    """Return the estimator of a start, from the filter, its test and the correction.
+
+    Weights that the test does not know are those of the correction; ``None`` for a correction from a file that does not
+    have them: then they depend on the units of the states, as they did.
+    """
+    known = known_weights(test)
+    weights = weights if known is None else known
+    weights = _weights_by_size(C, A, samples) if weights is None else weights
+    return StartFit(samples, A, C, weights, test.per_threshold, correction)
 
 
-def _weights(test: ResidualTest, C: NDArray, A: NDArray, samples: int) -> NDArray[np.float64]:
-    """Return weights that make residuals comparable: the whitening, or, without one, by how they see a start."""
-    k = len(C)
+def known_weights(test: ResidualTest) -> NDArray[np.float64] | None:
+    """Return the whitening, which makes residuals comparable, if there is one."""
     units = test.per_deviation
-    if units is not None and not np.array_equal(units, np.eye(k)):
-        return units
-    size, block = np.zeros(k), C
+    return None if units is None or np.array_equal(units, np.eye(len(units))) else units
+
+
+def _weights_by_size(C: NDArray, A: NDArray, samples: int) -> NDArray[np.float64]:
+    """Return weights that make residuals comparable by how they see a start."""
+    size, block = np.zeros(len(C)), C
     for _ in range(samples):
         size = size + np.sum(block**2, axis=1)
         block = ordered_product(block, A)

@@ -12,8 +12,9 @@ from residua.errors import AccuracyError, DesignError
 from residua.linear.poles.spectrum import describe_modes
 from residua.linear.poles.stability import dies_out, may_die_out
 from residua.linear.subspaces.observability import Staircase, pair, staircase
-from residua.linear.subspaces.rank import without_rounded_gains
+from residua.linear.subspaces.rank import DEFAULT_RTOL, without_rounded_gains
 from residua.linear.systems.array_cache import cached_by_contents
+from residua.tolerances import RESIDUE
 
 Matrix = NDArray[np.float64]
 Poles = NDArray[np.complex128]
@@ -59,14 +60,34 @@ class ObservablePart:
     def pseudo_inverse(self) -> Matrix:
         """A right factor ``X`` with ``C X C = C``, from balanced units."""
         form = self.form
-        seen = form.Q[:, : self.order] @ (self.H.T @ self.to_outputs)
+        L = self.H.T
+        seen = self._of_fewest_outputs(form.Q[:, : self.order] @ (L @ self.to_outputs), L)
         return form.states[:, None] * seen * form.outputs
 
     def full_gain(self, L: Matrix) -> Matrix:
         """Return ``K`` in the caller's units for a gain ``L`` of the observable part."""
         form = self.form
-        K = without_rounded_gains(form.Q[:, : self.order] @ (L @ self.to_outputs))
+        K = without_rounded_gains(self._of_fewest_outputs(form.Q[:, : self.order] @ (L @ self.to_outputs), L))
         return self.without_left_null(form.states[:, None] * K * form.outputs)
+
+    def _of_fewest_outputs(self, K: Matrix, L: Matrix) -> Matrix:
+        """Return the gain, for balanced outputs, without those in which ``L`` is not told from zero.
+
+        ``L`` is known to rounding of its norm. A combination of outputs that hardly reads a state turns that into gains
+        far above rounding of their row. They are left out together, where the outputs that are left can make the same
+        of the states.
+        """
+        known = RESIDUE * float(np.linalg.norm(L))
+        small = np.abs(K) <= known * np.linalg.norm(self.to_outputs, axis=0)
+        C, K = self.form.C, K.copy()
+        for i in np.flatnonzero(np.any(small & (K != 0), axis=1)):
+            rest = ~small[i]
+            said = K[i, small[i]] @ C[small[i]]
+            instead = np.linalg.lstsq(C[rest].T, said, rcond=DEFAULT_RTOL)[0]
+            if np.linalg.norm(said - instead @ C[rest]) <= known:
+                K[i, small[i]] = 0.0
+                K[i, rest] += instead
+        return K
 
     def without_left_null(self, K: Matrix) -> Matrix:
         """Return the gain with the same ``K C`` that ignores the left null directions of ``C``."""
@@ -118,9 +139,9 @@ def observable_part(A: ArrayLike, C: ArrayLike, dt: float, rtol: float) -> Obser
     k, r = form.n_observable, form.n_seen
     Q1 = form.Q[:, :k]
     # The first step of the staircase is C = U S [I 0] Q'; with S^-1 U' the seen states become the outputs.
-    U, s, _ = np.linalg.svd(form.C) if form.C.size else (np.eye(C.shape[0]), np.zeros(0), None)
+    U, s, Vh = np.linalg.svd(form.C) if form.C.size else (np.eye(len(C)), np.zeros(0), np.eye(len(A)))
     to_outputs = np.zeros((0, C.shape[0])) if not r else U[:, :r].T / s[:r, None]
-    H = to_outputs @ form.C @ Q1
+    H = Vh[:r] @ Q1  # to_outputs C Q1 has lost the digits by which the outputs that s divides are smaller than others
     fixed, uncertainty = form.hidden_modes
     stable = dies_out(fixed, uncertainty, dt, form.size)
     if not stable.all():
