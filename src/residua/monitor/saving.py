@@ -32,7 +32,7 @@ from residua.monitor.partial_update import PartialUpdate
 from residua.monitor.plausible import Plausible
 from residua.monitor.running import State, initial_state
 from residua.monitor.specification import Specification
-from residua.monitor.starting import MOST_SAMPLES, StartFit, known_weights, start_from
+from residua.monitor.starting import MOST_SAMPLES, StartFit, start_from
 from residua.number_kinds import ANY, ENTRY, INDEX, POSITIVE
 from residua.records import (
     array_in,
@@ -269,13 +269,7 @@ def _running_out(spec: Specification) -> dict[str, Any]:
         "start": array_out(spec.start),
         "settle": int(spec.settle),
         "plausible": array_out(spec.plausible),
-        "first": None
-        if spec.first is None
-        else {
-            "samples": int(spec.first.samples),
-            "correction": array_out(spec.first.correction),
-            "weights": array_out(spec.first.weights) if known_weights(spec.test) is None else None,
-        },
+        "first": None if spec.first is None else _first_out(spec, spec.first),
         "partial": None
         if spec.partial is None
         else {"covariance": array_out(spec.partial.covariance), "settled": array_out(spec.partial.settled)},
@@ -314,11 +308,18 @@ def _state_in(value: Any, spec: Specification) -> State:
     return state
 
 
+def _first_out(spec: Specification, first: StartFit) -> dict[str, Any]:
+    """Return what estimates a start; its weights only if they are not those that a file without them has."""
+    out = {"samples": int(first.samples), "correction": array_out(first.correction)}
+    without = start_from(spec.A, spec.C, spec.test, first.samples, first.correction, None)
+    return out if np.array_equal(without.weights, first.weights) else {**out, "weights": array_out(first.weights)}
+
+
 def _first_in(value: Any, spec: Specification) -> StartFit | None:
     """Return what estimates a start, with the correction that was saved."""
     if value is None:
         return None
-    content = {"weights": None} | table_in(value, "running.first")  # which were not kept at first
+    content = {"weights": None} | table_in(value, "running.first")  # an entry only where it is needed
     content = record(content, "running.first", ("samples", "correction", "weights"))
     samples = whole_in(content["samples"], "running.first.samples")
     correction = _square_in(content["correction"], "running.first.correction", len(spec.A))

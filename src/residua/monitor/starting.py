@@ -112,7 +112,7 @@ def start_fit(generator: ResidualGenerator, test: ResidualTest, settle: int) -> 
     if not n or not samples or not np.any(system.C):
         return None
     A, C = system.A, system.C
-    weights = known_weights(test)
+    weights = _known_weights(test)
     if weights is None:  # in units of the states that come to the same whatever those of the plant are
         T = system_units(A, np.zeros((n, 0)), C, np.zeros((len(C), 0))).states
         weights = _weights_by_size(C * T, A / T[:, None] * T, samples)
@@ -155,13 +155,13 @@ def start_from(
     Weights that the test does not know are those of the correction; ``None`` for a correction from a file that does not
     have them: then they depend on the units of the states, as they did.
     """
-    known = known_weights(test)
+    known = _known_weights(test)
     weights = weights if known is None else known
     weights = _weights_by_size(C, A, samples) if weights is None else weights
     return StartFit(samples, A, C, weights, test.per_threshold, correction)
 
 
-def known_weights(test: ResidualTest) -> NDArray[np.float64] | None:
+def _known_weights(test: ResidualTest) -> NDArray[np.float64] | None:
     """Return the whitening, which makes residuals comparable, if there is one."""
     units = test.per_deviation
     return None if units is None or np.array_equal(units, np.eye(len(units))) else units
