@@ -205,9 +205,19 @@ EARLIER = [
     ("repeated poles", 25117, designs._filters),
 ]
 
+#: What fails still: of two residuals that any rotation of is as right, one reads a sensor by 2e-12 where a rotation by
+#: that would read nothing; the basis of a null space has no more zeros than its factorisation happened to leave.
+OPEN: list[tuple[str, int, examination.Stage]] = [("singular E", 25465, designs._scheme_banks)]
+
 
 @pytest.mark.parametrize(("kind", "seed", "stage"), EARLIER, ids=[f"{kind} {seed}" for kind, seed, _ in EARLIER])
 def test_what_failed_before_holds(kind: str, seed: int, stage: examination.Stage | None) -> None:
     asked = (analyses,) if stage is None else (analyses, stage)
     found = [one for one in examination.examine(kind, seed, asked)[1] if one.outcome in FAILURES]
     assert [f"{one.units}: {one.function}: {one.text}\n{one.plant}" for one in found] == []
+
+
+@pytest.mark.xfail(strict=True, raises=AssertionError)
+@pytest.mark.parametrize(("kind", "seed", "stage"), OPEN, ids=[f"{kind} {seed}" for kind, seed, _ in OPEN])
+def test_what_fails_still(kind: str, seed: int, stage: examination.Stage) -> None:
+    test_what_failed_before_holds(kind, seed, stage)
