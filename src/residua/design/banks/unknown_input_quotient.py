@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from residua.design.core.signals import signal_names
 from residua.linear import StateSpace
 from residua.linear.subspaces.detection_space import confining_gain, detection_space
-from residua.linear.subspaces.parts import row_parts
+from residua.linear.subspaces.parts import rows_by_parts
 from residua.linear.subspaces.rank import (
     RankDecision,
     decide_rank,
@@ -137,12 +137,7 @@ def unknown_input_quotient(parts: ExplicitParts, rtol: float) -> Quotient:
 
 def _left_null_rows(M: NDArray, rtol: float, scale: float) -> NDArray[np.float64]:
     """Return orthonormal rows that annihilate a matrix; outputs that share nothing, as a dead one, are not mixed."""
-    rows = [np.zeros((0, len(M)))]
-    for part in row_parts(M):
-        basis = left_null_basis(M[part], rtol=rtol, scale=scale)[0]
-        rows.append(np.zeros((basis.shape[1], len(M))))
-        rows[-1][:, part] = basis.T
-    return np.vstack(rows)
+    return rows_by_parts(M, lambda part: left_null_basis(part, rtol=rtol, scale=scale)[0])
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,7 +26,7 @@ from residua.linear.poles.placement import Placement
 from residua.linear.poles.spectrum import describe_modes
 from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.far_gain import refuse_far_gain
-from residua.linear.subspaces.parts import part_numbers
+from residua.linear.subspaces.parts import rows_by_parts
 from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_basis, without_noise
 from residua.linear.systems.array_cache import cached_by_contents
 from residua.linear.systems.balancing import descriptor_units, sum_without_rounding, without_rounding
@@ -208,11 +208,10 @@ def _unused(plant: Plant, used: list[int]) -> NDArray:
     p = plant.n_outputs
     rest = [i for i in range(p) if i not in set(used)]
     rest = rest or list(range(p))  # of more outputs than states some are redundant
-    of_rows = part_numbers(plant.Dd[rest] != 0)[0]  # outputs that no disturbance has in common do not mix
-    parts = [[rest[i] for i in np.flatnonzero(of_rows == number)] for number in range(max(of_rows) + 1)]
-    # what rounding leaves of an output in these would bring in the disturbance that they leave out
-    bases = [without_noise(scipy.linalg.null_space(plant.Dd[part].T)) for part in parts]
-    return np.vstack([_embedded(basis, part, p).T for basis, part in zip(bases, parts, strict=True)])
+    # Outputs that no disturbance has in common do not mix, and what rounding leaves of an output in a combination would
+    # bring in the disturbance that it leaves out.
+    rows = rows_by_parts(plant.Dd[rest], lambda part: without_noise(scipy.linalg.null_space(part.T)))
+    return _embedded(rows.T, rest, p).T
 
 
 def _check(

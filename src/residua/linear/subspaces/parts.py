@@ -8,6 +8,8 @@ C.-J. Fan, Computing the block triangular form of a sparse matrix, ACM Trans. Ma
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -39,6 +41,25 @@ def row_parts(M: NDArray) -> list[NDArray[np.int_]]:
         parts.append(left[inside])
         left = left[~inside]
     return parts
+
+
+def rows_by_parts(
+    M: NDArray[np.float64], basis: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+) -> NDArray[np.float64]:
+    """Return rows that combine those of a matrix, such as annihilate it, without mixing what has no column in common.
+
+    Parameters
+    ----------
+    M : ndarray, shape (rows, columns)
+    basis : callable
+        From some rows of ``M`` to the combinations of these, as columns.
+    """
+    out = [np.zeros((0, len(M)))]
+    for part in row_parts(M):
+        combinations = basis(M[part])
+        out.append(np.zeros((combinations.shape[1], len(M))))
+        out[-1][:, part] = combinations.T
+    return np.vstack(out)
 
 
 def connected_parts(coupled: NDArray[np.bool_]) -> list[NDArray[np.int_]]:
