@@ -27,7 +27,13 @@ from residua.linear.poles.spectrum import describe_modes
 from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.far_gain import refuse_far_gain
 from residua.linear.subspaces.parts import rows_by_parts
-from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_basis, without_noise
+from residua.linear.subspaces.rank import (
+    RankDecision,
+    decide_rank,
+    left_null_basis,
+    without_noise,
+    without_slight_mixing,
+)
 from residua.linear.systems.array_cache import cached_by_contents
 from residua.linear.systems.balancing import descriptor_units, sum_without_rounding, without_rounding
 from residua.plant import Plant
@@ -210,7 +216,9 @@ def _unused(plant: Plant, used: list[int]) -> NDArray:
     rest = rest or list(range(p))  # of more outputs than states some are redundant
     # Outputs that no disturbance has in common do not mix, and what rounding leaves of an output in a combination would
     # bring in the disturbance that it leaves out.
-    rows = rows_by_parts(plant.Dd[rest], lambda part: without_noise(scipy.linalg.null_space(part.T)))
+    rows = rows_by_parts(
+        plant.Dd[rest], lambda part: without_slight_mixing(without_noise(scipy.linalg.null_space(part.T)))
+    )
     return _embedded(rows.T, rest, p).T
 
 
