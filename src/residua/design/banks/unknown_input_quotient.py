@@ -18,6 +18,7 @@ from residua.linear.subspaces.rank import (
     range_basis,
     spectral_norm,
     without_noise,
+    without_slight_mixing,
 )
 from residua.linear.subspaces.reachability import reachable_basis
 from residua.linear.systems.array_cache import cached_by_contents
@@ -136,8 +137,8 @@ def unknown_input_quotient(parts: ExplicitParts, rtol: float) -> Quotient:
 
 
 def _left_null_rows(M: NDArray, rtol: float, scale: float) -> NDArray[np.float64]:
-    """Return orthonormal rows that annihilate a matrix; outputs that share nothing, as a dead one, are not mixed."""
-    return rows_by_parts(M, lambda part: left_null_basis(part, rtol=rtol, scale=scale)[0])
+    """Return rows of length one that annihilate a matrix; outputs that share nothing, as a dead one, are not mixed."""
+    return rows_by_parts(M, lambda part: without_slight_mixing(left_null_basis(part, rtol=rtol, scale=scale)[0]))
 
 
 @dataclass(frozen=True, eq=False)
