@@ -213,6 +213,10 @@ EARLIER = [
     ("stiff", 29045, designs._filters),
     # an estimate was not compared with the state as far down as its plant integrates, nor frequency by frequency
     ("stiff", 29031, designs._observers),
+    # what rounding left of a fault that no output sees was taken for what the internal form hid
+    ("hidden modes", 30109, designs._decoupled),
+    # what is left of a fault in the end was less than any limit above rounding
+    ("stiff", 29120, None),
     # leaks were asked for ten thousand times beyond all poles: a flaw of the campaign
     ("stiff", 29039, designs._decoupled),
 ]

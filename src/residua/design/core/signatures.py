@@ -145,10 +145,11 @@ def fault_responses(
         P = np.abs(p.system.frequency_response(w))
     driven = _largest(Q, P)
     sizes = np.abs(values)
-    # An internal form in which large states cancel is made of far more than the filter driven by the plant: an answer
-    # that no leak of that would be is there when the form knows it well.
-    known_well = (sizes > LEAKAGE * driven) & (sizes > RESPONSE_ROUNDING * terms)
-    reached = np.any(known_well | (sizes > DESIGN_ROUNDING * (terms + driven)), axis=0)
+    reached = np.any(sizes > DESIGN_ROUNDING * (terms + driven), axis=0)
+    # An internal form in which large states cancel is made of far more than the filter driven by the plant. A fault
+    # that is not lost in that reaches the other residuals, too, where the answer is no leak of what the filter reads.
+    known_well = np.any((sizes > LEAKAGE * driven) & (sizes <= driven) & (sizes > RESPONSE_ROUNDING * terms), axis=0)
+    reached |= known_well & reached.any(axis=0)
     terms = terms + driven if T is None else terms
     return FaultResponses(scaled, np.where(reached, values, 0.0), terms, driven, reached, own.outputs)
 
