@@ -14,7 +14,7 @@ from residua.linear.poles.stability import dies_out, may_die_out
 from residua.linear.subspaces.observability import Staircase, pair, staircase
 from residua.linear.subspaces.rank import DEFAULT_RTOL, without_rounded_gains
 from residua.linear.systems.array_cache import cached_by_contents
-from residua.tolerances import RESIDUE
+from residua.tolerances import RANK, RESIDUE
 
 Matrix = NDArray[np.float64]
 Poles = NDArray[np.complex128]
@@ -79,15 +79,7 @@ class ObservablePart:
         """
         known = RESIDUE * float(np.linalg.norm(L))
         small = np.abs(K) <= known * np.linalg.norm(self.to_outputs, axis=0)
-        C, K = self.form.C, K.copy()
-        for i in np.flatnonzero(np.any(small & (K != 0), axis=1)):
-            rest = ~small[i]
-            said = K[i, small[i]] @ C[small[i]]
-            instead = np.linalg.lstsq(C[rest].T, said, rcond=DEFAULT_RTOL)[0]
-            if np.linalg.norm(said - instead @ C[rest]) <= known:
-                K[i, small[i]] = 0.0
-                K[i, rest] += instead
-        return K
+        return _left_to_others(K, self.form.C, small, np.full(len(K), known))
 
     def without_left_null(self, K: Matrix) -> Matrix:
         """Return the gain with the same ``K C`` that ignores the left null directions of ``C``."""
@@ -103,7 +95,26 @@ class ObservablePart:
             projected = projected + (lost @ basis) @ basis.T
         projected = np.where(np.any(self.C, axis=1), projected, 0.0)  # of an empty row all is left null
         # what the projection leaves of nothing would be a gain on outputs that the others do without
-        return without_rounded_gains(projected / self.form.outputs) * self.form.outputs
+        K = without_rounded_gains(projected / self.form.outputs) * self.form.outputs
+        shares = np.abs(K) * np.linalg.norm(self.C, axis=1)
+        weak = shares <= RANK * shares.max(axis=1, keepdims=True, initial=0.0)
+        return _left_to_others(K, self.C, weak, RESIDUE * np.linalg.norm(K @ self.C, axis=1))
+
+
+def _left_to_others(K: Matrix, C: Matrix, small: NDArray[np.bool_], known: NDArray[np.float64]) -> Matrix:
+    """Return a gain without small entries, where the others of their row can make the same of the states.
+
+    That is known, in each row, to some size. A residual would read those outputs for nothing.
+    """
+    K = K.copy()
+    for i in np.flatnonzero(np.any(small & (K != 0), axis=1)):
+        rest = ~small[i]
+        said = K[i, small[i]] @ C[small[i]]
+        instead = np.linalg.lstsq(C[rest].T, said, rcond=DEFAULT_RTOL)[0]
+        if np.linalg.norm(said - instead @ C[rest]) <= known[i]:
+            K[i, small[i]] = 0.0
+            K[i, rest] += instead
+    return K
 
 
 @cached_by_contents
