@@ -413,7 +413,7 @@ class StreamSettings(TestSettings):
         level = np.concatenate(levels)
         everywhere = np.ones(len(level), dtype=bool)
         found = Observed(level, level, everywhere, np.concatenate(blocks), np.concatenate(begins),
-                         scale_of(level, float(k)), 1, 1, level)  # fmt: skip
+                         scale_of(level, float(k)), 1, 1, level, level)  # fmt: skip
         promise = promise_by("auto" if self.source == "data" else self.source, found, rate)
         basis = f"fitted to {len(level)} fault-free samples, {promise}; {'; '.join(notes)}"
         threshold = max(float(promise.threshold), float(np.finfo(float).tiny))
