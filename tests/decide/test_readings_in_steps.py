@@ -8,6 +8,7 @@ from scipy import stats
 
 import residua as rs
 from residua.decide.exceedance_tail import quantile, without_steps
+from residua.decide.normal_scores import knots_of, normal_scores
 from residua.decide.whitened_norm import NormTest
 
 FITS = 20
@@ -27,6 +28,12 @@ def fitted(residuals: np.ndarray, rate: float, source: str = "auto", persistence
     return monitor.fit(None, residuals, false_alarm_rate=rate, held_out=0)
 
 
+def ran(monitor: rs.Monitor, residuals: np.ndarray) -> rs.Diagnosis:
+    diagnosis = monitor.run(None, residuals)
+    assert isinstance(diagnosis, rs.Diagnosis)
+    return diagnosis
+
+
 def share_over(test: NormTest, step: float) -> float:
     """The fraction of one rounded Gaussian residual over a threshold: exactly."""
     readings = step * np.arange(-40, 41)
@@ -40,7 +47,7 @@ def test_a_reading_at_the_threshold_is_not_over_it(source: str) -> None:
     for seed in range(12):
         residuals = rounded(2.5, 5000, 1, seed)
         monitor = fitted(residuals, 1e-4, source)
-        assert monitor.run(None, residuals).alarm[2500:].mean() < 0.01
+        assert ran(monitor, residuals).alarm[2500:].mean() < 0.01
 
 
 @pytest.mark.parametrize("source", ["auto", "tail"])
@@ -59,7 +66,7 @@ def test_a_promise_for_two_coarse_residuals_is_kept(persistence: int) -> None:
     kept, new = 0, rounded(4.0, 60_000, 2, 99)
     for seed in range(FITS):
         monitor = fitted(rounded(4.0, 3000, 2, seed), 0.001, persistence=persistence)
-        kept += monitor.run(None, new).alarm.mean() <= monitor.norm_test.promised
+        kept += ran(monitor, new).alarm.mean() <= monitor.norm_test.promised
     assert kept >= stats.binom.ppf(0.01, FITS, 0.95)
 
 
@@ -87,3 +94,42 @@ def test_values_in_steps_are_spread_over_them(scale: float) -> None:
     assert len(np.unique(spread)) > 1000
     runs = np.flatnonzero(np.diff(values) == 0)
     np.testing.assert_array_equal(spread[runs], spread[runs + 1])
+
+
+def spikes(rng: np.random.Generator, rows: int) -> np.ndarray:
+    """Noise with a value far above it in some samples, so that the mean lies above all the rest."""
+    return rng.standard_normal((rows, 1)) + 500.0 * (rng.random((rows, 1)) < 0.015)
+
+
+@pytest.mark.parametrize("step", [3.0, 5.0, None])
+@pytest.mark.parametrize("test", [rs.decide.CUSUM, rs.decide.EWMA])
+def test_equal_values_and_spikes_have_scores(step: float | None, test: type[rs.decide.CUSUM | rs.decide.EWMA]) -> None:
+    """Of which most had the lowest score there is: 99 % of new samples were in alarm, or the fit failed."""
+    rng = np.random.default_rng(2)
+    fit, new = (spikes(rng, n) if step is None else rounded(step, n, 1, n) for n in (5000, 100_000))
+    settings = test(mean_time_between_false_alarms=2000.0)
+    monitor = rs.Monitor(given(), test=settings, isolate=None).fit(None, fit)
+    diagnosis = ran(monitor, new)
+    assert diagnosis.alarm.mean() < 0.02
+    assert len(diagnosis.alarms) <= 100_000 / 1000
+
+
+def test_the_score_of_equal_values_is_in_the_middle_of_theirs() -> None:
+    e = np.concatenate([np.zeros(800), np.full(100, 2.0), np.full(100, -2.0)])[:, None]
+    knots, scores = knots_of(e)
+    found = normal_scores(np.array([[-2.0], [0.0], [2.0]]), knots, scores)[:, 0]
+    np.testing.assert_allclose(found, stats.norm.ppf([0.05, 0.5, 0.95]), atol=0.02)
+    assert (np.diff(knots) > 0).all()
+
+
+def test_more_alarms_than_chance_at_the_threshold_of_a_design_contradict_it() -> None:
+    """Twelve outliers say nothing of the lower thresholds that a design is compared at."""
+    rng = np.random.default_rng(1)
+
+    def outliers(rows: int) -> np.ndarray:
+        return rng.standard_normal((rows, 1)) * np.where(rng.random((rows, 1)) < 0.003, 20.0, 1.0)
+
+    settings = rs.decide.GLR(window=20, mean_time_between_false_alarms=2000.0)
+    monitor = rs.Monitor(given(), test=settings, isolate=None).fit(None, outliers(5000))
+    assert "alarms at its threshold of" in monitor.norm_test.basis
+    assert len(ran(monitor, outliers(100_000)).alarms) <= 100
