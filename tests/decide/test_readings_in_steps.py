@@ -14,7 +14,7 @@ from residua.decide.whitened_norm import NormTest
 FITS = 20
 
 
-def given(columns: int = 1) -> rs.ResidualGenerator:
+def given(columns: int = 1) -> rs.design.ResidualGenerator:
     return rs.identify.given_residuals([f"r{i}" for i in range(columns)], dt=1.0)
 
 
