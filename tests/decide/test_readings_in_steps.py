@@ -133,3 +133,17 @@ def test_more_alarms_than_chance_at_the_threshold_of_a_design_contradict_it() ->
     monitor = rs.Monitor(given(), test=settings, isolate=None).fit(None, outliers(5000))
     assert "alarms at its threshold of" in monitor.norm_test.basis
     assert len(ran(monitor, outliers(100_000)).alarms) <= 100
+
+
+@pytest.mark.parametrize("test", [rs.decide.EWMA, rs.decide.PageHinkley])
+def test_alarms_that_last_much_longer_than_designed_contradict_it(test: type[rs.decide.EWMA]) -> None:
+    """A valve that is open or shut for a while: few alarms, and most of the samples in them."""
+    rng = np.random.default_rng(0)
+
+    def valve(rows: int) -> np.ndarray:
+        position = np.repeat((rng.random(rows // 40 + 1) < 0.5).astype(float), 40)[:rows]
+        return np.column_stack([position, rng.standard_normal(rows)])
+
+    monitor = rs.Monitor(given(2), test=test(), isolate=None).fit(None, valve(1500), false_alarm_rate=0.05)
+    assert "samples in alarm at its threshold of" in monitor.norm_test.basis
+    assert ran(monitor, valve(20_000)).alarm.mean() <= monitor.norm_test.promised

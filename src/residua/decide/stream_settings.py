@@ -45,6 +45,8 @@ _EXPECTED = {200.0: 100.0, 50.0: 40.0, 20.0: 40.0}
 _CONTRADICTION = 3.0
 #: Probability that as many false alarms come by chance, below which they contradict the threshold of a design.
 _BY_CHANCE = 0.001
+#: Deviations of the time in alarm by which it does.
+_LONG = 4.0
 #: Alarms that show how long they last, and the fractions in alarm among which a threshold is sought that has so many.
 _LEAST_RAISED, _MOST_SHARE, _SHARES = 30, 0.2, 12
 #: Stretches of time of which each is judged by what the others say.
@@ -383,7 +385,7 @@ class StreamSettings(TestSettings):
     ) -> str:
         """Return that more false alarms are seen at the threshold of the design than chance explains; else nothing.
 
-        Lower thresholds say nothing of values that are rare, and then far beyond the others.
+        Or longer ones. Lower thresholds say nothing of values that are rare, and then far beyond the others.
         """
         from scipy.special import pdtrc
 
@@ -395,6 +397,12 @@ class StreamSettings(TestSettings):
             return (
                 f"the data contradict the design for white Gaussian residuals: {counted(raised, 'alarm')} at its "
                 f"threshold of {threshold:.3g}, {mean:.2g} expected"
+            )
+        lasting, most = int(np.sum(levels > threshold)), mean + _LONG * (2 * mean) ** 0.5 + _LONG**2
+        if lasting > cycle.lasting * most:  # of alarms as many as Poisson's, each as long as an exponential variable
+            return (
+                f"the data contradict the design for white Gaussian residuals: {counted(lasting, 'sample')} in alarm at "
+                f"its threshold of {threshold:.3g}, {number(mean * cycle.lasting, 2)} expected"
             )
         return ""
 
