@@ -15,6 +15,7 @@ from residua.decide.whitening import moving_directions, whitening_matrix
 from residua.decide.window import empty_window, moving_sum
 from residua.errors import DataError
 from residua.linear.subspaces.whitening import VARIANCE_FLOOR
+from residua.tolerances import ROUNDING
 from residua.words import counted
 
 #: With that many independent samples to each residual a covariance counts as known, and is left as it is.
@@ -132,8 +133,10 @@ class FaultFree:
 
     @cached_property
     def deviations(self) -> NDArray[np.float64]:
-        """Residuals less their mean, zero where not usable."""
-        return np.where(self.usable[:, None], self.residuals - self.middle, 0.0)
+        """Residuals less their mean, zero where not usable, and of a residual that stands still: its mean is rounded."""
+        out = np.where(self.usable[:, None], self.residuals - self.middle, 0.0)
+        out[:, np.abs(out).max(axis=0, initial=0.0) <= ROUNDING * np.abs(self.middle)] = 0.0
+        return out
 
     @cached_property
     def moving(self) -> int:
