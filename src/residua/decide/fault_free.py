@@ -133,9 +133,11 @@ class FaultFree:
 
     @cached_property
     def deviations(self) -> NDArray[np.float64]:
-        """Residuals less their mean, zero where not usable, and of a residual that stands still: its mean is rounded."""
+        """Residuals less their mean, zero where not usable and where a residual stands still: its mean is rounded."""
         out = np.where(self.usable[:, None], self.residuals - self.middle, 0.0)
-        out[:, np.abs(out).max(axis=0, initial=0.0) <= ROUNDING * np.abs(self.middle)] = 0.0
+        rows = self.residuals[self.usable]
+        if len(rows):
+            out[:, np.ptp(rows, axis=0) <= ROUNDING * np.abs(self.middle)] = 0.0
         return out
 
     @cached_property

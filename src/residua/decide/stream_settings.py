@@ -401,8 +401,8 @@ class StreamSettings(TestSettings):
         lasting, most = int(np.sum(levels > threshold)), mean + _LONG * (2 * mean) ** 0.5 + _LONG**2
         if lasting > cycle.lasting * most:  # of alarms as many as Poisson's, each as long as an exponential variable
             return (
-                f"the data contradict the design for white Gaussian residuals: {counted(lasting, 'sample')} in alarm at "
-                f"its threshold of {threshold:.3g}, {number(mean * cycle.lasting, 2)} expected"
+                f"the data contradict the design for white Gaussian residuals: {counted(lasting, 'sample')} in alarm "
+                f"at its threshold of {threshold:.3g}, {number(mean * cycle.lasting, 2)} expected"
             )
         return ""
 
