@@ -8,6 +8,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
 
 from exact.responses import Paths, frequencies, paths
@@ -29,6 +30,8 @@ _ANSWER, _NEARLY_ANSWER = 1e-5, 1e-6
 _NEAR, _OFF = 1e-5, 1e-3
 #: A gain of a plant of small fractions above this comes of rounding that was taken for a coupling.
 _GAIN = 1e9
+#: Frequencies this far beyond the poles of plant and filter are asked about no more.
+_BEYOND_POLES = 100.0
 #: A residual that is made of less than this, against the others in base units, is rounding as a whole.
 _NOTHING = 1e-9
 
@@ -36,7 +39,7 @@ _NOTHING = 1e-9
 def examine_generator(subject: Subject, record: Record, made: Any, plant: Any, prefix: str = "") -> Paths:
     """Check leak, structure and subspaces of a generator, and keep its facts."""
     y = _output_units(subject, plant)
-    w = _frequencies(subject, plant)
+    w = _frequencies(subject, plant, made.system.A)
     found = paths(made.system, plant, y, w, scales_of(plant, subject.by))
     decoupled = any(name in made.evidence.decoupling for name in ("disturbance", "everything ignored"))
     structure = np.asarray(made.structure)
@@ -71,11 +74,16 @@ def _output_units(subject: Subject, plant: Any) -> NDArray[np.float64]:
     return y if len(y) == plant.n_outputs else np.ones(plant.n_outputs)
 
 
-def _frequencies(subject: Subject, plant: Any) -> list[float]:
+def _frequencies(subject: Subject, plant: Any, F: NDArray[np.float64]) -> list[float]:
     own = frequencies(plant.dt)
     if plant.dt:
         return own
-    fast = [] if subject.rates < 50 else [x * subject.rates for x in (0.0371, 1.311)]
+    if subject.rates < 50:
+        return [x * subject.by.t for x in own]
+    # far beyond all poles responses are powers of 1/s, and what rounding left of a filter is one of fewer.
+    poles = np.abs(np.concatenate([scipy.linalg.eigvals(plant.A, plant.E), scipy.linalg.eigvals(F)])) / subject.by.t
+    fastest = float(poles.max(where=np.isfinite(poles), initial=0.0))
+    fast = [x * subject.rates for x in (0.0371, 1.311) if x * subject.rates < _BEYOND_POLES * fastest]
     return [x * subject.by.t for x in (*own, *fast)]
 
 
@@ -186,7 +194,7 @@ def examine_estimate(subject: Subject, record: Record, system: Any, plant: Any, 
     y = np.concatenate([_output_units(subject, plant), subject.by.x])
     scales = scales_of(plant, subject.by)
     scales = scales and replace(scales, outputs=y)
-    found = paths(error, seen, y, _frequencies(subject, plant), scales)
+    found = paths(error, seen, y, _frequencies(subject, plant, system.A), scales)
     for name, columns in [("control", found.to_controls), ("disturbance", found.to_disturbances)]:
         if name == "disturbance" and not decoupled:
             continue

@@ -205,6 +205,20 @@ EARLIER = [
     ("repeated poles", 25117, designs._filters),
     # of two residuals that any rotation of is as right, one read a sensor by 2e-12 that the other reads
     ("singular E", 25465, designs._scheme_banks),
+    # an internal form in which large states cancel hid what a fault does: less than a billionth of its terms
+    ("stiff", 29015, designs._scheme_banks),
+    # rows were brought to length one in units of the caller, and the rest of the design rounded otherwise in each
+    ("integrators", 29018, designs._filters),
+    ("stiff", 29024, designs._filters),
+    ("stiff", 29045, designs._filters),
+    # an estimate was not compared with the state as far down as its plant integrates, nor frequency by frequency
+    ("stiff", 29031, designs._observers),
+    # what rounding left of a fault that no output sees was taken for what the internal form hid
+    ("hidden modes", 30109, designs._decoupled),
+    # what is left of a fault in the end was less than any limit above rounding
+    ("stiff", 29120, None),
+    # leaks were asked for ten thousand times beyond all poles: a flaw of the campaign
+    ("stiff", 29039, designs._decoupled),
 ]
 
 #: What fails still.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 import residua as rs
 from generated import random_plant
@@ -87,3 +88,18 @@ def test_evening_ends_early_with_the_factors_of_all_sweeps() -> None:
             assert np.array_equal(whole[1], step[1])
             differ += sweeps > 1 and not (np.array_equal(step[0], before[0]) and np.array_equal(step[1], before[1]))
     assert differ > 20  # a second sweep does matter
+
+
+@pytest.mark.parametrize("seed", range(100))
+def test_the_level_of_whole_numbers_is_the_same_in_all_units(seed: int) -> None:
+    # few entries of simple plants have a level halfway between two powers of two, which rounds either way
+    rng = np.random.default_rng(seed)
+    n, m, p = 2, 3, 3
+    A = np.triu(rng.integers(0, 2, (n, n)), 1) * 1.0
+    B, C = (rng.integers(-1, 3, shape) * 1.0 for shape in ((n, m), (p, n)))
+    D = rng.integers(0, 2, (p, m)) * rng.integers(0, 2, (p, m)) * 1.0
+    T, U, Y = (2.0 ** rng.integers(-20, 21, count) for count in (n, m, p))
+    here = balance_system(A, B, C, D)
+    there = balance_system(A / T[:, None] * T, B / T[:, None] * U, Y[:, None] * C * T, Y[:, None] * D * U)
+    for one, other in zip((here.A, here.B, here.C, here.D), (there.A, there.B, there.C, there.D), strict=True):
+        assert_array_equal(other, one)

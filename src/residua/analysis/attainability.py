@@ -127,7 +127,8 @@ def attainable(
     some of them ignores all combinations of theirs, the *closure*; so the attainable rows are the complements of the
     closed sets, the flats of a matroid, and are enumerated as such. Of ``m`` independent residuals, one can ignore at
     most ``m - 1`` independent faults. Decided at a few fixed points, like :func:`residua.diagnosability`: a column is
-    outside the closure when its angle to it exceeds 1e-7 and what rounding may have done.
+    outside the closure when its angle to it exceeds 1e-7 and what rounding may have done; or, like there, in rational
+    numbers.
 
     References
     ----------

@@ -8,6 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.analysis.rational_visibility import (
+    RationalColumns,
+    are_rational,
+    rational_columns,
+    rational_limit_columns,
+)
 from residua.analysis.visibility import (
     Visible,
     check_regular,
@@ -24,6 +30,8 @@ from residua.tolerances import TINY
 
 #: Two columns closer than this are the same, as for diagnosability.
 LEAST_SINE = 1e-7
+#: The least distance, over its limit, of a column that is outside a span in rational numbers.
+_OUTSIDE = 2.0
 #: Columns whose smallest angle is known to better than this are projected off one another as they are.
 _WELL_APART = 1e-4
 
@@ -70,11 +78,14 @@ class FaultSpace:
     model: Plant  # in units of its own
     rank: int  # of its pencil with the disturbances
     rtol: float
+    rational: RationalColumns | None = None  # where the numbers of the plant are exact: the answer
 
     def distances(self, basis: Sequence[int]) -> NDArray[np.float64]:
         """Return how far each column is outside the span of independent ones: the sine of the angle over its limit."""
         sines, limits = _outside(self.generic, basis)
         ratio = np.where(np.isfinite(limits), sines / np.maximum(limits, TINY), 0.0).max(axis=0, initial=0.0)
+        if self.rational is not None:
+            ratio = np.where(self.rational.inside(basis), 0.0, np.maximum(ratio, _OUTSIDE))
         return np.where(self.visible, ratio, 0.0)
 
     def basis(self, chosen: Iterable[int]) -> list[int]:
@@ -102,17 +113,23 @@ class FaultSpace:
         """Return which faults leave a lasting trace while constant, in some residual that ignores the basis.
 
         The limit of what the disturbances leave is projected off the basis; where the basis loses rank there, the limit
-        is taken with the basis among the disturbances.
+        is taken with the basis among the disturbances. What that does not see is asked for in rational numbers.
         """
+        left = self.visible & ~self.closure(basis)
         sines, limits = _outside(self.limit, basis)
-        if not np.isfinite(limits[0, list(basis)]).all() or limits[0].min(initial=np.inf) > _WELL_APART:
-            ignored = self.model.faults_as_disturbances([self.faults[j] for j in basis])
+        if np.isfinite(limits[0, list(basis)]).all() and limits[0].min(initial=np.inf) <= _WELL_APART:
+            seen = sines[0] > limits[0]
+            if self.rational is None or seen[left].all():
+                return np.asarray(left & seen)
+        ignored = self.model.faults_as_disturbances([self.faults[j] for j in basis])
+        if self.rational is not None:
+            there = rational_limit_columns(ignored).present
+        else:
             after = limit_columns(ignored, self.rtol, self.rank + len(basis))
-            there, out = _directions(after, self.rtol), np.zeros(len(self.faults), dtype=bool)
-            kept = [j for j in range(len(self.faults)) if j not in basis]
-            out[kept] = np.isfinite(there.doubt[0])
-            return self.visible & out & ~self.closure(basis)
-        return self.visible & (sines[0] > limits[0])
+            there = np.isfinite(_directions(after, self.rtol).doubt[0])
+        out = np.zeros(len(self.faults), dtype=bool)
+        out[[j for j in range(len(self.faults)) if j not in basis]] = there
+        return np.asarray(left & out)
 
     def hiders(self, fault: int, basis: Sequence[int]) -> list[int]:
         """Return a smallest part of a basis that hides a fault of its closure; empty for one that is not visible."""
@@ -173,8 +190,11 @@ def _fault_space(model: Plant, rtol: float) -> FaultSpace:
     columns = visible_columns(model, points, rtol)
     generic = _directions(columns, rtol)
     limit = _directions(limit_columns(model, rtol, columns.rank), rtol)
-    visible = np.asarray(np.isfinite(generic.doubt).any(axis=0))
-    return FaultSpace(model.faults, visible, columns.columns.shape[1], generic, limit, model, columns.rank, rtol)
+    visible, dimension = np.asarray(np.isfinite(generic.doubt).any(axis=0)), columns.columns.shape[1]
+    rational = rational_columns(model) if are_rational(model, rtol) else None
+    if rational is not None:
+        visible, dimension = rational.present, len(rational.rows)
+    return FaultSpace(model.faults, visible, dimension, generic, limit, model, columns.rank, rtol, rational)
 
 
 def _directions(visible: Visible, rtol: float) -> _Directions:

@@ -18,6 +18,7 @@ from residua.linear.subspaces.rank import (
     range_basis,
     spectral_norm,
     without_noise,
+    without_slight_mixing,
 )
 from residua.linear.subspaces.reachability import reachable_basis
 from residua.linear.systems.array_cache import cached_by_contents
@@ -125,7 +126,8 @@ def unknown_input_quotient(parts: ExplicitParts, rtol: float) -> Quotient:
     inject, read = P.T @ (G + inject @ W), H @ W
     return Quotient(
         F,
-        without_rounding(H, C, P),
+        # bases are known to the rounding of their length: a residual must not read what that leaves of a state
+        _without_rounding(without_rounding(H, C, P)),
         P.T @ parts.derivative,
         inject,
         read,
@@ -136,8 +138,8 @@ def unknown_input_quotient(parts: ExplicitParts, rtol: float) -> Quotient:
 
 
 def _left_null_rows(M: NDArray, rtol: float, scale: float) -> NDArray[np.float64]:
-    """Return orthonormal rows that annihilate a matrix; outputs that share nothing, as a dead one, are not mixed."""
-    return rows_by_parts(M, lambda part: left_null_basis(part, rtol=rtol, scale=scale)[0])
+    """Return rows of length one that annihilate a matrix; outputs that share nothing, as a dead one, are not mixed."""
+    return rows_by_parts(M, lambda part: without_slight_mixing(left_null_basis(part, rtol=rtol, scale=scale)[0]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -278,7 +278,11 @@ def _size(system: StateSpace) -> float:
 
 
 def leak_frequencies(
-    generator: StateSpace, plant: Plant, roles: tuple[str, ...] = ("control", "disturbance")
+    generator: StateSpace,
+    plant: Plant,
+    roles: tuple[str, ...] = ("control", "disturbance"),
+    *,
+    points: int = POINTS,
 ) -> NDArray[np.float64]:
     """Return the frequencies in rad/s at which leaks are measured: those of the dynamics of filter and plant.
 
@@ -288,7 +292,7 @@ def leak_frequencies(
     holds of ``z - 1`` to two thousandths, as ``exp(jw dt) - 1`` turns from ``jw dt`` by half of that angle; it is
     measured down to periods of some thousand samples in any case.
     """
-    w, system = frequency_grid(generator, plant.system(())), plant.system(roles)
+    w, system = frequency_grid(generator, plant.system(()), points=points), plant.system(roles)
     form = _in_differences(system)
     integrators = int(np.count_nonzero(form.poles() == 0))
     if not form.n_inputs or not integrators:

@@ -204,7 +204,7 @@ def _right_ways(
         notes = (confined.note, lowered)
         return _generator(parts, S0, gain, "right eigenvectors", notes, ranks, frame=right_frame(parts, confined))
 
-    S0 = parts.with_rows_of_length_one(S0)
+    S0 = parts.with_even_rows(S0)
     return [
         lambda k=k, d=distance, note=note: way(k, d, note)
         for k in range(len(confinement))
@@ -218,7 +218,7 @@ def _left_ways(
     """Return the designs to try with left eigenvectors."""
     rows = left_rows(parts, approximate=approximate, rtol=rtol)
     require_detectable(parts, rtol=rtol)
-    S0 = parts.with_rows_of_length_one(np.vstack([rows.moving, rows.still]))
+    S0 = parts.with_even_rows(np.vstack([rows.moving, rows.still]))
 
     def way(distance: float, lowered: str) -> ResidualGenerator:
         gain = left_gain(parts, rows, poles, distance, _first(parts, distance), rtol=rtol)

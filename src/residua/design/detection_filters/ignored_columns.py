@@ -14,7 +14,7 @@ from residua.errors import DesignError
 from residua.linear.poles.spectrum import describe_modes
 from residua.linear.subspaces.observability import detectability
 from residua.linear.subspaces.rank import RankDecision, decide_rank, range_basis, without_rounded_gains
-from residua.linear.systems.balancing import descriptor_units, without_rounding
+from residua.linear.systems.balancing import descriptor_units, power_of_two, without_rounding
 from residua.plant import Plant
 from residua.tolerances import RESIDUE, above_rounding
 
@@ -84,15 +84,17 @@ class IgnoredColumns:
         S, Y = self.states, self.outputs
         return gain_size(F / S[:, None] * S, K / S[:, None] / Y, Y[:, None] * self.plant.C * S)
 
-    def with_rows_of_length_one(self, S0: NDArray) -> NDArray[np.float64]:
-        """Return rows for the outputs that are used, scaled to length one in the units of the plant.
+    def with_even_rows(self, S0: NDArray) -> NDArray[np.float64]:
+        """Return rows for the outputs that are used, with lengths near one in the units of the plant.
 
-        Their first entry is positive.
+        Their length is one in balanced units, times a power of two, so that the rest of a design rounds alike in all
+        units. Their first entry is positive.
         """
         S0 = above_rounding(S0, np.abs(S0).max(axis=1, keepdims=True, initial=0.0), RESIDUE)
+        S0 = S0 / np.linalg.norm(S0, axis=1, keepdims=True)
         S = S0 @ self.W * self.outputs
         lead = np.argmax(np.abs(S) > 1e-9 * np.abs(S).max(axis=1, keepdims=True, initial=0.0), axis=1)
-        return S0 * (np.sign(S[np.arange(len(S)), lead]) / np.linalg.norm(S, axis=1))[:, None]
+        return S0 * (np.sign(S[np.arange(len(S)), lead]) / power_of_two(np.linalg.norm(S, axis=1)))[:, None]
 
 
 @dataclass(frozen=True, eq=False)

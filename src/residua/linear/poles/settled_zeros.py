@@ -25,7 +25,7 @@ from residua.linear.poles.zero_structure import scatter_of
 Found = tuple[int, NDArray[np.complex128] | None]
 
 #: Numbers of states and channels up to which it takes milliseconds.
-_SMALL = 24
+SMALL = 24
 #: Numbers of no more binary digits, of the 53 that they have, are exact.
 _DIGITS = 32
 
@@ -59,7 +59,7 @@ def settled(M: Matrices, found: Found, *, unless_alike: bool = False) -> Found:
         Whether to leave as many zeros as there are where they were found.
     """
     n, (rank, zeros) = len(M[0]), found
-    if n + max(M[3].shape) > _SMALL:
+    if n + max(M[3].shape) > SMALL:
         return found
     structure = _structure(M)
     if unless_alike and zeros is not None and structure == (rank, len(zeros)):
@@ -120,7 +120,7 @@ def settled_hidden_part(A: Matrix, C: Matrix, modes: NDArray[np.complex128]) -> 
 
 def counted_hidden(A: Matrix, C: Matrix) -> int | None:
     """Return how many states no output sees, in rational numbers; nothing of a large pair."""
-    return _structure(_without_inputs(A, C))[1] if len(A) + len(C) <= _SMALL else None
+    return _structure(_without_inputs(A, C))[1] if len(A) + len(C) <= SMALL else None
 
 
 def _without_inputs(A: Matrix, C: Matrix) -> Matrices:

@@ -177,14 +177,15 @@ def left_null_basis(
 ) -> tuple[NDArray, RankDecision]:
     """Return an orthonormal basis, as columns, of ``{w : w' M = 0}`` and the rank decision behind it."""
     U, _, _, decision = _svd_decision(M, rtol, scale, "left")
-    return without_slight_mixing(without_noise(U[:, decision.rank :])), decision
+    return without_noise(U[:, decision.rank :]), decision
 
 
 def without_slight_mixing(basis: NDArray) -> NDArray:
     """Return a basis, as columns, of the same space, turned by less than 1e-10 where that leaves zeros in its vectors.
 
     Any rotation of the basis of a null space is as right, and a factorisation may end a hair away from one in which a
-    vector leaves a row out: what is a combination of outputs would then read one more by 1e-12 for nothing.
+    vector leaves a row out: what is a combination of outputs would then read one more by 1e-12 for nothing. The vectors
+    are orthogonal only to the turn after it: for combinations of signals, not for coordinates of states.
     """
     if basis.shape[1] < 2 or not _slight(basis).any():
         return basis

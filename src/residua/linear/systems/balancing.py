@@ -21,6 +21,7 @@ from residua.linear.systems.units import (
     bordered,
     matrix_units,
     pencil_units,
+    powers_of_two,
     system_level,
     system_units,
     without_residue,
@@ -191,7 +192,9 @@ def _has_free_side(W: NDArray[np.float64], n: int) -> bool:
 def _level(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> float:
     """Return the power of two that the units of channels, which are free, are brought to: no units change it."""
     radius = float(np.abs(explicit_poles(A)).max(initial=0.0))
-    return float(power_of_two(np.array(max(radius, system_level(A, B, C, D)))))
+    level = max(radius, system_level(A, B, C, D))
+    # off the ties: half a whole number, as logarithms of simple plants are, is rounded either way in other units
+    return float(powers_of_two(np.log2(level))) if level else 1.0
 
 
 def _in_units(A: NDArray, B: NDArray, C: NDArray, D: NDArray, u: Units) -> tuple[NDArray, NDArray, NDArray, NDArray]:
