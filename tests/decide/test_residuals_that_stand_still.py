@@ -32,6 +32,9 @@ def test_a_test_that_remembers_is_fitted_beside_one(level: float) -> None:
     monitor.fit(None, beside(level, 1500, 1))
     assert "1 of the 2 residuals are independent" in monitor.norm_test.basis
     quiet, faulty = beside(level, 300, 2), beside(level, 300, 3) + [2.0, 0.0]
-    decisions = [monitor.run(None, rows) for rows in (quiet, faulty)]
-    assert all(isinstance(one, rs.Diagnosis) for one in decisions)
-    assert np.mean(decisions[0].alarm) < 0.1 < 0.9 < np.mean(decisions[1].alarm)
+    alarms = []
+    for rows in (quiet, faulty):
+        diagnosis = monitor.run(None, rows)
+        assert isinstance(diagnosis, rs.Diagnosis)
+        alarms.append(np.mean(diagnosis.alarm))
+    assert alarms[0] < 0.1 < 0.9 < alarms[1]
