@@ -50,6 +50,24 @@ def test_a_step_is_dated_to_the_sample(k: int) -> None:
     assert one.onset == 10.0 * BEGIN
 
 
+@pytest.mark.parametrize("size", [4.0, -4.0])
+def test_a_short_pulse_between_readings_of_a_coarse_sensor(size: float) -> None:
+    """The second half of the alarm is as before it, to the last bit, and has no sign; all of it has."""
+    rows = np.zeros((BEGIN + 10, 1))
+    rows[:BEGIN, 0] = np.random.default_rng(0).permutation(np.resize([0.0, 4.0, 0.0, -4.0], BEGIN))
+    rows[BEGIN : BEGIN + 4] = 4 * size
+    (one,) = dated(rows, alarm(BEGIN, BEGIN + 7))
+    assert one.began is not None
+    assert one.began.earliest is not None
+    assert one.began.earliest < 10.0 * BEGIN <= one.began.latest + 10.0
+    assert one.began.latest - one.began.earliest < 100.0
+
+
+def test_a_residual_that_does_not_move_is_not_dated() -> None:
+    (one,) = dated(np.zeros((BEGIN + 10, 1)), alarm(BEGIN, BEGIN + 5))
+    assert one.began is None
+
+
 def test_a_drift_is_dated_before_its_first_crossing() -> None:
     drift = 0.02 * np.maximum(np.arange(1200) - BEGIN, 0)
     (one,) = dated(rows_with(drift, 3, 1), alarm(BEGIN + 220, 1200))

@@ -291,7 +291,9 @@ class Adaptive(NormSettings):
     Notes
     -----
     Assumes: the plant is stable; errors are constant in time; the noise is as the model or the fit says. A fit holds
-    for inputs like those of its recordings.
+    for inputs like those of its recordings. What inputs before the first one did is not known: the plant is taken to
+    have settled to the first. Where it moves as the monitor starts, errors of the model raise alarms until the plant
+    itself has forgotten that, which may take longer than the filter does: ``Monitor(settle=...)`` with as many samples.
 
     References
     ----------

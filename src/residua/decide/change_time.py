@@ -95,6 +95,8 @@ def _with_enough(signal: NDArray[np.float64], quiet: int, last: int) -> ChangeTi
     level = np.median(signal[:quiet])
     if np.abs(signal[:quiet] - level).max() <= DATA_ROUNDING * np.abs(signal - level).max():
         moved = np.flatnonzero(np.abs(signal - level) > DATA_ROUNDING * np.abs(signal - level).max())
+        if not len(moved):  # it never moves at all
+            return None
         first = min(int(moved[0]), last)
         return ChangeTime(first, first, first)
     more = 1

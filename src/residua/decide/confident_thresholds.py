@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.dependence import effective_exceedances
-from residua.decide.exceedance_tail import HIGHEST, quantile
+from residua.decide.exceedance_tail import HIGHEST, past, quantile, without_steps
 from residua.decide.false_alarms import CONFIDENCE, ENOUGH, Observed, Promise, lasting_blocks, promise_of
 from residua.decide.pareto_tail import ParetoTail
 from residua.errors import SettingError
@@ -149,7 +149,7 @@ def promise_by(source: str, seen: Observed, asked: float) -> Promise:
 
 def _over(ordered: NDArray[np.float64], over: int) -> float:
     """Return the order statistic that so many samples are over: a threshold, which no sample at it exceeds."""
-    return float(ordered[len(ordered) - 1 - over])
+    return past(float(ordered[len(ordered) - 1 - over]))
 
 
 def _bound(over: int, samples: int, together: float) -> float:
@@ -191,24 +191,21 @@ def _by_tail(
     seen: Observed, levels: NDArray[np.float64], own: NDArray[np.float64], asked: float, together: float
 ) -> StatedPromise:
     n = len(levels)
+    smooth, half = without_steps(seen.own[seen.counted])
+    levels = np.sort(smooth) if half else levels
     start_rate = max(min(_TAIL * together / n, HIGHEST), asked)
     start = quantile(levels, start_rate)
     excesses = levels[levels > start] - start
     worth = max(len(excesses) / together, 1.0)
     tail = ParetoTail(start, excesses, max(len(excesses), 1) / n, worth)
-    level = tail.level(asked) + _spacing(levels[levels > start])
+    level = tail.level(asked)
     if asked * n >= 1:
-        level = max(level, _over(own, int(asked * n)))
+        level = max(level, _over(own, int(asked * n)) - half)
     shape, spread = tail.shape
     words = f"from a rate of {tail.rate:.2g}, with a shape of {shape:.2f} +- {spread:.2f}"
-    bound = max(tail.bound(level, CONFIDENCE), tail.expected(level))
-    return StatedPromise(level, asked, tail.expected(level), min(bound, 1.0), words, "tail", n, max(n / together, 1.0))
-
-
-def _spacing(values: NDArray[np.float64]) -> float:
-    """Return half the step of values that are quantised; zero of others."""
-    steps = np.diff(np.unique(values))
-    return float(np.median(steps)) / 2 if len(steps) and 2 * (len(steps) + 1) < len(values) else 0.0
+    expected = tail.expected(level)
+    bound = min(max(tail.bound(level, CONFIDENCE), expected), 1.0)
+    return StatedPromise(level + half, asked, expected, bound, words, "tail", n, max(n / together, 1.0))
 
 
 __all__ = ["Source", "StatedPromise", "check_source", "least_rate", "promise_by", "samples_for"]

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.dependence import effective_exceedances
+from residua.tolerances import DATA_ROUNDING
 
 #: Independent exceedances from which a tail is extended.
 _ENOUGH = 30.0
@@ -16,6 +17,13 @@ _ENOUGH = 30.0
 HIGHEST = 0.25
 #: Exceedances that the prior of the tail is worth: one as heavy as that of the scale.
 _PRIOR = 3.0
+#: Values come in steps where a high one is there so many times on average.
+_TIED = 4
+#: The largest distance between them is the step, as deviations to several sides are close to one another; but that of
+#: so many from the rest, which may be by chance.
+_ALONE = 2
+#: Multiples of it are spread evenly over the unit interval, however many there are.
+_GOLDEN = (np.sqrt(5) - 1) / 2
 
 
 @dataclass(frozen=True)
@@ -153,12 +161,40 @@ def depths(scale: Scale | None, level: NDArray[np.float64] | float) -> NDArray[n
 
 
 def quantile(ordered: NDArray[np.float64], rate: float) -> float:
-    """Return a level between two samples that at most a fraction of all is over."""
+    """Return a level between two samples that at most a fraction of all is over; of equal ones, beyond all of them."""
     n = len(ordered)
     above = int(np.floor(rate * n + 1e-9))
     low = ordered[n - 1 - above] if above < n else ordered[0]
-    high = ordered[n - above] if above else low
-    return float(low + 0.5 * (high - low)) if np.isfinite(low) else float(high)
+    if not np.isfinite(low):
+        return float(ordered[n - above] if above else low)
+    beyond = past(float(low))
+    further = int(np.searchsorted(ordered, beyond, side="right"))
+    return max(float(low + 0.5 * (ordered[further] - low)), beyond) if further < n else beyond
 
 
-__all__ = ["HIGHEST", "Scale", "Tail", "depths", "quantile", "scale_of", "slope_of", "tail_of"]
+def past(value: float) -> float:
+    """Return a level that a value is not over, in whatever order of operations it is computed again."""
+    return value + DATA_ROUNDING * abs(value)
+
+
+def without_steps(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    r"""Return values as they may have been before they were rounded to steps, and half a step; others as they are.
+
+    Readings of few digits come in steps, which no smooth tail goes through. Here those that are equal are spread evenly
+    over the step, a run of them together, as noise may be slow. Of :math:`\hat x` that is within half a step
+    :math:`\Delta` of :math:`x`, no more is over :math:`h + \Delta/2` than of :math:`x` is over :math:`h`.
+    """
+    finite = values[np.isfinite(values)]
+    ordered = np.sort(finite)
+    below = int(np.searchsorted(ordered, quantile(ordered, 0.5))) - 1 if len(ordered) else 0
+    top = ordered[below:]  # the upper half, with the one under it
+    gaps = np.diff(top)
+    if not len(gaps) or _TIED * np.count_nonzero(gaps > DATA_ROUNDING * np.abs(top[1:])) > len(gaps):
+        return values, 0.0
+    step = float(gaps[: len(gaps) - _ALONE].max(initial=0.0))
+    changes = np.concatenate([[False], np.abs(np.diff(values)) > DATA_ROUNDING * np.abs(values[1:])])
+    place = (np.cumsum(changes) + 0.5) * _GOLDEN % 1 - 0.5
+    return values + step * place, step / 2
+
+
+__all__ = ["HIGHEST", "Scale", "Tail", "depths", "past", "quantile", "scale_of", "slope_of", "tail_of", "without_steps"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from residua.decide.dependence import correlation_times, effective_exceedances
 from residua.decide.exceedance_runs import RunModel
-from residua.decide.exceedance_tail import HIGHEST, Scale, Tail, quantile, scale_of, tail_of
+from residua.decide.exceedance_tail import HIGHEST, Scale, Tail, quantile, scale_of, tail_of, without_steps
 
 #: How sure a promise is.
 CONFIDENCE = 0.95
@@ -130,6 +130,8 @@ class Observed:
     persistence, release : int
     own : ndarray, shape (n,)
         The levels by the mean and covariance of all samples, where those are other ones.
+    own_statistic : ndarray, shape (n,)
+        Likewise.
     """
 
     statistic: NDArray[np.float64]
@@ -141,6 +143,7 @@ class Observed:
     persistence: int
     release: int
     own: NDArray[np.float64]
+    own_statistic: NDArray[np.float64]
 
 
 def observed(
@@ -195,6 +198,7 @@ def observed(
         persistence,
         release,
         np.concatenate(levels_own),
+        (statistic if own is None else own)[usable],
     )
 
 
@@ -206,20 +210,26 @@ def promise_of(seen: Observed, asked: float) -> Promise:
     where an alarm needs several in a row, that of samples in alarm follows by a model of runs
     (:class:`residua.decide.exceedance_runs.RunModel`). How well the rate is known is seen by leaving out stretches of
     time in turn. Where that allows for more than 1.5 times the requested rate, the threshold is set for less, down to
-    0.6 of it; if that does not suffice, the promise says so.
+    0.6 of it; if that does not suffice, the promise says so. A tail is smooth: where values come in steps, it is that
+    of :func:`residua.decide.exceedance_tail.without_steps`, and the threshold is half a step higher.
     """
     direct = tail_of(seen.levels[seen.counted], lasting_blocks(seen, asked), seen.scale, asked, highest=asked)
     if direct.worth >= ENOUGH:
         least = quantile(np.sort(seen.own[seen.counted]), asked)  # nor more than that on these data themselves
         return _promise(lambda rate: max(direct.level(rate), least), lambda rate: _known(direct, rate), asked, "")
-    plain = tail_of(seen.statistic[seen.counted], seen.blocks[seen.counted], seen.scale, asked)
+    statistic, half = without_steps(seen.own_statistic)
+    if not half:
+        statistic = seen.statistic  # by moments of others, which would scatter equal values
+    plain = tail_of(statistic[seen.counted], seen.blocks[seen.counted], seen.scale, asked)
     if seen.persistence == seen.release == 1:
         origin = f"extended from a rate of {plain.rate:.2g} by the tail of the data" if plain.rate > asked else ""
-        return _promise(plain.level, lambda rate: _known(plain, rate), asked, origin)
-    model = RunModel.of(seen.statistic, seen.counted, seen.begins, _grouped(seen.blocks), plain,
-                        seen.persistence, seen.release)  # fmt: skip
-    origin = f"extended from a rate of {model.seen(asked):.2g} by the tail of the data and a model of runs"
-    return _promise(model.level, lambda rate: (model.spread(model.level(rate)), model.worth), asked, origin)
+        promise = _promise(plain.level, lambda rate: _known(plain, rate), asked, origin)
+    else:
+        model = RunModel.of(statistic, seen.counted, seen.begins, _grouped(seen.blocks), plain,
+                            seen.persistence, seen.release)  # fmt: skip
+        origin = f"extended from a rate of {model.seen(asked):.2g} by the tail of the data and a model of runs"
+        promise = _promise(model.level, lambda rate: (model.spread(model.level(rate)), model.worth), asked, origin)
+    return replace(promise, threshold=promise.threshold + half)
 
 
 def lasting_blocks(seen: Observed, rate: float) -> NDArray[np.int64]:

@@ -15,6 +15,7 @@ from residua.decide.whitening import moving_directions, whitening_matrix
 from residua.decide.window import empty_window, moving_sum
 from residua.errors import DataError
 from residua.linear.subspaces.whitening import VARIANCE_FLOOR
+from residua.tolerances import ROUNDING
 from residua.words import counted
 
 #: With that many independent samples to each residual a covariance counts as known, and is left as it is.
@@ -132,8 +133,12 @@ class FaultFree:
 
     @cached_property
     def deviations(self) -> NDArray[np.float64]:
-        """Residuals less their mean, zero where not usable."""
-        return np.where(self.usable[:, None], self.residuals - self.middle, 0.0)
+        """Residuals less their mean, zero where not usable and where a residual stands still: its mean is rounded."""
+        out = np.where(self.usable[:, None], self.residuals - self.middle, 0.0)
+        rows = self.residuals[self.usable]
+        if len(rows):
+            out[:, np.ptp(rows, axis=0) <= ROUNDING * np.abs(self.middle)] = 0.0
+        return out
 
     @cached_property
     def moving(self) -> int:

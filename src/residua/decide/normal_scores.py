@@ -5,10 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.tolerances import DATA_ROUNDING
+
 #: Scores at which the map has its knots, and samples beyond the outermost of those that are read off the data.
 _SCORES, _BEYOND = np.linspace(-8.0, 8.0, 65), 10.0
 #: Share of the samples by which the tail on each side is known.
 _TAIL = 0.02
+#: Knots are this far apart at least, in parts of themselves: scores in between are still told from one another.
+_CLOSEST = 4 * float(np.finfo(float).eps)
 #: Fourth moments this far above a Gaussian's, in deviations of chance and as they are, are heavy tails.
 _DEVIATIONS, _NOTABLE = 4.0, 0.2
 
@@ -23,30 +27,53 @@ def is_heavy_tailed(e: NDArray[np.float64]) -> bool:
 
 
 def knots_of(e: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the values of each column of samples at which its scores are known, shape (k, m), and the scores."""
+    """Return the values of each column of samples at which its scores are known, shape (k, m), and the scores.
+
+    Equal values, as of a coarse sensor, have the score in the middle of those that they stand for.
+    """
     from scipy.special import ndtr
 
     share = ndtr(_SCORES)
     inside = np.minimum(share, 1 - share) * len(e) >= _BEYOND
+    ordered = np.array([_apart(column) for column in np.sort(e, axis=0).T]).T
     values = np.empty((e.shape[1], len(_SCORES)))
-    values[:, inside] = np.quantile(e, share[inside], axis=0).T
+    values[:, inside] = np.quantile(ordered, share[inside], axis=0).T
     upper = np.flatnonzero(_SCORES[inside][-1] < _SCORES)
     rarer = ndtr(-_SCORES[upper]) / ndtr(-_SCORES[upper[0] - 1])
-    values[:, upper] = _beyond(e, values[:, upper[0] - 1], rarer)
+    middle = np.median(ordered, axis=0)
+    above, below = ordered - middle, (middle - ordered)[::-1]
+    values[:, upper] = middle[:, None] + _beyond(above, values[:, upper[0] - 1] - middle, rarer)
     lower = len(_SCORES) - 1 - upper
-    values[:, lower] = -_beyond(-e, -values[:, lower[0] + 1], rarer)
-    apart = np.finfo(float).eps * np.abs(values).max(axis=1, initial=0.0)[:, None] * 4
-    return np.maximum.accumulate(values, axis=1) + apart * np.arange(len(_SCORES)), _SCORES
+    values[:, lower] = middle[:, None] - _beyond(below, middle - values[:, lower[0] + 1], rarer)
+    least = _CLOSEST * np.abs(values[:, inside]).max(axis=1)
+    for j in range(1, len(_SCORES)):  # a tail may be so heavy that its ends say nothing of how near others may be
+        before = values[:, j - 1]
+        values[:, j] = np.maximum(values[:, j], before + np.maximum(least, _CLOSEST * np.abs(before)))
+    return values, _SCORES
 
 
-def _beyond(e: NDArray[np.float64], last: NDArray[np.float64], rarer: NDArray[np.float64]) -> NDArray[np.float64]:
+def _apart(ordered: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return sorted values with those that are equal spread evenly, halfway to their neighbours on either side."""
+    new = np.concatenate([[True], np.diff(ordered) > DATA_ROUNDING * np.abs(ordered[1:])])
+    first = np.flatnonzero(new)
+    count = np.diff(np.append(first, len(ordered)))
+    if len(first) in (1, len(ordered)):  # there is nothing between, or all differ
+        return ordered
+    gaps = np.diff(ordered[first])
+    down, up = np.append(gaps[:1], gaps) / 2, np.append(gaps, gaps[-1:]) / 2
+    block = np.cumsum(new) - 1
+    place = 2 * (np.arange(len(ordered)) - first[block] + 0.5) / count[block] - 1  # from -1 to 1, of a single one 0
+    return ordered[first][block] + place * np.where(place < 0, down[block], up[block])
+
+
+def _beyond(above: NDArray[np.float64], last: NDArray[np.float64], rarer: NDArray[np.float64]) -> NDArray[np.float64]:
     r"""Return the values that are so much rarer than the last ones of each column, by a tail like a power.
 
     .. math:: P(e > x) = P(e > x_0)\,(x / x_0)^{-\alpha}
 
-    with Hill's estimate of the power(1975).
+    with Hill's estimate of the power (1975). ``above`` are the samples less their median, sorted.
     """
-    rows = np.sort(e, axis=0)[-max(int(_TAIL * len(e)), int(2 * _BEYOND)) :]
+    rows = above[-max(int(_TAIL * len(above)), int(2 * _BEYOND)) :]
     start = np.maximum(rows[0], np.finfo(float).tiny)
     power = 1 / np.maximum(np.mean(np.log(np.maximum(rows, start) / start), axis=0), np.finfo(float).eps)
     return last[:, None] * rarer[None, :] ** (-1 / power[:, None])

@@ -43,6 +43,10 @@ _COLOURED = 0.01
 _EXPECTED = {200.0: 100.0, 50.0: 40.0, 20.0: 40.0}
 #: Deviations of their number by which the data contradict the design.
 _CONTRADICTION = 3.0
+#: Probability that as many false alarms come by chance, below which they contradict the threshold of a design.
+_BY_CHANCE = 0.001
+#: Deviations of the time in alarm by which it does.
+_LONG = 4.0
 #: Alarms that show how long they last, and the fractions in alarm among which a threshold is sought that has so many.
 _LEAST_RAISED, _MOST_SHARE, _SHARES = 30, 0.2, 12
 #: Stretches of time of which each is judged by what the others say.
@@ -213,10 +217,11 @@ class StreamSettings(TestSettings):
             f"source={self.source!r}" if self.source in _OF_DATA else mine._contradiction(values, seen, stretches, k)
         )
         if not against:
-            notes.append(
-                "the data do not contradict the design" if against == "" else "too few samples to contradict it"
-            )
-            return mine._by_design(parts, k, other, "; ".join([origin, *notes]), count)
+            said = "the data do not contradict the design" if against == "" else "too few samples to contradict it"
+            made = mine._by_design(parts, k, other, "; ".join([origin, *notes, said]), count)
+            against = mine._too_many(made.threshold, values, seen, stretches, k)
+            if not against:
+                return made
         blank = mine.test(**parts, threshold=np.inf, release=0.0, basis="")
         if other is None and self.mean_time_between_false_alarms is not None:
             rate = mine._share_for(self.mean_time_between_false_alarms, values, seen, stretches, rate)
@@ -370,6 +375,37 @@ class StreamSettings(TestSettings):
                 )
         return said
 
+    def _too_many(
+        self,
+        threshold: float,
+        values: NDArray[np.float64],
+        seen: NDArray[np.bool_],
+        parts: Sequence[slice],
+        dimension: int,
+    ) -> str:
+        """Return that more false alarms are seen at the threshold of the design than chance explains; else nothing.
+
+        Or longer ones. Lower thresholds say nothing of values that are rare, and then far beyond the others.
+        """
+        from scipy.special import pdtrc
+
+        cycle = self.uninterrupted.cycle(threshold, dimension)
+        mean = int(seen.sum()) / (cycle.quiet + cycle.lasting)
+        levels = np.concatenate([_levels(values[part][seen[part]], self.falls_to) for part in parts])
+        raised = int(np.sum((levels[1:] > threshold) & (levels[:-1] <= threshold)))
+        if raised and pdtrc(raised - 1, mean) < _BY_CHANCE:
+            return (
+                f"the data contradict the design for white Gaussian residuals: {counted(raised, 'alarm')} at its "
+                f"threshold of {threshold:.3g}, {mean:.2g} expected"
+            )
+        lasting, most = int(np.sum(levels > threshold)), mean + _LONG * (2 * mean) ** 0.5 + _LONG**2
+        if lasting > cycle.lasting * most:  # of alarms as many as Poisson's, each as long as an exponential variable
+            return (
+                f"the data contradict the design for white Gaussian residuals: {counted(lasting, 'sample')} in alarm "
+                f"at its threshold of {threshold:.3g}, {number(mean * cycle.lasting, 2)} expected"
+            )
+        return ""
+
     def _share_for(
         self,
         time: float,
@@ -413,7 +449,7 @@ class StreamSettings(TestSettings):
         level = np.concatenate(levels)
         everywhere = np.ones(len(level), dtype=bool)
         found = Observed(level, level, everywhere, np.concatenate(blocks), np.concatenate(begins),
-                         scale_of(level, float(k)), 1, 1, level)  # fmt: skip
+                         scale_of(level, float(k)), 1, 1, level, level)  # fmt: skip
         promise = promise_by("auto" if self.source == "data" else self.source, found, rate)
         basis = f"fitted to {len(level)} fault-free samples, {promise}; {'; '.join(notes)}"
         threshold = max(float(promise.threshold), float(np.finfo(float).tiny))

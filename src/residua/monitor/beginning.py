@@ -100,7 +100,8 @@ def _along_change(residuals: NDArray[np.float64], quiet: int, last: int) -> NDAr
     """Return the residual along the direction in which it has moved, up to the samples that show the direction.
 
     The direction is taken from the second half of the alarm, as noise would otherwise point along itself where the
-    alarm begins; from all of it if it is clear beyond that. ``None`` if it is not known well.
+    alarm begins; from all of it if it is clear beyond that. ``None`` if it is not known well. Of one residual it is a
+    sign, which all of the alarm always tells, unless it does not move at all.
     """
     before = residuals[:quiet]
     level = before.mean(axis=0)
@@ -116,8 +117,11 @@ def _along_change(residuals: NDArray[np.float64], quiet: int, last: int) -> NDAr
     half = last + (len(z) - last) // 2
     for start, stop, enough in ((half, half, CLEAR_DIRECTION * k), (last, len(z), CLEAR_DIRECTION * k * max(1, k / 3))):
         weights, moved = _direction(z[start : start + _MOST_ALARM], noise)
-        if k == 1 or moved * (1 - slow) / (1 + slow) >= enough:
-            return z[:stop] @ weights if k > 1 else z[:, 0] * np.sign(weights[0])
+        clear = moved * (1 - slow) / (1 + slow) >= enough
+        if k == 1 and (clear or (stop == len(z) and moved > 0)):
+            return z[:, 0] * np.sign(weights[0])
+        if k > 1 and clear:
+            return z[:stop] @ weights
     return None
 
 
