@@ -223,8 +223,8 @@ EARLIER = [
     ("stiff", 29039, designs._decoupled),
 ]
 
-#: What fails still.
-OPEN: list[tuple[str, int, examination.Stage]] = []
+#: What fails still: a relation of order 5 annihilates the states to 1e-13, the exact one has order 6.
+OPEN: list[tuple[str, int, examination.Stage]] = [("stiff", 31267, designs._parity)]
 
 
 @pytest.mark.parametrize(("kind", "seed", "stage"), EARLIER, ids=[f"{kind} {seed}" for kind, seed, _ in EARLIER])
