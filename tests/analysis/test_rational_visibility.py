@@ -11,7 +11,7 @@ from exact.plants import exact_plant
 from exact_campaign.cases import Case, plant_of
 from exact_campaign.kinds import case_of
 from residua.analysis.fault_space import fault_space
-from residua.analysis.rational_visibility import are_rational
+from residua.analysis.rational_visibility import are_rational, least_degree
 from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
 
@@ -62,3 +62,12 @@ def test_a_slight_angle_counts_unless_the_tolerance_is_wide() -> None:
     plant = plant.with_faults({"leak": [1.0, 0.0], "drift": [0.0, 1.0]})
     assert rs.diagnosability(plant).isolable[0, 1]
     assert not rs.diagnosability(plant, rtol=1e-3).isolable[0, 1]
+
+
+@pytest.mark.parametrize("kind", ["sparse", "integrators", "dense", "singular E"])
+def test_the_shortest_relation_is_as_long_as_in_exact_numbers(kind: str) -> None:
+    for seed in range(40):
+        plant = plant_of(case_of(kind, seed))
+        exact = exact_plant(plant)
+        indices = questions.residual_indices(exact)
+        assert least_degree(plant.without_faults(), range(plant.n_outputs)) == (min(indices) if indices else None)

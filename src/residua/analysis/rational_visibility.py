@@ -1,7 +1,8 @@
-"""What the disturbances of a plant leave of each fault, in rational numbers: where floating-point numbers say nothing.
+"""What the disturbances of a plant leave of each fault, and in how short a relation, where floats say nothing.
 
-Rates that are decades apart make of what is left of a fault, or of the angle between two of them, less than any limit
-above rounding. Numbers of few digits are exact: of them ranks modulo a large prime tell what is there.
+Rates that are decades apart make of what is left of a fault, of the angle between two of them, or of what a relation
+leaves of the states, less than any limit above rounding. Numbers of few digits are exact: of them ranks modulo a large
+prime tell what is there in rational numbers.
 
 References
 ----------
@@ -11,7 +12,7 @@ J. H. Wilkinson, Linear differential equations and Kronecker's canonical form, i
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,19 +87,47 @@ def rational_limit_columns(plant: Plant) -> RationalColumns:
     here, along, faults = _pencil(plant)
     point = 1 if plant.is_discrete else 0
     P0 = [_sum(row, point, slope) for row, slope in zip(here, along, strict=True)]
-    size, columns = len(P0), len(P0[0]) if P0 else 0
-    unit = [[int(i == j) for j in range(size)] for i in range(size)]
-    space = unit
+    columns, space = len(P0[0]) if P0 else 0, _unit(len(P0))
     while True:
-        onwards = [[*row, *([0] * size)] for row in _product(space, P0, columns)]
-        rows = [*onwards, *([*slope, *one] for slope, one in zip(along, unit, strict=True))]
-        pivots = eliminated(rows, columns, MODULAR)
-        following = [row[columns:] for row in rows[len(pivots) :]]
-        following = following[: len(eliminated(following, size, MODULAR))]
+        following = _leading_into(along, _product(space, P0, columns), columns)
         if len(following) == len(space):
             break
         space = following
     return _after(_product(space, P0, columns), _product(space, faults, len(plant.faults)))
+
+
+def least_degree(plant: Plant, outputs: Sequence[int]) -> int | None:
+    """Return the degree of the shortest rows of polynomials that annihilate the pencil; nothing where there are none.
+
+    Of those that read no other outputs than the numbered ones.
+    That of ``x0 + x1 s + ... + xk s^k`` ends with ``xk P1 = 0``; what ``xk`` may be goes on from ``x0 P0 = 0``.
+    """
+    n = plant.n_states
+    here, along = ([*M[:n], *(M[n + i] for i in outputs)] for M in _pencil(plant)[:2])
+    columns = len(here[0]) if here else 0
+    space, degree = _leading_into(here, [], columns), 0
+    while True:
+        onwards = _product(space, along, columns)
+        if len(eliminated([list(row) for row in onwards], columns, MODULAR)) < len(space):
+            return degree
+        following = _leading_into(here, onwards, columns)
+        if len(following) == len(space):
+            return None
+        space, degree = following, degree + 1
+
+
+def _leading_into(M: Rows, space: Rows, columns: int) -> Rows:
+    """Return a basis of the rows ``x`` for which ``x M`` is in the span of some rows."""
+    size = len(M)
+    rows = [[*row, *([0] * size)] for row in space]
+    rows += [[*row, *one] for row, one in zip(M, _unit(size), strict=True)]
+    pivots = eliminated(rows, columns, MODULAR)
+    found = [row[columns:] for row in rows[len(pivots) :]]
+    return found[: len(eliminated(found, size, MODULAR))]
+
+
+def _unit(size: int) -> Rows:
+    return [[int(i == j) for j in range(size)] for i in range(size)]
 
 
 def _pencil(plant: Plant) -> tuple[Rows, Rows, Rows]:
