@@ -225,8 +225,13 @@ EARLIER = [
     ("stiff", 29039, designs._decoupled),
 ]
 
-#: What fails still.
-OPEN: list[tuple[str, int, examination.Stage]] = []
+#: What fails still: all of a control comes through where the evidence says 1e-15; 5e-8 of one where it says 9e-11; a
+#: fixed pole at -2048 is not seen.
+OPEN: list[tuple[str, int, examination.Stage]] = [
+    ("singular E", 32185, designs._observers),
+    ("stiff", 32199, designs._scheme_banks),
+    ("stiff", 32206, designs._observers),
+]
 
 
 @pytest.mark.parametrize(("kind", "seed", "stage"), EARLIER, ids=[f"{kind} {seed}" for kind, seed, _ in EARLIER])
