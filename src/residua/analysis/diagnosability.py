@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.analysis.fault_space import fault_space
 from residua.analysis.rational_visibility import (
     RationalColumns,
     are_rational,
@@ -100,10 +101,7 @@ class Diagnosability:
     def _why_undetectable(self, i: int) -> str:
         if len(self.plant.disturbances) == 0:
             return "no output sees it"
-        bare = in_canonical_units(self.plant.without_disturbances())
-        alone = visible_columns(bare, generic_points(bare), DEFAULT_RTOL)
-        rational = are_rational(bare, DEFAULT_RTOL)
-        if rational_columns(bare).present[i] if rational else _decide(alone, DEFAULT_RTOL)[0][i]:
+        if fault_space(self.plant.without_disturbances(), rtol=DEFAULT_RTOL).visible[i]:
             return f"hidden by the disturbances {', '.join(self.plant.disturbances)}, which can imitate it"
         return "no output sees it"
 
