@@ -49,10 +49,7 @@ class RationalColumns:
     def inside(self, chosen: Iterable[int]) -> NDArray[np.bool_]:
         """Return which faults the residuals do not see that ignore these too."""
         basis = list(chosen)
-        rows = [[*(row[j] for j in basis), *row] for row in self.rows]
-        pivots = eliminated(rows, len(basis), MODULAR)
-        left = [row[len(basis) :] for row in rows[len(pivots) :]]
-        return ~RationalColumns(left, self.faults).present
+        return ~_after([[row[j] for j in basis] for row in self.rows], self.rows, self.faults).present
 
     def isolable(self) -> NDArray[np.bool_]:
         """Return ``[i, j]``: a residual sees fault ``i`` and ignores fault ``j``."""
@@ -75,7 +72,7 @@ def rational_columns(plant: Plant) -> RationalColumns:
     """Return what is left of each fault at almost every point."""
     here, along, faults = _pencil(plant)
     P = [_sum(row, _POINT, slope) for row, slope in zip(here, along, strict=True)]
-    return _after(P, faults)
+    return _after(P, faults, len(plant.faults))
 
 
 def rational_limit_columns(plant: Plant) -> RationalColumns:
@@ -93,7 +90,8 @@ def rational_limit_columns(plant: Plant) -> RationalColumns:
         if len(following) == len(space):
             break
         space = following
-    return _after(_product(space, P0, columns), _product(space, faults, len(plant.faults)))
+    count = len(plant.faults)
+    return _after(_product(space, P0, columns), _product(space, faults, count), count)
 
 
 def least_degree(plant: Plant, outputs: Sequence[int]) -> int | None:
@@ -142,9 +140,9 @@ def _pencil(plant: Plant) -> tuple[Rows, Rows, Rows]:
     return residues[0], residues[1], residues[2]
 
 
-def _after(P: Rows, faults: Rows) -> RationalColumns:
-    """Return what rows that annihilate a matrix leave of the faults."""
-    columns, count = len(P[0]) if P else 0, len(faults[0]) if faults else 0
+def _after(P: Rows, faults: Rows, count: int) -> RationalColumns:
+    """Return what rows that annihilate a matrix leave of so many faults."""
+    columns = len(P[0]) if P else 0
     rows = [[*row, *fault] for row, fault in zip(P, faults, strict=True)]
     pivots = eliminated(rows, columns, MODULAR)
     return RationalColumns([row[columns:] for row in rows[len(pivots) :]], count)
