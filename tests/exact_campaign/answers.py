@@ -93,7 +93,7 @@ class Subject:
 
     @cached_property
     def integrators(self) -> int:
-        """The longest chain of integrators, of the case: decimal units may move them off by rounding."""
+        """How often the plant integrates, of the case: decimal units may move them off by rounding."""
         return integrators(exact_plant(plant_of(self.case)))
 
     def ask(self, function: str, call: Callable[[], Any], about: str = "") -> Record:

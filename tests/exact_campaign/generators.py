@@ -100,8 +100,8 @@ def _live(found: Paths, structure: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def _growth(made: Any, w: Sequence[float], integrators: int) -> NDArray[np.float64]:
     """Return by how much a leak at each frequency may be larger than where the evidence begins to measure it.
 
-    A plant that integrates ``k`` times answers by powers of one over the frequency up to the ``k``-th, and so does
-    what rounding leaves of its filter.
+    The terms of a plant that integrates ``k`` times, all chains together, may fall by powers of the frequency up to
+    the ``k``-th, against what rounding leaves of its filter.
     """
     slowest = made.evidence.leaks_measured_from(made.dt)
     return np.maximum(1.0, (slowest or 0.0) / np.array(w)) ** integrators

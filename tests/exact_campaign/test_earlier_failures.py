@@ -223,15 +223,16 @@ EARLIER = [
     ("stiff", 31267, designs._parity),
     # leaks were asked for ten thousand times beyond all poles: a flaw of the campaign
     ("stiff", 29039, designs._decoupled),
+    # of equations that leave nothing of an input, rounding was left where they were measured
+    ("singular E", 32185, designs._observers),
+    # a combination of outputs without disturbances read one more, by rounding, and by it saw a mode
+    ("stiff", 32206, designs._observers),
+    # two integrators side by side make zeros of a filter as one chain of two does: a flaw of the campaign
+    ("stiff", 32199, designs._scheme_banks),
 ]
 
-#: What fails still: all of a control comes through where the evidence says 1e-15; 5e-8 of one where it says 9e-11; a
-#: fixed pole at -2048 is not seen.
-OPEN: list[tuple[str, int, examination.Stage]] = [
-    ("singular E", 32185, designs._observers),
-    ("stiff", 32199, designs._scheme_banks),
-    ("stiff", 32206, designs._observers),
-]
+#: What fails still.
+OPEN: list[tuple[str, int, examination.Stage]] = []
 
 
 @pytest.mark.parametrize(("kind", "seed", "stage"), EARLIER, ids=[f"{kind} {seed}" for kind, seed, _ in EARLIER])

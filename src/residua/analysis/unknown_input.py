@@ -286,7 +286,7 @@ def _ordinary_decoupling(even: EvenPlant, form: OutputFreeForm, Q: NDArray) -> O
     live = np.any(form.C, axis=1)  # a dead output gets no gain, not by a combination with others either
     CQ = weights[live, None] * without_rounding(form.C[live], Q)
     U, s, Vh = np.linalg.svd(CQ) if CQ.size else (np.eye(len(CQ)), np.zeros(0), np.eye(q))
-    U, Vh = without_noise(U), without_noise(Vh)  # of an output that a combination leaves out, rounding is no reading
+    U, Vh = without_noise(_with_sure_rest(U, s)), without_noise(Vh)
     U = np.eye(p)[:, live] @ U
     P, W2 = without_rounding(Vh.T / s, U[:, :q].T) * weights, U[:, q:].T * weights
     # P C Q = I entry by entry: weights far apart leave small entries with the rounding of large ones
@@ -307,6 +307,17 @@ def _ordinary_decoupling(even: EvenPlant, form: OutputFreeForm, Q: NDArray) -> O
         T,
         without_rounding(H, form.W),
     )
+
+
+def _with_sure_rest(U: NDArray, s: NDArray) -> NDArray[np.float64]:
+    """Return left singular vectors, with exact zeros in those that complete them where nothing else is sure.
+
+    Rounding of the largest singular value turns them towards a vector by as much as that one's value is smaller: an
+    output that a combination leaves out, but for this, is not read.
+    """
+    turn = max(len(U), len(s)) * np.finfo(float).eps * np.abs(U[:, : len(s)]) @ (s[:1] / s)
+    rest = U[:, len(s) :]
+    return np.hstack([U[:, : len(s)], np.where(np.abs(rest) > turn[:, None], rest, 0.0)])
 
 
 def decoupling_map(H: NDArray, C: NDArray) -> NDArray[np.float64]:

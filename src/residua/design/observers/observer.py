@@ -286,7 +286,7 @@ def without_measured_equations(observer: Observer, plant: Plant, N: NDArray) -> 
     """
     p = plant.n_outputs
     K, H, W = observer.K, observer.H, observer.W
-    V = W[:, p:] @ N
+    V = without_rounding(W[:, p:], N)
     if not len(N):
         form = output_free_form(plant)
         V = algebraic_equations(plant, without=form.E)
@@ -295,11 +295,11 @@ def without_measured_equations(observer: Observer, plant: Plant, N: NDArray) -> 
     return replace(
         observer,
         plant=plant,
-        T=observer.T - K[:, p:] @ N,
+        T=sum_without_rounding((observer.T, np.eye(plant.n_states)), (-K[:, p:], N)),
         K=K[:, :p],
         H=H[:, :p],
         W=W[:, :p],
-        J=H[:, p:] @ N,
+        J=without_rounding(H[:, p:], N),
         V=V,
     )
 
