@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import json
+import pickle
 import re
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -101,6 +103,17 @@ def test_a_saved_monitor_goes_on_bit_for_bit(at: int, tmp_path: Path) -> None:
     second.save(tmp_path / "again.json")
     assert (tmp_path / "again.json").read_text() == (tmp_path / "m.json").read_text()
     assert bits(first.update(u[:, at:], y[:, at:])) == bits(second.update(u[:, at:], y[:, at:]))
+
+
+@pytest.mark.parametrize("made", [copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one))], ids=["copy", "pickle"])
+def test_a_monitor_of_matched_filters_goes_to_other_processes(made: Any) -> None:
+    u, y = fleet()
+    one = monitor()
+    first = one.run(u[0], y[0])
+    other = made(one).run(u[0], y[0])
+    assert other.statistic.tobytes() == first.statistic.tobytes()
+    assert repr(other.alarms) == repr(first.alarms)
+    assert first.alarms
 
 
 def test_a_loaded_monitor_runs_the_responses_that_were_saved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

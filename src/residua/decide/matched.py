@@ -285,7 +285,7 @@ class Matched(IsolationSettings):
                 f"{type(settings).__name__} tests the residual itself, and Matched how well the responses to faults "
                 "explain it: test=NormThreshold(), or isolate=Directional()"
             )
-        return LikelihoodThreshold(settings, self.window, self.steady, lambda generator: self._maker(generator))
+        return LikelihoodThreshold(settings, self.window, self.steady, self._maker)
 
     def _maker(self, generator: ResidualGenerator) -> Callable[[NDArray[np.float64]], MatchedTest]:
         """Return what makes responses of a whitening matrix; they are simulated once."""
