@@ -229,6 +229,8 @@ EARLIER = [
     ("stiff", 32206, designs._observers),
     # two integrators side by side make zeros of a filter as one chain of two does: a flaw of the campaign
     ("stiff", 32199, designs._scheme_banks),
+    # a residual was marked for faults that are a trillionth of what it is made of, by gains far below all others
+    ("stiff", 33809, designs._filters),
 ]
 
 #: What fails still.

@@ -14,8 +14,8 @@ from residua.linear.systems.response_terms import EvenUnits, in_even_units, resp
 from residua.plant import Plant
 from residua.tolerances import DESIGN_ROUNDING, LEAKAGE, RESPONSE_ROUNDING, TINY
 
-#: Of the largest terms of a row and of a column, wherever they stand: what stands elsewhere leaves eps of rounding.
-_ELSEWHERE = 1e-4
+#: Of the largest terms of a row and of a column, wherever they stand: they leave rounding, and gains known to it only.
+_ELSEWHERE = 1e-2
 #: Frequencies at which a response is this far below its largest say nothing about its direction.
 _FAINT = 1e-7
 #: Faint directions of a response are there when the gap behind them is so much wider than that before them ...
