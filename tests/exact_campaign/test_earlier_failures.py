@@ -231,6 +231,8 @@ EARLIER = [
     ("stiff", 32199, designs._scheme_banks),
     # a residual was marked for faults that are a trillionth of what it is made of, by gains far below all others
     ("stiff", 33809, designs._filters),
+    # a gain on measurements that the estimate reproduces was rounding of the others of its row, large in other units
+    ("singular E", 33875, designs._scheme_banks),
 ]
 
 #: What fails still.

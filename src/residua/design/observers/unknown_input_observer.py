@@ -38,7 +38,7 @@ from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision
 from residua.linear.systems.array_cache import cached_by_contents
 from residua.linear.systems.balancing import sum_without_rounding, without_rounding
 from residua.plant import Plant
-from residua.tolerances import IDENTITY, TINY, above_rounding
+from residua.tolerances import IDENTITY, RESIDUE, TINY, above_rounding
 from residua.words import counted
 
 REFERENCE = "Chen, Patton and Zhang (1996), Int. J. Control 63(1), eqs. (2) to (13)"
@@ -188,7 +188,7 @@ def _with_free_matrix(
     if poles is None and margin is None:
         margin = margin_from(A1, plant)
     placed = place(A1, form.C, poles, margin, plant.dt, rtol)
-    return assemble(plant, form, T, H, placed, existence)
+    return assemble(plant, form, T, H, placed, existence, even=False)
 
 
 def _of_singular_plant(
@@ -239,11 +239,19 @@ def assemble(
     H: NDArray,
     placed: Placement,
     existence: UnknownInputExistence,
+    *,
+    even: bool = True,
 ) -> Observer:
-    """Return the observer of a decoupling and a placed gain, with its identities checked."""
+    """Return the observer of a decoupling and a placed gain, with its identities checked.
+
+    In even units a gain is known to the rounding of the largest of its row, in others to that of its own terms only.
+    """
     K1 = sum_without_rounding((placed.gain, form.W), (T, form.G))  # of nothing it would couple states
     F = without_rounding(np.hstack([T, -K1]), np.vstack([plant.A, plant.C]))
-    K = above_rounding(K1 + F @ H, np.abs(K1) + np.abs(F) @ np.abs(H))  # nothing, where H leaves nothing of an output
+    terms = np.abs(K1) + np.abs(F) @ np.abs(H)
+    K = above_rounding(K1 + F @ H, terms)  # nothing, where H leaves nothing of an output
+    if even:
+        K = above_rounding(K, terms.max(axis=1, keepdims=True, initial=0.0), RESIDUE)
     # where nothing is left of T, or of a column, what counts is what it is the rounding of
     sizes = max(1.0, float(np.linalg.norm(T))), float(np.linalg.norm(K))
     terms = sizes[0] * np.linalg.norm(plant.Bd, axis=0) + sizes[1] * np.linalg.norm(plant.Dd, axis=0)
