@@ -1,7 +1,8 @@
 """When zeros that rounding may have moved, lost or made are taken from rational numbers instead.
 
 Numbers of few digits are exact, and what they give in rational numbers is the answer. Others may be rounded ones, which
-make a structure less degenerate, never more: of them what is more degenerate than what was found is taken.
+make a structure less degenerate, never more: of them what is more degenerate than what was found is taken, and what
+was found without zeros at which the pencil surely has full rank.
 """
 
 from __future__ import annotations
@@ -20,12 +21,16 @@ from residua.linear.poles.rational_zeros import (
     reduced,
 )
 from residua.linear.poles.zero_structure import scatter_of
+from residua.linear.systems.units import matrix_units
+from residua.tolerances import RESIDUE, above_rounding
 
 #: Rank of the transfer matrix, and its zeros; none where they could not be computed.
 Found = tuple[int, NDArray[np.complex128] | None]
 
 #: Numbers of states and channels up to which it takes milliseconds.
 SMALL = 24
+#: A pencil whose last singular value is above this, relative to the largest, in even units, has full rank.
+_FULL = 1e-3
 #: Numbers of no more binary digits, of the 53 that they have, are exact.
 _DIGITS = 32
 
@@ -65,7 +70,10 @@ def settled(M: Matrices, found: Found, *, unless_alike: bool = False) -> Found:
     if unless_alike and zeros is not None and structure == (rank, len(zeros)):
         return found
     if not are_exact(*M) and (zeros is None or not _is_more_degenerate(structure, (rank, len(zeros)), M[3].shape)):
-        return found
+        if zeros is None or not np.all(np.isfinite(zeros)):
+            return found
+        left = zeros[~_refuted(M, rank, zeros)]
+        return (rank, left) if structure == (rank, len(left)) else found
     exact = _exact_zeros(M, structure[1])
     return found if exact is None else (structure[0], exact)
 
@@ -110,9 +118,11 @@ def settled_hidden_part(A: Matrix, C: Matrix, modes: NDArray[np.complex128]) -> 
         The hidden modes that floating-point numbers gave.
     """
     count, exact = counted_hidden(A, C), are_exact(A, C)
-    if count is None or (not exact and count <= len(modes)):
-        return None
     M = _without_inputs(A, C)
+    if count is None:
+        return None
+    if not exact and count <= len(modes) and (count == len(modes) or count != np.count_nonzero(~_refuted(M, 0, modes))):
+        return None
     rows = reduced(*M, RATIONAL).basis if count else []
     basis = np.array([[float(x) for x in row] for row in rows]).reshape(len(A), count)
     return HiddenPart(basis, _exact_zeros(M, count) if exact else None)
@@ -125,6 +135,24 @@ def counted_hidden(A: Matrix, C: Matrix) -> int | None:
 
 def _without_inputs(A: Matrix, C: Matrix) -> Matrices:
     return A, np.zeros((len(A), 0)), C, np.zeros((len(C), 0))
+
+
+def even_pencil_at(M: Matrices, dynamic: NDArray) -> NDArray:
+    """Return the pencil of a system at a point, ``s E`` given, in units of its rows and columns that even it out."""
+    A, B, C, D = M
+    pencil = above_rounding(dynamic - A, np.abs(dynamic) + np.abs(A), RESIDUE)  # what cancels is not scaled up
+    P = np.block([[pencil, -B], [C, D]])
+    rows, columns = matrix_units(np.abs(P))
+    return rows[:, None] * P * columns
+
+
+def _refuted(M: Matrices, rank: int, zeros: NDArray[np.complex128]) -> NDArray[np.bool_]:
+    """Tell at which zeros the pencil surely has its full rank, so that steps with rounding have made them."""
+    n, out = len(M[0]), np.zeros(len(zeros), dtype=bool)
+    for i, z in enumerate(zeros):
+        s = np.linalg.svd(even_pencil_at(M, z * np.eye(n)), compute_uv=False)
+        out[i] = s[n + rank - 1] > _FULL * s[0]
+    return out
 
 
 def _structure(M: Matrices) -> tuple[int, int]:

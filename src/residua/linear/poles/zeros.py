@@ -12,18 +12,20 @@ from residua import arrays
 from residua.errors import AccuracyError
 from residua.linear.poles.deflation import Matrices, deflated
 from residua.linear.poles.matrix_poles import is_rounding_of_zero
-from residua.linear.poles.settled_zeros import may_have_moved, settled
+from residua.linear.poles.settled_zeros import even_pencil_at, may_have_moved, settled
 from residua.linear.poles.zero_structure import rounding_of, without_zero_eigenvalues
 from residua.linear.subspaces.parts import part_numbers, triangular_parts
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, decide_rank, spectral_norm
 from residua.linear.systems.balancing import balance_system, descriptor_units, power_of_two, without_rounding
-from residua.linear.systems.units import bordered, matrix_units, system_rate
-from residua.tolerances import RANK, RESIDUE, ROUNDING
+from residua.linear.systems.units import bordered, system_rate
+from residua.tolerances import RANK, ROUNDING
 
 #: What rounding leaves of the next zeros, as a multiple of what it left of those that were dropped.
 _BEYOND_DROPPED = 10.0
 #: Where bases are known to no better than this, zeros are counted in rational numbers, too.
 _TURNED = ROUNDING
+#: Products of entries so far below all can be less than rounding, and are couplings all the same.
+_FAR_APART = 2.0**-20
 #: With a rate of less, inputs have units by which what is divided by it stays far from the largest numbers.
 _SLOWEST = 2.0**-600
 
@@ -256,7 +258,7 @@ def _zeros_of_whole(M: Matrices, rtol: float, decisions: list[RankDecision]) -> 
     if rtol <= RANK:
         if decided.in_doubt or may_have_moved(found[1], len(M[0]), scale):
             found = settled(M, found)
-        elif decided.turned > _TURNED and found[1] is not None and found[1].size:
+        elif found[1] is not None and found[1].size and (decided.turned > _TURNED or _far_apart(whole, scale)):
             found = settled(M, found, unless_alike=True)
     rank, zeros = found
     if zeros is None:
@@ -267,6 +269,11 @@ def _zeros_of_whole(M: Matrices, rtol: float, decisions: list[RankDecision]) -> 
     if not np.all(np.isfinite(zeros)):
         raise AccuracyError("a zero of the compressed pencil came out infinite: a rank decision was not clear")
     return unit * zeros, rank
+
+
+def _far_apart(whole: NDArray[np.float64], scale: float) -> bool:
+    """Tell whether an entry that is not zero is far below the norm of all."""
+    return float(np.min(np.abs(whole), where=whole != 0, initial=np.inf)) < _FAR_APART * scale
 
 
 def _finite_zeros(M: Matrices, rounding: float) -> NDArray[np.complex128]:
@@ -351,8 +358,4 @@ def pencil_rank_at(
     """
     (A, B, C, D), descriptor = _checked(A, B, C, D, E)
     dynamic = s * (np.eye(len(A)) if descriptor is None else descriptor)
-    pencil = dynamic - A
-    pencil[np.abs(pencil) <= RESIDUE * (np.abs(dynamic) + np.abs(A))] = 0.0  # what cancels is not scaled up
-    P = np.block([[pencil, -B], [C, D]])
-    rows, columns = matrix_units(np.abs(P))
-    return decide_rank(rows[:, None] * P * columns, rtol=rtol)
+    return decide_rank(even_pencil_at((A, B, C, D), dynamic), rtol=rtol)
