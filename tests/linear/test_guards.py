@@ -113,6 +113,15 @@ def test_a_riccati_solution_that_does_not_stabilise_is_refused(monkeypatch: pyte
         filter_riccati(np.diag([1.5, 0.2]), C, np.eye(2), np.eye(2), dt=1.0)
 
 
+@trips("linear.poles.riccati:_solve")
+def test_a_riccati_equation_that_no_way_solves_is_no_question_of_existence() -> None:
+    """An oscillator that is hardly disturbed and hardly seen."""
+    swing = [[0.0, 1.0], [-1.0, 0.0]]
+    assert filter_riccati(swing, [[1.0, 0.0]], np.eye(2), [[1.0]]).residual < 1e-12
+    with pytest.raises(AccuracyError, match="could not be solved"):
+        filter_riccati(swing, [[1e-11, 0.0]], 1e-22 * np.eye(2), [[1.0]])
+
+
 @trips("linear.poles.placement:place_observer_poles")
 def test_poles_that_are_not_reached_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     place_observer_poles(A, C, [0.1, 0.2], dt=1.0)

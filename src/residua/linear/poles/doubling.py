@@ -19,7 +19,9 @@ _RESIDUAL = 50_000 * float(np.finfo(float).eps)
 _CONDITION = 1e6
 
 
-def filter_covariance(A: Matrix, C: Matrix, Q: Matrix, R: Matrix, S: Matrix | None = None, *, dt: float) -> Matrix:
+def filter_covariance(
+    A: Matrix, C: Matrix, Q: Matrix, R: Matrix, S: Matrix | None = None, *, dt: float, rough: bool = False
+) -> Matrix:
     r"""Solve ``A P + P A' + Q = (P C' + S) R^-1 (P C' + S)'``, or its form in sampled time, for the stabilising ``P``.
 
     Small equations by the QZ algorithm; larger ones by doubling: with :math:`P_k` the covariance after :math:`2^k`
@@ -40,6 +42,8 @@ def filter_covariance(A: Matrix, C: Matrix, Q: Matrix, R: Matrix, S: Matrix | No
     R : ndarray, shape (p, p)
     S : ndarray, shape (n, p), optional
     dt : float
+    rough : bool
+        Whether to return what doubling leaves, a start for other steps, where the QZ algorithm finds no solution.
 
     Returns
     -------
@@ -55,16 +59,25 @@ def filter_covariance(A: Matrix, C: Matrix, Q: Matrix, R: Matrix, S: Matrix | No
     E. K.-W. Chu, H.-Y. Fan, W.-W. Lin, A structure-preserving doubling algorithm for continuous-time algebraic Riccati
     equations, Linear Algebra Appl. 396 (2005) 55-80.
     """
+    cross = np.zeros_like(C.T) if S is None else S
     if len(A) >= _STATES and np.linalg.cond(R) < _CONDITION:
-        P = _by_doubling(A, C, Q, R, np.zeros_like(C.T) if S is None else S, dt)
+        P = _by_doubling(A, C, Q, R, cross, dt)
         if P is not None:
             return P
     solver = scipy.linalg.solve_discrete_are if dt else scipy.linalg.solve_continuous_are
-    return np.asarray(solver(A.T, C.T, Q, R, s=S), dtype=np.float64)
+    try:
+        return np.asarray(solver(A.T, C.T, Q, R, s=S), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        P = _by_doubling(A, C, Q, R, cross, dt, surely=False) if rough else None
+        if P is None:
+            raise
+        return P
 
 
-def _by_doubling(A: Matrix, C: Matrix, Q: Matrix, R: Matrix, S: Matrix, dt: float) -> Matrix | None:
-    """Return the solution, or ``None`` where it is not surely the one."""
+def _by_doubling(
+    A: Matrix, C: Matrix, Q: Matrix, R: Matrix, S: Matrix, dt: float, *, surely: bool = True
+) -> Matrix | None:
+    """Return the solution, or ``None`` where it is not surely the one, or there is none at all."""
     through = np.linalg.solve(R, np.hstack([C, S.T]))
     n = len(A)
     F, G = (A - S @ through[:, :n]).T, _even(C.T @ through[:, :n])
@@ -73,7 +86,11 @@ def _by_doubling(A: Matrix, C: Matrix, Q: Matrix, R: Matrix, S: Matrix, dt: floa
         with np.errstate(all="ignore"):
             start = (F, G, H) if dt else _transformed(F, G, H)
             P = _doubled(*start)
-            if P is None or not _residual(F, G, H, P, dt) <= _RESIDUAL:
+            if P is None or not np.isfinite(P).all():
+                return None
+            if not surely:
+                return P
+            if not _residual(F, G, H, P, dt) <= _RESIDUAL:
                 return None
             sizes = np.linalg.eigvalsh(P)
             return P if 0 < sizes[-1] < _CONDITION * sizes[0] else None

@@ -220,12 +220,11 @@ def _solve(A: Matrix, C: Matrix, Q: Matrix, R: Matrix, S: Matrix, dt: float) -> 
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the outcome is checked here
-            P = filter_covariance(A, C, Q, R, cross, dt=dt)
+            P = filter_covariance(A, C, Q, R, cross, dt=dt, rough=True)
     except (np.linalg.LinAlgError, ValueError) as error:
-        raise DesignError(
-            f"the Riccati equation has no stabilising solution that can be computed ({error}); "
-            "a mode near the stability boundary is hardly seen by the outputs, or hardly disturbed: "
-            "add a sensor, or process noise on it"
+        raise AccuracyError(
+            f"the Riccati equation could not be solved ({error}): a mode near the stability boundary is hardly seen by "
+            "the outputs, or hardly disturbed; add a sensor, or process noise on it"
         ) from error
     return (P + P.T) / 2
 
