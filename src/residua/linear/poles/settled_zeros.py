@@ -30,7 +30,9 @@ Found = tuple[int, NDArray[np.complex128] | None]
 #: Numbers of states and channels up to which it takes milliseconds.
 SMALL = 24
 #: A pencil whose last singular value is above this, relative to the largest, in even units, has full rank.
-_FULL = 1e-3
+_FULL = 1e-8
+#: Steps to the nearest zero, and how far it may be from where it was found, relative to its size.
+_STEPS, _NEAR = 30, 0.25
 #: Numbers of no more binary digits, of the 53 that they have, are exact.
 _DIGITS = 32
 
@@ -137,22 +139,38 @@ def _without_inputs(A: Matrix, C: Matrix) -> Matrices:
     return A, np.zeros((len(A), 0)), C, np.zeros((len(C), 0))
 
 
-def even_pencil_at(M: Matrices, dynamic: NDArray) -> NDArray:
+def even_pencil_at(M: Matrices, dynamic: NDArray) -> tuple[NDArray, NDArray[np.float64], NDArray[np.float64]]:
     """Return the pencil of a system at a point, ``s E`` given, in units of its rows and columns that even it out."""
     A, B, C, D = M
     pencil = above_rounding(dynamic - A, np.abs(dynamic) + np.abs(A), RESIDUE)  # what cancels is not scaled up
     P = np.block([[pencil, -B], [C, D]])
     rows, columns = matrix_units(np.abs(P))
-    return rows[:, None] * P * columns
+    return rows[:, None] * P * columns, rows, columns
 
 
 def _refuted(M: Matrices, rank: int, zeros: NDArray[np.complex128]) -> NDArray[np.bool_]:
     """Tell at which zeros the pencil surely has its full rank, so that steps with rounding have made them."""
-    n, out = len(M[0]), np.zeros(len(zeros), dtype=bool)
-    for i, z in enumerate(zeros):
-        s = np.linalg.svd(even_pencil_at(M, z * np.eye(n)), compute_uv=False)
-        out[i] = s[n + rank - 1] > _FULL * s[0]
-    return out
+    return np.array([not _is_near_zero(M, len(M[0]) + rank, z) for z in zeros], dtype=bool)
+
+
+def _is_near_zero(M: Matrices, full: int, found: complex) -> bool:
+    """Tell whether the pencil has less than its full rank near a zero that was found, by Newton steps to where it has.
+
+    Steps with rounding of the norm of all may have moved a zero of slow states far beyond the rounding of their rates.
+    """
+    n, z = len(M[0]), complex(found)
+    for _ in range(_STEPS):
+        P, rows, columns = even_pencil_at(M, z * np.eye(n))
+        U, s, Vh = np.linalg.svd(P)
+        if s[full - 1] <= _FULL * s[0]:
+            return True
+        slope = (U[:n, full - 1].conj() * rows[:n]) @ (columns[:n] * Vh[full - 1, :n].conj())
+        if slope == 0:
+            return False
+        z -= complex(s[full - 1] / slope)
+        if abs(z - found) > _NEAR * abs(found):
+            return False
+    return False
 
 
 def _structure(M: Matrices) -> tuple[int, int]:

@@ -358,4 +358,4 @@ def pencil_rank_at(
     """
     (A, B, C, D), descriptor = _checked(A, B, C, D, E)
     dynamic = s * (np.eye(len(A)) if descriptor is None else descriptor)
-    return decide_rank(even_pencil_at((A, B, C, D), dynamic), rtol=rtol)
+    return decide_rank(even_pencil_at((A, B, C, D), dynamic)[0], rtol=rtol)
