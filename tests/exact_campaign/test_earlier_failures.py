@@ -241,8 +241,10 @@ EARLIER = [
     ("stiff", 35139, None),
 ]
 
-#: What fails still.
-OPEN: list[tuple[str, int, examination.Stage]] = []
+#: What fails still: an internal form in which gains of 37,000 cancel hides the only fault of a filter.
+OPEN: list[tuple[str, int, examination.Stage]] = [
+    ("dense", 36019, designs._filters),
+]
 
 
 @pytest.mark.parametrize(("kind", "seed", "stage"), EARLIER, ids=[f"{kind} {seed}" for kind, seed, _ in EARLIER])
