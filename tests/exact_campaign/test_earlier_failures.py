@@ -237,14 +237,14 @@ EARLIER = [
     ("stiff", 34110, None),
     # the Riccati equation of a plant with a pole a thousand times faster than the others, seen through a chain
     ("stiff", 34073, designs._noise),
+    # an internal form in which gains of 37,000 cancel hid the only fault of a filter
+    ("dense", 36019, designs._filters),
     # the same as 34110, nearer to a zero, in decimal units
     ("stiff", 35139, None),
 ]
 
-#: What fails still: an internal form in which gains of 37,000 cancel hides the only fault of a filter.
-OPEN: list[tuple[str, int, examination.Stage]] = [
-    ("dense", 36019, designs._filters),
-]
+#: What fails still.
+OPEN: list[tuple[str, int, examination.Stage]] = []
 
 
 @pytest.mark.parametrize(("kind", "seed", "stage"), EARLIER, ids=[f"{kind} {seed}" for kind, seed, _ in EARLIER])

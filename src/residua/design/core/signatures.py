@@ -12,7 +12,7 @@ from residua.design.core.internal_form import POINTS, JointResponses, frequency_
 from residua.linear import StateSpace
 from residua.linear.systems.response_terms import EvenUnits, in_even_units, response_terms
 from residua.plant import Plant
-from residua.tolerances import DESIGN_ROUNDING, LEAKAGE, RESPONSE_ROUNDING, TINY
+from residua.tolerances import DESIGN_ROUNDING, LEAKAGE, RANK, RESPONSE_ROUNDING, TINY
 
 #: Of the largest terms of a row and of a column, wherever they stand: they leave rounding, and gains known to it only.
 _ELSEWHERE = 1e-2
@@ -136,6 +136,7 @@ def fault_responses(
         outputs = p.outputs / known.outputs
         Q = rows * np.abs(known.filter.values[used, :, n_u:]) / outputs
         P = outputs[:, None] * np.abs(known.of_faults.values[used]) * p.inputs
+        seen = np.any(np.abs(known.of_faults.values[used]) > LEAKAGE * known.of_faults.terms[used], axis=(0, 1))
     else:
         points = np.exp(1j * w * form.dt) if form.is_discrete else 1j * w
         B, D = own.equations[:, None] * made.B_terms, own.outputs[:, None] * made.D_terms
@@ -143,13 +144,16 @@ def fault_responses(
         values, terms = response.values, response.terms
         Q = np.abs(generator.frequency_response(w)[:, :, n_u:]) * own.outputs[:, None] / p.outputs
         P = np.abs(p.system.frequency_response(w))
+        seen = np.zeros(P.shape[2], dtype=bool)
     driven = _largest(Q, P)
     sizes = np.abs(values)
     reached = np.any(sizes > DESIGN_ROUNDING * (terms + driven), axis=0)
     # An internal form in which large states cancel is made of far more than the filter driven by the plant. A fault
     # that is not lost in that reaches the other residuals, too, where the answer is no leak of what the filter reads.
-    known_well = np.any((sizes > LEAKAGE * driven) & (sizes <= driven) & (sizes > RESPONSE_ROUNDING * terms), axis=0)
-    reached |= known_well & reached.any(axis=0)
+    # So do faults that outputs surely see, unless the terms leave fewer digits.
+    no_leak = (sizes > LEAKAGE * driven) & (sizes <= driven)
+    others = np.any(no_leak & (sizes > RESPONSE_ROUNDING * terms), axis=0) & reached.any(axis=0)
+    reached |= others | (np.any(no_leak & (sizes > RANK * terms), axis=0) & seen)
     terms = terms + driven if T is None else terms
     return FaultResponses(scaled, np.where(reached, values, 0.0), terms, driven, reached, own.outputs)
 
