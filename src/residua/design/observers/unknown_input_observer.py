@@ -248,10 +248,10 @@ def assemble(
     """
     K1 = sum_without_rounding((placed.gain, form.W), (T, form.G))  # of nothing it would couple states
     F = without_rounding(np.hstack([T, -K1]), np.vstack([plant.A, plant.C]))
-    terms = np.abs(K1) + np.abs(F) @ np.abs(H)
-    K = above_rounding(K1 + F @ H, terms)  # nothing, where H leaves nothing of an output
+    made_of = np.abs(K1) + np.abs(F) @ np.abs(H)
+    K = above_rounding(K1 + F @ H, made_of)  # nothing, where H leaves nothing of an output
     if even:
-        K = above_rounding(K, terms.max(axis=1, keepdims=True, initial=0.0), RESIDUE)
+        K = above_rounding(K, made_of.max(axis=1, keepdims=True, initial=0.0), RESIDUE)
     # where nothing is left of T, or of a column, what counts is what it is the rounding of
     sizes = max(1.0, float(np.linalg.norm(T))), float(np.linalg.norm(K))
     terms = sizes[0] * np.linalg.norm(plant.Bd, axis=0) + sizes[1] * np.linalg.norm(plant.Dd, axis=0)

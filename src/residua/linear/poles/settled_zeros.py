@@ -120,11 +120,13 @@ def settled_hidden_part(A: Matrix, C: Matrix, modes: NDArray[np.complex128]) -> 
         The hidden modes that floating-point numbers gave.
     """
     count, exact = counted_hidden(A, C), are_exact(A, C)
-    M = _without_inputs(A, C)
     if count is None:
         return None
-    if not exact and count <= len(modes) and (count == len(modes) or count != np.count_nonzero(~_refuted(M, 0, modes))):
-        return None
+    M = _without_inputs(A, C)
+    if not exact and count <= len(modes):
+        fewer = count < len(modes) and count == np.count_nonzero(~_refuted(M, 0, modes))
+        if not fewer:
+            return None
     rows = reduced(*M, RATIONAL).basis if count else []
     basis = np.array([[float(x) for x in row] for row in rows]).reshape(len(A), count)
     return HiddenPart(basis, _exact_zeros(M, count) if exact else None)
