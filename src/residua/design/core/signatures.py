@@ -22,6 +22,8 @@ _FAINT = 1e-7
 _WIDER = 100.0
 #: ... and they carry more than this fraction of it.
 _FADED = 1e-9
+#: Of the terms of a response: answers that are smaller are no unit of their residual.
+_LITTLE = 1e-3
 #: Rows of a basis that are this far apart at most keep 12 digits beside one another.
 _FAR = 2.0**12
 
@@ -256,8 +258,8 @@ def signatures_of(
     known : CheckedResponses, optional
         The responses, where they are known already.
     rtol : float
-        Directions that carry less than this fraction of the response at every frequency are not there, but where
-        those that rounding has left are much fainter still.
+        Directions that carry less than this fraction of the response at every frequency, each residual in units of
+        what this fault moves it by, are not there, but where those that rounding has left are much fainter still.
 
     Returns
     -------
@@ -270,11 +272,12 @@ def signatures_of(
     units = residual_units(responses)
     signatures = {}
     for i, name in enumerate(plant.faults):
-        columns = _unit_columns(responses.values[:, :, i].T / units[:, None])
+        own = _own_units(responses, i, units)
+        columns = _unit_columns(responses.values[:, :, i].T / own[:, None])
         if columns.shape[1] == 0:
             spanning = np.zeros((form.n_outputs, 0))
         else:
-            spanning = (units / responses.residuals)[:, None] * _directions(columns, rtol)
+            spanning = (own / responses.residuals)[:, None] * _directions(columns, rtol)
             first = responses.residuals * first_response(responses.form, i)
             if spanning.shape[1] == 1 and spanning[:, 0] @ first < 0:
                 spanning = -spanning
@@ -317,6 +320,16 @@ def residual_units(responses: FaultResponses) -> NDArray[np.float64]:
     answers = np.where(values > LEAKAGE * sizes, values, 0.0).max(axis=(0, 2), initial=0.0)
     units = np.where(answers > 0, answers, sizes.max(axis=(0, 2), initial=0.0))
     return np.where(units > 0, units, 1.0)
+
+
+def _own_units(responses: FaultResponses, fault: int, units: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the size of each residual as one fault moves it, or a little of what that response is made of if larger.
+
+    Directions of one fault are told apart by how large *its* answers are: other faults may move a residual millions
+    of times further at low frequencies. A design misses what it aims at by so much of the terms, hence the bound.
+    """
+    own = np.maximum(np.abs(responses.values[:, :, fault]), _LITTLE * responses.sizes[:, :, fault]).max(axis=0)
+    return np.where(np.any(responses.values[:, :, fault], axis=0), own, units)
 
 
 def outside_subspaces(
