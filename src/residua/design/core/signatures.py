@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from residua.design.core.internal_form import POINTS, JointResponses, frequency_grid, joint_responses
 from residua.linear import StateSpace
+from residua.linear.subspaces.parts import connected_parts
 from residua.linear.systems.response_terms import EvenUnits, in_even_units, response_terms
 from residua.plant import Plant
 from residua.tolerances import DESIGN_ROUNDING, LEAKAGE, RANK, RESPONSE_ROUNDING, TINY
@@ -23,7 +25,7 @@ _WIDER = 100.0
 #: ... and they carry more than this fraction of it.
 _FADED = 1e-9
 #: Of the terms of a response: answers that are smaller are no unit of their residual.
-_LITTLE = 1e-3
+_LEAST_ANSWER = 1e-3
 #: Rows of a basis that are this far apart at most keep 12 digits beside one another.
 _FAR = 2.0**12
 
@@ -56,11 +58,21 @@ class FaultResponses:
 
 
 @dataclass(frozen=True, eq=False)
+class Part:
+    """A part of a plant that nothing connects with the others, by the numbers of what is in it."""
+
+    equations: NDArray[np.intp]
+    outputs: NDArray[np.intp]
+    faults: NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
 class FaultColumns:
     """What faults do to an internal form and to its plant, in units of their own, with what it is made of."""
 
     own: EvenUnits
     p: EvenUnits
+    parts: tuple[Part, ...]
     B_terms: NDArray[np.float64]
     D_terms: NDArray[np.float64]
 
@@ -75,13 +87,17 @@ class FaultColumns:
         p = EvenUnits(every.system.select(inputs=range(n_f)), every.inputs[:n_f], every.outputs, every.equations)
         B, D = form.B[:, :n_f] * p.inputs, form.D[:, :n_f] * p.inputs
         own = in_even_units(form.replaced(B=B, D=D, inputs=form.inputs[:n_f]))
+        parts = _parts(every.system, n_f)
         if T is None:
-            return cls(own, p, np.zeros((form.n_states, n_f)), np.zeros((form.n_outputs, n_f)))
+            return cls(own, p, parts, np.zeros((form.n_states, n_f)), np.zeros((form.n_outputs, n_f)))
         Gy, Hy = (np.abs(M[:, n_u:]) / p.outputs for M in (generator.B, generator.D))
         Bf, Df = np.abs(p.system.B), np.abs(p.system.D)
-        B = _largest(np.abs(T) / p.equations, Bf) + _largest(Gy, Df)
-        D = _largest(Hy, Df) + (0.0 if V is None else _largest(np.abs(V) / p.equations, Bf))
-        return cls(own, p, B, D)
+        of_states = [(part.equations, part.faults) for part in parts]
+        of_outputs = [(part.outputs, part.faults) for part in parts]
+        B = _largest(np.abs(T) / p.equations, Bf, of_states) + _largest(Gy, Df, of_outputs)
+        D = _largest(Hy, Df, of_outputs)
+        D = D if V is None else D + _largest(np.abs(V) / p.equations, Bf, of_states)
+        return cls(own, p, parts, B, D)
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,8 +122,8 @@ def fault_responses(
     those of the internal form, with the products ``T Bf`` and ``Gy Df`` that it is made of, and those of the filter
     driven by the plant, :math:`\sum_k |Q_{y,ik}| |P_{kj}|`: a residual that is the difference of two measurements
     that a fault moves alike is made of these, whatever its internal form says. Of products such as ``T Bf`` and
-    ``Q P`` the largest entries of row and column count as well, wherever they stand: an entry that should be zero is
-    rounding of those. All in units that do not depend on those of the plant.
+    ``Q P`` the largest entries of row and column count as well, wherever in a part of the plant they stand: an entry
+    that should be zero is rounding of those. All in units that do not depend on those of the plant.
 
     Parameters
     ----------
@@ -147,7 +163,7 @@ def fault_responses(
         Q = np.abs(generator.frequency_response(w)[:, :, n_u:]) * own.outputs[:, None] / p.outputs
         P = np.abs(p.system.frequency_response(w))
         seen = np.zeros(P.shape[2], dtype=bool)
-    driven = _largest(Q, P)
+    driven = _largest(Q, P, [(part.outputs, part.faults) for part in made.parts])
     sizes = np.abs(values)
     reached = np.any(sizes > DESIGN_ROUNDING * (terms + driven), axis=0)
     # An internal form in which large states cancel is made of far more than the filter driven by the plant. A fault
@@ -170,10 +186,36 @@ def checked_responses(
     return CheckedResponses(**vars(joint_responses(generator, plant, of_faults, *terms)), columns=made)
 
 
-def _largest(rows: NDArray, columns: NDArray) -> NDArray[np.float64]:
-    """Return a product of sizes, with a little of the largest of each row times the largest of each column."""
-    anywhere = rows.max(axis=-1, initial=0.0)[..., None] * columns.max(axis=-2, initial=0.0)[..., None, :]
-    return rows @ columns + _ELSEWHERE * anywhere
+def _parts(system: StateSpace, n_f: int) -> tuple[Part, ...]:
+    """Return the parts of a plant that nothing connects, those with any of the faults, its first inputs."""
+    n, n_y = system.n_states, system.n_outputs
+    A = system.A != 0 if system.E is None else (system.A != 0) | (system.E != 0)
+    first = n if system.E is None else 2 * n  # equations are states where E = I
+    nodes = np.zeros((first + n_y + system.n_inputs,) * 2, dtype=bool)
+    nodes[:n, first - n : first] = A
+    nodes[:n, first + n_y :] = system.B != 0
+    nodes[first : first + n_y, first - n : first] = system.C != 0
+    nodes[first : first + n_y, first + n_y :] = system.D != 0
+    parts = []
+    for part in connected_parts(nodes):
+        faults = part[(part >= first + n_y) & (part < first + n_y + n_f)] - first - n_y
+        if faults.size:
+            parts.append(Part(part[part < n], part[(part >= first) & (part < first + n_y)] - first, faults))
+    return tuple(parts)
+
+
+def _largest(
+    rows: NDArray, columns: NDArray, parts: Sequence[tuple[NDArray[np.intp], NDArray[np.intp]]]
+) -> NDArray[np.float64]:
+    """Return a product of sizes, with a little of the largest of each row times the largest of each column.
+
+    These stand anywhere in the same part: what nothing connects has no unit in common.
+    """
+    product = rows @ columns
+    for inner, outer in parts:
+        row, column = rows[..., inner].max(axis=-1, initial=0.0), columns[..., outer].max(axis=-2, initial=0.0)
+        product[..., outer] += _ELSEWHERE * row[..., None] * column[..., None, :]
+    return product
 
 
 @dataclass(frozen=True, eq=False)
@@ -328,7 +370,7 @@ def _own_units(responses: FaultResponses, fault: int, units: NDArray[np.float64]
     Directions of one fault are told apart by how large *its* answers are: other faults may move a residual millions
     of times further at low frequencies. A design misses what it aims at by so much of the terms, hence the bound.
     """
-    own = np.maximum(np.abs(responses.values[:, :, fault]), _LITTLE * responses.sizes[:, :, fault]).max(axis=0)
+    own = np.maximum(np.abs(responses.values[:, :, fault]), _LEAST_ANSWER * responses.sizes[:, :, fault]).max(axis=0)
     return np.where(np.any(responses.values[:, :, fault], axis=0), own, units)
 
 
