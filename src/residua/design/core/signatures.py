@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from residua.design.core.internal_form import POINTS, JointResponses, frequency_grid, joint_responses
 from residua.linear import StateSpace
-from residua.linear.subspaces.parts import connected_parts
+from residua.linear.subspaces.parts import part_numbers
 from residua.linear.systems.response_terms import EvenUnits, in_even_units, response_terms
 from residua.plant import Plant
 from residua.tolerances import DESIGN_ROUNDING, LEAKAGE, RANK, RESPONSE_ROUNDING, TINY
@@ -188,20 +188,14 @@ def checked_responses(
 
 def _parts(system: StateSpace, n_f: int) -> tuple[Part, ...]:
     """Return the parts of a plant that nothing connects, those with any of the faults, its first inputs."""
-    n, n_y = system.n_states, system.n_outputs
-    A = system.A != 0 if system.E is None else (system.A != 0) | (system.E != 0)
-    first = n if system.E is None else 2 * n  # equations are states where E = I
-    nodes = np.zeros((first + n_y + system.n_inputs,) * 2, dtype=bool)
-    nodes[:n, first - n : first] = A
-    nodes[:n, first + n_y :] = system.B != 0
-    nodes[first : first + n_y, first - n : first] = system.C != 0
-    nodes[first : first + n_y, first + n_y :] = system.D != 0
-    parts = []
-    for part in connected_parts(nodes):
-        faults = part[(part >= first + n_y) & (part < first + n_y + n_f)] - first - n_y
-        if faults.size:
-            parts.append(Part(part[part < n], part[(part >= first) & (part < first + n_y)] - first, faults))
-    return tuple(parts)
+    n = system.n_states
+    states = (system.A != 0) | ((np.eye(n) if system.E is None else system.E) != 0)
+    rows, columns = part_numbers(np.block([[states, system.B != 0], [system.C != 0, system.D != 0]]))
+    faults = columns[n : n + n_f]
+    return tuple(
+        Part(np.flatnonzero(rows[:n] == part), np.flatnonzero(rows[n:] == part), np.flatnonzero(faults == part))
+        for part in np.unique(faults)
+    )
 
 
 def _largest(
