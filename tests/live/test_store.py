@@ -205,6 +205,25 @@ def test_a_database_that_comes_back_goes_on_and_is_still_owned() -> None:
         database.stop()
 
 
+def test_a_run_waits_for_the_end_of_the_one_before_it() -> None:
+    database = Database()
+    from residua.live.postgresql_store import PostgresqlStore
+
+    database.start()
+    first, second = PostgresqlStore(database.dsn), PostgresqlStore(database.dsn)
+    try:
+        first.open()
+        ending = threading.Timer(0.5, first.close)  # a server needs a while to see that a client has gone
+        ending.start()
+        second.open()
+        ending.join()
+        second.commit(changes())
+    finally:
+        first.close()
+        second.close()
+        database.stop()
+
+
 def test_a_run_whose_database_another_has_taken_over_ends() -> None:
     database = Database()
     from residua.live.postgresql_store import PostgresqlStore

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -20,6 +21,8 @@ except ImportError as error:
 
 #: The number of the lock that the run holds, for as long as its connection lives.
 _LOCK = 7_236_845_112
+#: Seconds for a server to see that a run which has just ended is gone, and between two questions.
+_PATIENCE, _PAUSE = 3.0, 0.05
 #: Seconds, and milliseconds, after which a host that does not answer is away.
 _LIMITS: dict[str, Any] = {
     **{"connect_timeout": 10, "tcp_user_timeout": 20_000},
@@ -85,13 +88,20 @@ class PostgresqlStore(SqlStore):
     def _take(self, *, again: bool = False) -> None:
         """Take the lock that another run would have; ``again``: what the server still has of a lost connection goes."""
         connection = self._connect()
-        row = connection.execute("SELECT pg_try_advisory_lock(%s)", (_LOCK,)).fetchone()
-        if row is None or not row[0]:
-            connection.close()
-            if again:
-                raise StoreAwayError("the database still holds the lock of a connection that was lost")
-            raise StoreError("another run has this database: stop it, or name another one")
+        until = time.monotonic() + _PATIENCE
+        while not self._takes(connection):
+            if again or time.monotonic() > until:
+                connection.close()
+                if again:
+                    raise StoreAwayError("the database still holds the lock of a connection that was lost")
+                raise StoreError("another run has this database: stop it, or name another one")
+            time.sleep(_PAUSE)  # a run that was started again at once finds the lock of the one before
         self._owner = connection
+
+    @staticmethod
+    def _takes(connection: psycopg.Connection[Any]) -> bool:
+        row = connection.execute("SELECT pg_try_advisory_lock(%s)", (_LOCK,)).fetchone()
+        return row is not None and bool(row[0])
 
     def _check_owned(self) -> None:
         """Take the lock again, where the connection that held it was lost."""
