@@ -137,7 +137,15 @@ def test_descriptor_plants_are_analysed_too() -> None:
     plant = rs.Plant([[-1, 1], [1, -1]], [[1], [0]], np.eye(2), E=E).with_sensor_faults().with_faults({"f": [0, 1]})
     found = rs.diagnosability(plant)
     assert found.detectable.all()
-    assert found.unknown_input_observer is None
+    assert found.unknown_input_observer
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-13])
+def test_an_equation_in_another_unit_changes_no_answer_about_observers(unit: float) -> None:
+    plant = rs.Plant([[-1, 0], [unit, -2 * unit]], [[1], [0]], np.eye(2), E=np.diag([1.0, unit]))
+    found = rs.diagnosability(plant.with_sensor_faults().with_disturbances({"d": [1, 0]}))
+    assert found.unknown_input_observer.exists
+    assert "an unknown input observer exists" in str(found)
 
 
 def test_singular_pencils_and_plants_without_faults_are_refused() -> None:

@@ -39,6 +39,15 @@ def test_the_rank_condition_names_the_disturbance() -> None:
     assert "'load'" not in found.reasons[0]
 
 
+def test_a_disturbance_that_an_output_reads_is_not_named() -> None:
+    A, C = [[-1, 0, 0], [1, -2, 0], [0, 1, -3]], [[0, 0, 1], [0, 0, 2]]
+    plant = rs.Plant(A, np.zeros((3, 1)), C)
+    both = plant.with_disturbances([[1, 0], [0, 1], [0, 0]], ["seen", "hidden"], output=[[1, 0], [0, 0]])
+    reason = rs.analysis.unknown_input_observer_existence(both).reasons[0]
+    assert "'hidden'" in reason
+    assert "'seen'" not in reason
+
+
 @pytest.mark.parametrize("scale", [1e-5, 1.0, 1e5])
 def test_units_do_not_decide_existence(scale: float) -> None:
     rng = np.random.default_rng(1)

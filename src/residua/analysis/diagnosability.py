@@ -51,9 +51,8 @@ class Diagnosability:
     visibility : ndarray, shape (faults,)
         The evidence: the fraction of each fault's direction that is left after the disturbances are
         removed, at the best of the test points.
-    unknown_input_observer : UnknownInputExistence or None
-        Whether an exact observer exists that ignores all disturbances at once, and if not, why
-        (``None`` for a singular ``E``, where it is not examined here).
+    unknown_input_observer : UnknownInputExistence
+        Whether an exact observer exists that ignores all disturbances at once, and if not, why.
     """
 
     plant: Plant = field(repr=False)
@@ -64,7 +63,7 @@ class Diagnosability:
     strongly_isolable: NDArray[np.bool_]
     groups: tuple[tuple[str, ...], ...]
     visibility: NDArray[np.float64]
-    unknown_input_observer: UnknownInputExistence | None
+    unknown_input_observer: UnknownInputExistence
 
     def constant_twins(self, fault: str) -> tuple[str, ...]:
         """Return the faults that look the same as this one while both are constant, but not else."""
@@ -119,7 +118,7 @@ class Diagnosability:
                 f"{_yes(self.strongly_detectable[i]):<13}  {', '.join(twins) or '-'}"
             )
         lines += [f"{name}: {why}" for name, why in self.reasons().items()]
-        if self.unknown_input_observer is not None and self.plant.disturbances:
+        if self.plant.disturbances:
             lines.append(str(self.unknown_input_observer))
         return "\n".join(lines)
 
@@ -191,9 +190,6 @@ def diagnosability(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> Diagnosabilit
         strong, strongly_isolable = _decide(limit_columns(model, rtol, generic.rank), rtol)
     strong &= detectable
     strongly_isolable &= isolable
-    existence = None
-    if plant.E is None or np.linalg.cond(plant.E) < 1e12:
-        existence = unknown_input_observer_existence(plant, rtol=rtol)
     return Diagnosability(
         plant=plant,
         faults=plant.faults,
@@ -203,7 +199,7 @@ def diagnosability(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> Diagnosabilit
         strongly_isolable=strongly_isolable,
         groups=group_twins(plant.faults, detectable, isolable),
         visibility=np.linalg.norm(generic.columns, axis=1).max(axis=0),
-        unknown_input_observer=existence,
+        unknown_input_observer=unknown_input_observer_existence(plant, rtol=rtol),
     )
 
 

@@ -523,9 +523,11 @@ def _product_rank(C: NDArray, E: NDArray, rtol: float) -> RankDecision:
 
 
 def _unseen(plant: Plant, form: OutputFreeForm) -> str:
-    """Return the names of the disturbances that the outputs do not see at once."""
-    terms = np.abs(form.C) @ np.abs(plant.Bd)
-    hidden, _ = null_basis(without_rounding(form.C, plant.Bd), scale=float(np.linalg.norm(terms)))
-    weight = np.abs(hidden).max(axis=1, initial=0.0)
-    names = [name for name, w in zip(plant.disturbances, weight, strict=True) if w > 1e-6]
+    """Return the names of the disturbances that the outputs do not see at once, neither by themselves nor through ``C E``."""
+    terms = np.abs(form.C) @ np.abs(form.E)
+    hidden, _ = null_basis(without_rounding(form.C, form.E), scale=float(np.linalg.norm(terms)))
+    entries = np.vstack([plant.Bd, plant.Dd])
+    moved = np.vstack([form.E @ hidden, np.zeros((len(plant.Dd), hidden.shape[1]))])
+    weight = np.abs(np.linalg.lstsq(entries, moved, rcond=DEFAULT_RTOL)[0]).max(axis=1, initial=0.0)
+    names = [name for name, w in zip(plant.disturbances, weight / max(weight.max(), TINY), strict=True) if w > 1e-6]
     return " or ".join(f"'{name}'" for name in names) or "the disturbance"

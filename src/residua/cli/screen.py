@@ -136,9 +136,7 @@ def show_diagnosability(answer: Diagnosability) -> None:
     )
     why = [f"{name}: {reason}" for name, reason in answer.reasons().items()]
     say(*(why or ["every fault can be detected, also when constant, and told from every other"]))
-    if answer.unknown_input_observer is None:
-        say("unknown input observer: not examined, E is singular")
-    elif plant.disturbances:
+    if plant.disturbances:
         say(str(answer.unknown_input_observer))
     else:
         say("no disturbances: an ordinary observer will do")
@@ -176,9 +174,7 @@ def diagnosability_values(answer: Diagnosability) -> dict[str, Any]:
         "isolable": answer.isolable.tolist(),
         "strongly_isolable": answer.strongly_isolable.tolist(),
         "groups": [list(group) for group in answer.groups],
-        "unknown_input_observer": None
-        if existence is None
-        else {
+        "unknown_input_observer": {
             "exists": existence.exists,
             "useful": existence.useful,
             "reasons": list(existence.reasons),

@@ -14,7 +14,7 @@ from residua.linear import StateSpace
 from residua.linear.subspaces.parts import part_numbers
 from residua.linear.systems.response_terms import EvenUnits, in_even_units, response_terms
 from residua.plant import Plant
-from residua.tolerances import DESIGN_ROUNDING, LEAKAGE, RANK, RESPONSE_ROUNDING, TINY
+from residua.tolerances import DESIGN_ROUNDING, LEAKAGE, RANK, RESPONSE_ROUNDING, TINY, above_rounding
 
 #: Of the largest terms of a row and of a column, wherever they stand: they leave rounding, and gains known to it only.
 _ELSEWHERE = 1e-2
@@ -161,8 +161,9 @@ def fault_responses(
         response = response_terms(scaled, points, *((B, D) if T is not None else (None, None)))
         values, terms = response.values, response.terms
         Q = np.abs(generator.frequency_response(w)[:, :, n_u:]) * own.outputs[:, None] / p.outputs
-        P = np.abs(p.system.frequency_response(w))
-        seen = np.zeros(P.shape[2], dtype=bool)
+        of_plant = response_terms(p.system, points)
+        P = np.abs(of_plant.values)
+        seen = np.any(P > LEAKAGE * of_plant.terms, axis=(0, 1))
     driven = _largest(Q, P, [(part.outputs, part.faults) for part in made.parts])
     sizes = np.abs(values)
     reached = np.any(sizes > DESIGN_ROUNDING * (terms + driven), axis=0)
@@ -219,7 +220,7 @@ class Signature:
     Attributes
     ----------
     columns : ndarray, shape (residuals, k)
-        They span it; the first one points where a positive fault moves the residual first.
+        They span it; a single one points where a positive fault moves the residual first.
     reached : ndarray of bool, shape (residuals,)
         The residuals that the fault reaches.
     """
@@ -281,7 +282,8 @@ def signatures_of(
     The subspace is spanned by the response to the fault at all frequencies; it follows from the singular
     values of the responses at many, each scaled to unit length. (Krylov spaces of the same would amplify
     rounding in every step.) What is rounding against the terms that a response is made of is taken for zero. The
-    vector of a one-dimensional subspace has the sign of the first response to a positive fault.
+    vector of a one-dimensional subspace has the sign of the first response to a positive fault, or of the response to
+    a constant one where rounding hides the first.
 
     Parameters
     ----------
@@ -314,8 +316,7 @@ def signatures_of(
             spanning = np.zeros((form.n_outputs, 0))
         else:
             spanning = (own / responses.residuals)[:, None] * _directions(columns, rtol)
-            first = responses.residuals * first_response(responses.form, i)
-            if spanning.shape[1] == 1 and spanning[:, 0] @ first < 0:
+            if spanning.shape[1] == 1 and spanning[:, 0] @ (responses.residuals * first_response(responses, i)) < 0:
                 spanning = -spanning
         signatures[name] = Signature(spanning, responses.reached[:, i])
     spans = {name: signature.columns for name, signature in signatures.items()}
@@ -403,16 +404,23 @@ def _marked(basis: NDArray[np.float64], reached: NDArray[np.bool_]) -> NDArray[n
     return basis
 
 
-def first_response(form: StateSpace, column: int) -> NDArray[np.float64]:
-    """Return the first nonzero Markov parameter ``D, C B, C A B, ...`` of one input, up to a positive factor."""
-    if np.any(form.D[:, column]):
-        return form.D[:, column]
+def first_response(responses: FaultResponses, fault: int) -> NDArray[np.float64]:
+    """Return the first Markov parameter ``D, C B, C A B, ...`` of one fault that is no rounding, up to a factor > 0.
+
+    Each entry is judged against its own terms: a mode that is far faster than the others is no measure of what these
+    pass on. Where rounding hides all of them it is the response at the lowest frequency.
+    """
+    form, reached = responses.form, responses.reached[:, fault]
+    D = np.where(reached, above_rounding(form.D[:, fault], responses.sizes[-1, :, fault]), 0.0)
+    if D.any():
+        return D
     A = form.A / max(float(np.linalg.norm(form.A)), TINY)  # only the direction matters: no power overflows
-    x = form.B[:, column]
-    scale = np.linalg.norm(form.C) * np.linalg.norm(x)
+    x = form.B[:, fault]
+    size = np.abs(x)
     for _ in range(form.n_states):
-        y = form.C @ x
-        if np.linalg.norm(y) > 1e-10 * scale:
+        y = np.where(reached, above_rounding(form.C @ x, np.abs(form.C) @ size), 0.0)
+        if y.any():
             return y
-        x = A @ x
-    return np.zeros(form.n_outputs)
+        x, size = A @ x, np.abs(A) @ size
+    slowest = np.flatnonzero(responses.values[:, :, fault].any(axis=1))
+    return responses.values[slowest[0], :, fault].real if slowest.size else np.zeros(form.n_outputs)

@@ -27,6 +27,8 @@ from residua.plant.input_output_model import InputOutputModel
 _MOST_STATES = 300
 #: The last singular value of a relation that is this large leaves the next one clear of rounding.
 _SURELY_KEPT = 1e-6
+#: One that is dropped is zero where it is this small: rounding leaves less of nothing.
+_SURELY_DROPPED = 1e-15
 
 
 @method(
@@ -193,11 +195,14 @@ def parity_orders(
 def _order_of(space: RelationSpace, plant: Plant, outputs: list[int], rtol: float) -> int:
     """Return the order of the shortest relations, in rational numbers where one shorter may be rounding alone.
 
-    Of rates that are decades apart the singular values fall from order to order: where the last one that counts is
-    small, one that does not may be no zero either.
+    Of rates that are decades apart the singular values fall from order to order, or at once: where the last one that
+    counts is small, or the first that does not is more than rounding, that one may be no zero.
     """
-    s = space.decision.singular_values
-    if not len(s) or space.decision.smallest_kept > _SURELY_KEPT * s[0] or not are_rational(plant, rtol):
+    decision = space.decision
+    if not len(decision.singular_values) or not are_rational(plant, rtol):
+        return space.order
+    largest = decision.singular_values[0]
+    if decision.smallest_kept > _SURELY_KEPT * largest and decision.largest_dropped < _SURELY_DROPPED * largest:
         return space.order
     degree = least_degree(plant, outputs)
     return space.order if degree is None else degree
