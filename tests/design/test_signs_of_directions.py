@@ -1,4 +1,4 @@
-"""The direction of a fault points where a positive fault moves the residual first, whatever is far faster or cancels."""
+"""The direction of a fault points where a positive one moves the residual first, whatever is far faster or cancels."""
 
 from __future__ import annotations
 

@@ -247,6 +247,8 @@ EARLIER = [
     ("no states", 38328, designs._filters),
     # a shorter relation leaves 1e-14 of the states, not nothing
     ("stiff", 40234, None),
+    # no leak was measured into a residual of which eight digits of all that it reads cancel
+    ("stiff", 40250, designs._filters),
 ]
 
 #: What fails still.

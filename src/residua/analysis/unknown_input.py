@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from residua.arrays import frozen
 from residua.linear.poles.settled_zeros import settled
 from residua.linear.poles.spectrum import describe_modes
-from residua.linear.poles.stability import dies_out
+from residua.linear.poles.stability import dies_out, may_die_out
+from residua.linear.poles.zeros import zeros_apart
 from residua.linear.subspaces.observability import Detectability, detectability
 from residua.linear.subspaces.rank import (
     DEFAULT_RTOL,
@@ -203,15 +204,22 @@ def _settled_fixed_poles(
 
     What it was cut into has rounding of its own.
     """
+    modes = seen.unobservable_modes
     if not seen.in_doubt or rtol > RANK:
-        return seen.unobservable_modes, seen.unstable_modes, not seen.undecided
-    rank = form.E.shape[1] + plant.n_outputs - len(form.W)
-    found = rank, seen.unobservable_modes
-    zeros = settled((plant.A, plant.Bd, plant.C, plant.Dd), found)[1]
-    if zeros is None or zeros is seen.unobservable_modes:
-        return seen.unobservable_modes, seen.unstable_modes, not seen.undecided
-    stable = dies_out(zeros, np.zeros(len(zeros)), plant.dt, seen.size)
-    return zeros, zeros[~stable], True
+        return modes, seen.unstable_modes, not seen.undecided
+    uncertainty = np.zeros(len(modes))
+    zeros: NDArray[np.complex128] | None = modes
+    if plant.E is None:
+        rank = form.E.shape[1] + plant.n_outputs - len(form.W)
+        zeros = settled((plant.A, plant.Bd, plant.C, plant.Dd), (rank, modes))[1]
+    if zeros is None or np.array_equal(zeros, modes):  # rational numbers say no more
+        apart = zeros_apart(plant.A, plant.Bd, plant.C, plant.Dd, plant.E, rtol=rtol)
+        if apart is None or len(apart[0]) != len(modes):
+            return modes, seen.unstable_modes, not seen.undecided
+        zeros, uncertainty = apart
+    stable = dies_out(zeros, uncertainty, plant.dt, seen.size)
+    undecided = not stable.all() and may_die_out(zeros, uncertainty, plant.dt, seen.size)[~stable].all()
+    return zeros, zeros[~stable], not undecided
 
 
 def _cannot_be_told(pair: str, zero: str) -> str:
@@ -472,9 +480,9 @@ class SingularDecoupling:
     decoupling: Decoupling
 
 
-def _unstable_zero_of_singular(seen: Detectability) -> str:
-    bad = describe_modes(seen.unstable_modes)
-    if seen.undecided:
+def _unstable_zero_of_singular(unstable: NDArray[np.complex128], told: bool) -> str:
+    bad = describe_modes(unstable)
+    if not told:
         return _cannot_be_told("([C; N A], T A)", f"the finite invariant zero {bad} of (E, A, D, C)")
     return (
         f"([C; N A], T A) is not detectable: the finite invariant zero {bad} of (E, A, D, C) is a fixed pole "
@@ -503,9 +511,9 @@ def _singular_existence(plant: Plant, rtol: float) -> UnknownInputExistence:
     else:
         A1, C1 = error_pair(decoupling, form)
         seen = detectability(A1, C1, dt=plant.dt, rtol=rtol)
-        fixed = seen.unobservable_modes
-        if not seen.detectable:
-            reasons.append(_unstable_zero_of_singular(seen))
+        fixed, unstable, told = _settled_fixed_poles(even.plant, form, seen, rtol)
+        if unstable.size:
+            reasons.append(_unstable_zero_of_singular(unstable, told))
     parts = None if reasons else SingularDecoupling(even, measured, equations, form, decoupling)
     useful = plant.n_outputs > measured.n_outputs - len(form.W) + q  # outputs, beyond what all disturbances use up
     return UnknownInputExistence(not reasons, tuple(reasons), decoupling.rank, decoupling.rank_D, fixed, useful, parts)
@@ -523,7 +531,7 @@ def _product_rank(C: NDArray, E: NDArray, rtol: float) -> RankDecision:
 
 
 def _unseen(plant: Plant, form: OutputFreeForm) -> str:
-    """Return the names of the disturbances that the outputs do not see at once, neither by themselves nor through ``C E``."""
+    """Return the names of the disturbances that the outputs see neither directly nor at once by ``C E``."""
     terms = np.abs(form.C) @ np.abs(form.E)
     hidden, _ = null_basis(without_rounding(form.C, form.E), scale=float(np.linalg.norm(terms)))
     entries = np.vstack([plant.Bd, plant.Dd])

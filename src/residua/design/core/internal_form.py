@@ -22,7 +22,7 @@ from residua.linear.systems.response_terms import (
 )
 from residua.linear.systems.units import system_units
 from residua.plant import Plant
-from residua.tolerances import IDENTITY, RESPONSE_ROUNDING, ROUNDING, TINY, above_rounding
+from residua.tolerances import DESIGN_ROUNDING, IDENTITY, RESPONSE_ROUNDING, ROUNDING, TINY, above_rounding
 from residua.words import unit_of_rates
 
 #: Frequencies of a grid, if nothing else is asked for.
@@ -483,8 +483,7 @@ def leakage_of_inputs(
         signals = np.zeros((len(unsure), n_u + measured.shape[1], measured.shape[2]), dtype=np.complex128)
         signals[:, :n_u], signals[:, n_u:] = np.eye(n_u, measured.shape[2]), measured
         total[unsure] = accurate_response(system, points[unsure], signals)
-    # in the units of the signals that the plant has of itself, the rounding of one term of a residual is that of all
-    alive = _alive(np.abs(Q.values), Q.terms + Q.terms.max(axis=2, keepdims=True, initial=0.0))
+    alive = _live_terms(Q)
     parts = _cancelling(
         np.where(alive, Q.values, 0.0), np.where(_alive(np.abs(P.values), P.terms), P.values, 0.0), n_u
     )[1]
@@ -534,6 +533,18 @@ def _products(Q: NDArray, P: NDArray, n_u: int) -> NDArray[np.float64]:
     parts = Q[..., n_u:] @ P
     parts[..., :n_u] += Q[..., :n_u]
     return parts
+
+
+def _live_terms(Q: ResponseTerms) -> NDArray[np.bool_]:
+    """Tell which responses of each residual are more than rounding.
+
+    In the units of the signals that the plant has of itself, the rounding of one term of a residual is that of all. Of
+    a residual that is nothing beside that, but more than a design leaves of nothing, each term has its own.
+    """
+    sizes = np.abs(Q.values)
+    alive = _alive(sizes, Q.terms + Q.terms.max(axis=2, keepdims=True, initial=0.0))
+    small = ~alive.any(axis=1, keepdims=True) & np.any(sizes > DESIGN_ROUNDING * Q.terms, axis=(0, 2))[:, None]
+    return alive | (small & _alive(sizes, Q.terms))
 
 
 def _alive(sizes: NDArray, terms: NDArray) -> NDArray[np.bool_]:

@@ -163,7 +163,7 @@ def fault_responses(
         Q = np.abs(generator.frequency_response(w)[:, :, n_u:]) * own.outputs[:, None] / p.outputs
         of_plant = response_terms(p.system, points)
         P = np.abs(of_plant.values)
-        seen = np.any(P > LEAKAGE * of_plant.terms, axis=(0, 1))
+        seen = np.any(LEAKAGE * of_plant.terms < P, axis=(0, 1))
     driven = _largest(Q, P, [(part.outputs, part.faults) for part in made.parts])
     sizes = np.abs(values)
     reached = np.any(sizes > DESIGN_ROUNDING * (terms + driven), axis=0)

@@ -34,6 +34,7 @@ from residua.errors import AccuracyError, DesignError
 from residua.linear.poles.placement import Placement
 from residua.linear.subspaces.far_gain import refuse_far_gain
 from residua.linear.subspaces.observability import staircase
+from residua.linear.subspaces.observable_part import UndetectableError
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision
 from residua.linear.systems.array_cache import cached_by_contents
 from residua.linear.systems.balancing import sum_without_rounding, without_rounding
@@ -164,7 +165,7 @@ def observer_of(
     even = parts.even.plant
     if poles is None and margin is None:
         margin = margin_from(parts.A22, even)
-    placed = place(*parts.error_pair, poles, margin, plant.dt, rtol)
+    placed = _placed(*parts.error_pair, poles, margin, plant.dt, rtol)
     farthest = float(np.abs(placed.requested).max(initial=margin or 0.0))
     refuse_far_gain(*parts.error_pair, placed.gain, 1.0 if plant.dt else farthest)
     placed = replace(placed, gain=without_rounding(parts.M, placed.gain, parts.outputs))
@@ -187,8 +188,27 @@ def _with_free_matrix(
     A1 = without_rounding(T, form.A)
     if poles is None and margin is None:
         margin = margin_from(A1, plant)
-    placed = place(A1, form.C, poles, margin, plant.dt, rtol)
+    placed = _placed(A1, form.C, poles, margin, plant.dt, rtol)
     return assemble(plant, form, T, H, placed, existence, even=False)
+
+
+def _placed(
+    A: NDArray,
+    C: NDArray,
+    poles: Sequence[complex] | ArrayLike | None,
+    margin: float | None,
+    dt: float,
+    rtol: float,
+) -> Placement:
+    """Place the poles of an error that is known to be detectable: from the plant, whose modes are known better."""
+    try:
+        return place(A, C, poles, margin, dt, rtol)
+    except UndetectableError as error:
+        raise AccuracyError(
+            "an observer of this plant exists, but rounding in the matrices of its error moves fixed poles that are "
+            f"near one another across the boundary of stability ({error}); use reduced_order_observer or "
+            "decoupled_residual, or add a sensor"
+        ) from error
 
 
 def _of_singular_plant(
@@ -207,7 +227,7 @@ def _of_singular_plant(
     p = len(form.C)
     seen = staircase(A1, form.C, rtol=rtol).n_observable
     needed = seen < staircase(A1, C1, rtol=rtol).n_observable  # or else the smallest T is the best
-    placed = place(A1, C1 if needed else form.C, poles, margin, plant.dt, rtol)
+    placed = _placed(A1, C1 if needed else form.C, poles, margin, plant.dt, rtol)
     K1, Z = placed.gain[:, :p], placed.gain[:, p:] if needed else np.zeros((len(A1), len(free.N)))
     T, H = free.T - Z @ free.N, without_rounding(free.H - Z @ free.M, form.W)
     made = assemble(parts.measured, form, T, H, replace(placed, gain=K1), existence)

@@ -83,7 +83,7 @@ def may_die_out(modes: NDArray, uncertainty: NDArray, dt: float, size: float) ->
 
     Parameters are those of `dies_out`.
     """
-    loose = (uncertainty > np.sqrt(_EPS) * size) & (modes != 0)
+    loose = uncertainty > np.sqrt(_EPS) * size
     reach = scatter_of(int(np.count_nonzero(loose)), max(len(modes), 1), size)
     inside = is_stable_mode(modes, dt, uncertainty=-np.maximum(uncertainty, reach))
     return loose & inside & ~dies_out(modes, uncertainty, dt, size)
@@ -149,9 +149,13 @@ def hidden_modes(
     poles, own = (np.concatenate(both) for both in zip(*apart, strict=True))
     distance = np.abs(modes[:, None] - poles)
     chosen = least_cost_columns(distance)
-    # a pole of another part that is as near may be the one
+    # a pole of another part that is as near may be the one, or one from which rounding has scattered this mode
     left = np.setdiff1d(np.arange(poles.size), chosen)
-    near = distance[:, left] <= 2 * np.diagonal(distance[:, chosen])[:, None]
+    size = float(np.linalg.norm(block))
+    loose = moved > np.sqrt(_EPS) * size
+    scattered = scatter_of(int(np.count_nonzero(loose)), len(block), size, perturbation / max(size, TINY))
+    reach = np.maximum(2 * np.diagonal(distance[:, chosen]), np.where(loose, scattered, 0.0))
+    near = distance[:, left] <= reach[:, None]
     other = np.where(near, np.abs(poles[chosen][:, None] - poles[left]), 0.0).max(axis=1, initial=0.0)
     known = np.maximum(own[chosen], other)
     return (poles[chosen], known) if known.max() < moved.max() else (modes, moved)

@@ -14,6 +14,7 @@ from residua.linear.poles.deflation import Matrices, deflated
 from residua.linear.poles.matrix_poles import is_rounding_of_zero
 from residua.linear.poles.settled_zeros import even_pencil_at, may_have_moved, settled
 from residua.linear.poles.zero_structure import rounding_of, without_zero_eigenvalues
+from residua.linear.subspaces.observability import staircase
 from residua.linear.subspaces.parts import part_numbers, triangular_parts
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, decide_rank, spectral_norm
 from residua.linear.systems.balancing import balance_system, descriptor_units, power_of_two, without_rounding
@@ -211,6 +212,47 @@ def _zeros_by_parts(M: Matrices, rtol: float, decisions: list[RankDecision]) -> 
             decisions += made
             return np.concatenate(found), sum(min(len(rows), len(columns)) for rows, columns in parts) - n
     return _zeros_of_whole(M, rtol, decisions)
+
+
+def zeros_apart(
+    A: ArrayLike,
+    B: ArrayLike,
+    C: ArrayLike,
+    D: ArrayLike | None = None,
+    E: ArrayLike | None = None,
+    *,
+    rtol: float = DEFAULT_RTOL,
+) -> tuple[NDArray[np.complex128], NDArray[np.float64]] | None:
+    """Return the zeros of a system and what rounding may have done to each, if all are poles of parts of its pencil.
+
+    Parameters are those of `invariant_zeros`. The parts are the diagonal blocks of the block triangular pencil: states
+    that nothing but one another moves, as far as the outputs tell. Their poles are known to their own rounding,
+    whatever the rest of the system is made of.
+
+    Returns
+    -------
+    zeros : ndarray of complex
+    uncertainty : ndarray
+        Nothing instead of both where other parts have zeros, too, or entries cancel.
+    """
+    M, descriptor = _checked(A, B, C, D, E)
+    unit, decisions = 1.0, list[RankDecision]()
+    if descriptor is not None:
+        M, descriptor, unit = _equilibrated(M, descriptor)
+        M = _standard(M, descriptor, rtol, decisions)
+    n, whole = len(M[0]), bordered(*M)
+    found, moved = [np.zeros(0, dtype=complex)], [np.zeros(0)]
+    for rows, columns in triangular_parts((whole != 0) | _diagonal(whole.shape, n)):
+        if np.array_equal(np.sort(rows), np.sort(columns)) and rows.max(initial=-1) < n:
+            block = whole[np.ix_(rows, rows)]
+            modes, uncertainty = staircase(block, np.zeros((0, len(rows))), rtol=rtol).hidden_modes
+            found.append(modes)
+            moved.append(uncertainty)
+            continue
+        own, rank = _zeros_of_part(whole, n, rows, columns, rtol, decisions)
+        if own.size or rank < min(len(rows), len(columns)):
+            return None
+    return unit * np.concatenate(found), unit * np.concatenate(moved)
 
 
 def _diagonal(shape: tuple[int, int], n: int) -> NDArray[np.bool_]:

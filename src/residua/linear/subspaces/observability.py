@@ -194,7 +194,7 @@ def _settled(form: Staircase, decided: WeakCouplings) -> Staircase:
     if found is None:
         return replace(form, in_doubt=True)
     if not in_doubt and found.basis.shape[1] != n - k:  # by couplings that are surely rounding, as the modes may be
-        return form
+        return replace(form, in_doubt=True)
     Q, modes = form.Q, found.modes
     if in_doubt:
         k = n - found.basis.shape[1]
