@@ -241,7 +241,8 @@ def zeros_apart(
         M, descriptor, unit = _equilibrated(M, descriptor)
         M = _standard(M, descriptor, rtol, decisions)
     n, whole = len(M[0]), bordered(*M)
-    found, moved = [np.zeros(0, dtype=complex)], [np.zeros(0)]
+    found: list[NDArray[np.complex128]] = [np.zeros(0, dtype=complex)]
+    moved: list[NDArray[np.float64]] = [np.zeros(0)]
     for rows, columns in triangular_parts((whole != 0) | _diagonal(whole.shape, n)):
         if np.array_equal(np.sort(rows), np.sort(columns)) and rows.max(initial=-1) < n:
             block = whole[np.ix_(rows, rows)]
@@ -252,7 +253,8 @@ def zeros_apart(
         own, rank = _zeros_of_part(whole, n, rows, columns, rtol, decisions)
         if own.size or rank < min(len(rows), len(columns)):
             return None
-    return unit * np.concatenate(found), unit * np.concatenate(moved)
+    zeros, uncertainty = np.concatenate(found), np.concatenate(moved)
+    return np.asarray(unit * zeros, dtype=np.complex128), unit * uncertainty
 
 
 def _diagonal(shape: tuple[int, int], n: int) -> NDArray[np.bool_]:
