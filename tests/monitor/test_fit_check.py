@@ -14,7 +14,7 @@ import scipy.io
 import residua as rs
 from residua.decide import NormThreshold, PeakThreshold
 from residua.decide.stationarity import Change
-from residua.errors import FileFormatError, SettingError
+from residua.errors import DataError, FileFormatError, SettingError
 from residua.json_files import dumps, loads
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -213,3 +213,47 @@ def test_the_table_of_the_page_is_what_the_command_writes(engine: tuple, monkeyp
     for one, other in zip(made[1:], written[1:], strict=True):
         values = [[float(x or -1) for x in row] for row in (one, other)]
         assert values[0] == pytest.approx(values[1], abs=0.02)
+
+
+def drive(seed: int, time: int = 3_000) -> tuple[rs.Plant, np.ndarray, np.ndarray]:
+    """A plant with two inputs that move, and its two outputs with little noise."""
+    plant = rs.Plant([[0.9, 0], [0.1, 0.8]], [[1, 0], [0, 0.2]], np.eye(2), dt=1.0, outputs=["current", "speed"])
+    plant = plant.with_noise(process=1e-4 * np.eye(2), measurement=1e-4 * np.eye(2))
+    rng = np.random.default_rng(seed)
+    u, x, y = rng.standard_normal((time, 2)), np.zeros(2), np.empty((time, 2))
+    for k in range(time):
+        y[k] = x + 0.01 * rng.standard_normal(2)
+        x = plant.A @ x + plant.Bu @ u[k] + 0.01 * rng.standard_normal(2)
+    return plant, u, y
+
+
+def test_recordings_that_contradict_the_plant_are_told() -> None:
+    """Swapped columns, a dead sensor or marks for missing values made thresholds that hid every fault."""
+    plant, u, y = drive(1)
+    dead, marked = y.copy(), y.copy()
+    dead[:, 0] = 3.0
+    marked[::11, 1] = -9999.0
+    watch = rs.Monitor(rs.design.kalman_filter(plant))
+    assert watch.fit(u, y).fit_check.doubts == ()  # pyright: ignore[reportOptionalMemberAccess]
+    for recording in ((u[:, ::-1], y), (u, y[:, ::-1]), (u, dead), (u, marked)):
+        check = watch.fit(*recording).fit_check
+        assert check is not None
+        assert "times as large as the noise of the plant makes it" in check.notes[-1]
+    check = watch.fit(u, dead).fit_check
+    assert check is not None
+    assert "'current' never moves in these recordings" in check.doubts[0]
+
+
+def test_doubts_about_a_fit_are_kept_with_the_monitor(tmp_path: Path) -> None:
+    plant, u, y = drive(2)
+    watch = rs.Monitor(rs.design.kalman_filter(plant)).fit(u[:, ::-1], y)
+    watch.save(tmp_path / "m.json")
+    assert watch.fit_check is not None
+    assert rs.Monitor.load(tmp_path / "m.json").fit_check == watch.fit_check
+    assert watch.fit_check.doubts[0] in " ".join(watch.run(u, y).notes)
+
+
+def test_recordings_without_a_value_are_refused_as_such() -> None:
+    plant, u, y = drive(3, 100)
+    with pytest.raises(DataError, match="no output has a value in this recording"):
+        rs.Monitor(rs.design.kalman_filter(plant)).fit(u, np.full(y.shape, np.nan))

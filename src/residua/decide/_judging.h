@@ -336,6 +336,25 @@ moving_sums(window_row row, Py_ssize_t window, const double *v, double *sums, Py
     spread_sums(row, window, v, sums, time, k, k, 1, k, 1);
 }
 
+/* The same of those samples alone that are judged: at the others no window moves on, and the sums are zero. */
+INLINE void
+sums_of_judged(window_row row, Py_ssize_t window, const piece *p, Py_ssize_t k)
+{
+    if (all_set(p->usable, p->time)) {
+        moving_sums(row, window, p->q, p->sums, p->time, k);
+        return;
+    }
+    for (Py_ssize_t i = 0; i < p->time;) {
+        Py_ssize_t some = 0;
+        while (i + some < p->time && p->usable[i + some])
+            some++;
+        moving_sums(row, window, p->q + i * k, p->sums + i * k, some, k);
+        for (i += some; i < p->time && !p->usable[i]; i++)
+            for (Py_ssize_t j = 0; j < k; j++)
+                p->sums[i * k + j] = 0.0;
+    }
+}
+
 /* Alarms of statistics, NaN where nothing is decided; an alarm of a test that remembers is raised and ended at once. */
 INLINE void
 raise_alarms(const test_plan *t, const test_row *row, piece *p)
@@ -372,7 +391,7 @@ INLINE void
 judge_norm(const test_plan *t, const test_row *row, piece *p, Py_ssize_t k, int has_squares)
 {
     if (t->window > 1) {
-        moving_sums(row->window, t->window, p->q, p->sums, p->time, k);
+        sums_of_judged(row->window, t->window, p, k);
         for (Py_ssize_t i = 0; i < p->time; i++)
             p->statistic[i] = square_of(p->sums + i * k, k);
         roots(p->statistic, p->time);

@@ -113,7 +113,7 @@ norms_of_parts(const test_plan *t, window_row window, piece *p, part_piece *m)
     const Py_ssize_t k = t->k, parts = t->parts;
     const double *sums = p->q;
     if (t->window > 1) {
-        moving_sums(window, t->window, p->q, p->sums, p->time, k);
+        sums_of_judged(window, t->window, p, k);
         sums = p->sums;
     }
     for (Py_ssize_t i = 0; i < p->time; i++)

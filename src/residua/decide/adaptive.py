@@ -143,9 +143,9 @@ class AdaptiveTest(NormTest):
     ) -> tuple[AdaptiveState, NDArray, NDArray[np.bool_], NDArray[np.float64], NDArray[np.float64]]:
         """Return the state, the whitened residual, where it is usable, its norms, and those of each error."""
         q, usable = whitened_residuals(self.center, self.whitening, block)
-        sums, window = moving_sum(q, state.window)
+        sums, window = moving_sum(q, state.window, usable)
         x, held, running, signed = self._of_errors(state, block)
-        parts, error_window = moving_sum(signed, state.error_window)
+        parts, error_window = moving_sum(signed, state.error_window, usable)
         k, root = self.whitening.shape[1], np.sqrt(self.window)
         explained = row_norms(parts.reshape(*parts.shape[:2], len(self.errors), k)) / root
         state = replace(state, window=window, error_window=error_window, x=x, held=held, running=running)

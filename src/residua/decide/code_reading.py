@@ -44,8 +44,9 @@ class CodeReading:
     settled : tuple of str
         The ones of ``faults`` that fire these members only once they are constant.
     possible : tuple of tuple of str
-        For ``unknown``: the single faults that explain the pattern by members that stay silent, those with the
-        fewest silent members first. Faults with the same code are together, each is named once.
+        For ``unknown`` and ``exact``: the single faults, other than those read, that explain the pattern by members
+        that stay silent, those with the fewest silent members first. Faults with the same code are together, each is
+        named once.
     together : tuple of tuple of str
         For ``several``: the faults that are there at once, in the order of their members; those with the same member
         are one group, of which one fault or more is there.
@@ -80,7 +81,8 @@ class CodeReading:
             return "no fault"
         off = counted(self.distance, "member")
         if self.answer == "exact":
-            return f"code of {name} (exact){self._pairs(', or of two at once: ')}"
+            also = f", or {self.either} with members silent" if self.possible else ""
+            return f"code of {name} (exact){also}{self._pairs(', or of two at once: ')}"
         if self.answer == "degraded":
             return f"code of {name} with {off} silent (degraded){self._pairs(', or two at once: ')}"
         if self.answer == "nearest":

@@ -57,7 +57,8 @@ def _one(
     off = "" if reading.answer == "exact" else f" ({reading.answer} code)"
     steady = alarm.read_share is None or alarm.read_share >= STEADY_SHARE
     confidence = f"{reading.answer if steady else 'unsteady'} code"
-    return f"Fault found: {name}{off}, {when}.", confidence, alarm.margin, tuple(sentences)
+    also = f", or {reading.either} with members silent" if reading.possible else ""
+    return f"Fault found: {name}{also}{off}, {when}.", confidence, alarm.margin, tuple(sentences)
 
 
 def _unread(reading: CodeReading, when: str) -> str:

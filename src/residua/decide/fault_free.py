@@ -155,12 +155,12 @@ class FaultFree:
     @cached_property
     def sums(self) -> NDArray[np.float64]:
         """Sums of the deviations over the window."""
-        return self._summed(self.deviations)
+        return self._summed(self.deviations, self.usable)
 
     @cached_property
     def weights(self) -> NDArray[np.float64]:
         """How many usable samples each of these sums has, as a column."""
-        return self._summed(self.usable[:, None].astype(float))
+        return self._summed(self.usable[:, None].astype(float), self.usable)
 
     @cached_property
     def full(self) -> NDArray[np.bool_]:
@@ -168,11 +168,19 @@ class FaultFree:
         seen = np.concatenate([np.cumsum(self.usable[part]) for part in self.parts])
         return self.usable & (seen >= self.window)
 
-    def _summed(self, columns: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _summed(self, columns: NDArray[np.float64], judged: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """Return sums over the last judged samples, as a test takes them: zero at others."""
         if self.window == 1:
             return columns
         empty = empty_window(1, self.window, columns.shape[1])
-        return np.concatenate([moving_sum(columns[None, part], empty)[0][0] for part in self.parts])
+        sums = [moving_sum(columns[None, part], empty, judged[None, part])[0][0] for part in self.parts]
+        return np.concatenate(sums)
+
+    def usable_samples_away(self, place: int, count: int, part: slice) -> int:
+        """Return the place that so many usable samples of a recording lie between, backwards if negative."""
+        rows = np.flatnonzero(self.usable[part]) + part.start
+        index = int(np.searchsorted(rows, place)) + count
+        return part.start if index < 0 else part.stop if index >= len(rows) else int(rows[index])
 
     # ------------------------------------------------------------------ moments
 
@@ -225,7 +233,8 @@ class FaultFree:
         single = correlation_times(self.deviations, self.parts, 2)
         if self.window == 1:
             return float(single.mean()), float(single.mean())
-        return float(single.mean()), float(correlation_times(self.sums, self.parts, 2).mean())
+        in_time = self._summed(self.deviations, np.ones(len(self.usable), dtype=bool))  # as lags are, missing ones zero
+        return float(single.mean()), float(correlation_times(in_time, self.parts, 2).mean())
 
     @cached_property
     def memory(self) -> int:
@@ -250,10 +259,10 @@ class FaultFree:
             for part in self.parts:
                 a, b = max(start, part.start), min(stop, part.stop)
                 if a < b:
-                    low, high = a - self.memory - (self.window - 1), min(part.stop, b + self.memory)
-                    low = max(part.start, low)  # the windows that are held out begin before
+                    high = min(part.stop, b + self.memory)  # the windows that are held out begin before
+                    low = self.usable_samples_away(a - self.memory, 1 - self.window, part)
                     near[low:high] = True
-                    reach[low : min(part.stop, high + self.window - 1)] = True
+                    reach[low : self.usable_samples_away(high, self.window - 1, part)] = True
             kept = self.usable & ~near
             if kept.any():
                 yield (index >= start) & (index < stop), kept, self.full & ~reach
@@ -316,7 +325,7 @@ def held_apart(data: FaultFree) -> tuple[NDArray[np.bool_], NDArray[np.bool_], N
     check_enough(int(count[-1]) // 2, data.residuals.shape[1], data.window)
     cut = int(np.searchsorted(count, count[-1] / 2)) + 1
     part = next(part for part in data.parts if cut < part.stop or part.stop == len(index))
-    later = min(max(cut, part.start) + data.memory + data.window - 1, part.stop)
+    later = data.usable_samples_away(max(cut, part.start) + data.memory, data.window - 1, part)
     if not (data.full & (index >= later)).any():
         raise DataError(
             f"{int(count[-1])} usable samples leave none to the second half of a conformal threshold, with a gap of "

@@ -120,7 +120,7 @@ class BankTest(ResidualTest):
     def run(self, state: NormState, block: Block) -> tuple[NormState, Tested]:
         """Compare the norm of each part, summed over the window, with its own threshold."""
         q, usable = whitened_residuals(self.center, self.whitening, block)
-        sums, window = moving_sum(q, state.window)
+        sums, window = moving_sum(q, state.window, usable)
         statistics = np.full((*usable.shape, len(self.sizes)), np.nan)
         for m, (start, stop) in enumerate(self.columns):
             statistics[..., m] = np.where(usable, row_norms(sums[..., start:stop]) / np.sqrt(self.window), np.nan)

@@ -128,7 +128,7 @@ class CodeTest(Isolation):
         pairs = pairs_of((groups[below[a]], groups[below[b]]) for a, b in zip(first[whole], second[whole], strict=True))
         if (off == 0).any():
             g = int(off.argmin())
-            return CodeReading("exact", groups[g], 0, pairs, (), *made, settled[g])
+            return CodeReading("exact", groups[g], 0, pairs, (), *made, settled[g], self._containing(pattern, g))
         if self.dedicated and (codes.any(axis=1) | ~pattern).all():  # each member that fired has a fault of its own
             own = sorted((groups[g] for g in np.flatnonzero(pattern @ codes)), key=self.member_of)
             return CodeReading("several", (), 0, pairs, (), *made, together=tuple(own))
@@ -144,6 +144,15 @@ class CodeTest(Isolation):
         if alone and smallest <= self.distance and not pattern.all():
             return CodeReading("nearest", nearest[0], smallest, pairs, (), *made, settled[near[0]])
         return CodeReading("unknown", (), smallest if len(near) else -1, pairs, nearest, *made, possible=possible)
+
+    def _containing(self, pattern: NDArray[np.bool_], own: int) -> tuple[tuple[str, ...], ...]:
+        """Return the other faults of which part of a code may have fired a pattern: the shortest code first."""
+        fired = pattern[:, None]
+        wider = np.flatnonzero((self.codes >= fired).all(axis=0) & (self.codes != fired).any(axis=0))
+        order = np.argsort(self.codes[:, wider].sum(axis=0), kind="stable")
+        mine = set(self.groups[own])
+        others = (tuple(name for name in self.groups[g] if name not in mine) for g in wider[order])
+        return each_once(group for group in others if group)
 
     # ------------------------------------------------------------------------ running
 

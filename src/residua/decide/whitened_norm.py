@@ -150,7 +150,7 @@ class NormTest(ResidualTest):
     def run(self, state: NormState, block: Block) -> tuple[NormState, Tested]:
         """Compare the norm of the whitened residual, summed over the window, with the threshold."""
         q, usable = whitened_residuals(self.center, self.whitening, block)
-        sums, window = moving_sum(q, state.window)
+        sums, window = moving_sum(q, state.window, usable)
         statistic = np.where(usable, row_norms(sums) / np.sqrt(self.window), np.nan)
         runs, tested = against_threshold(self, state.runs, statistic, usable, q)
         return NormState(window, runs), tested

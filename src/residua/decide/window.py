@@ -51,7 +51,9 @@ def empty_window(plants: int, window: int, k: int) -> WindowState:
     return WindowState(np.zeros((plants, window, k)), np.zeros((plants, k)), np.zeros(plants, dtype=np.int64))
 
 
-def moving_sum(values: NDArray[np.float64], state: WindowState) -> tuple[NDArray[np.float64], WindowState]:
+def moving_sum(
+    values: NDArray[np.float64], state: WindowState, judged: NDArray[np.bool_] | None = None
+) -> tuple[NDArray[np.float64], WindowState]:
     """Return the sum over the last ``window`` samples at every sample.
 
     A window is the end of one block, summed backwards, and the beginning of the next, summed forwards: two
@@ -61,15 +63,20 @@ def moving_sum(values: NDArray[np.float64], state: WindowState) -> tuple[NDArray
     ----------
     values : ndarray, shape (plants, time, k)
     state : WindowState
+    judged : ndarray of bool, shape (plants, time), optional
+        The samples that count; at the others no window moves on. All, when omitted.
 
     Returns
     -------
     sums : ndarray, shape (plants, time, k)
+        Zero at samples that do not count.
     state : WindowState
         To go on with.
     """
     if state.values.shape[1] == 1 or values.shape[1] == 0:
         return values, state
+    if judged is not None and not judged.all():
+        return _sums_of_judged(values, state, judged)
     places = np.unique(state.filled).tolist()
     if len(places) <= 1:
         sums, kept, begun, filled = _summed(values, state.values, state.begun, *(places or [0]))
@@ -79,6 +86,23 @@ def moving_sum(values: NDArray[np.float64], state: WindowState) -> tuple[NDArray
         who = np.flatnonzero(state.filled == place)
         parts = _summed(values[who], state.values[who], state.begun[who], place)
         sums[who], after.values[who], after.begun[who], after.filled[who] = parts
+    return sums, after
+
+
+def _sums_of_judged(
+    values: NDArray[np.float64], state: WindowState, judged: NDArray[np.bool_]
+) -> tuple[NDArray[np.float64], WindowState]:
+    """Return the same where samples are left out: of each plant by itself, of those with all of theirs at once."""
+    sums = np.zeros_like(values)
+    after = WindowState(state.values.copy(), state.begun.copy(), state.filled.copy())
+    whole = judged.all(axis=1)
+    groups = [(np.flatnonzero(whole), np.arange(values.shape[1]))] if whole.any() else []
+    groups += [(np.array([plant]), np.flatnonzero(judged[plant])) for plant in np.flatnonzero(~whole)]
+    for who, rows in groups:
+        own = WindowState(state.values[who], state.begun[who], state.filled[who])
+        part, own = moving_sum(values[np.ix_(who, rows)], own)
+        sums[np.ix_(who, rows)] = part
+        after.values[who], after.begun[who], after.filled[who] = own.arrays()
     return sums, after
 
 

@@ -226,7 +226,11 @@ else:
 """
 
 NORM = f"""
-{MOVING_SUM.replace("WINDOW", "TEST_WINDOW").replace("window_", "test_")}
+if decided:
+{_indented(MOVING_SUM.replace("WINDOW", "TEST_WINDOW").replace("window_", "test_"), 1)}
+else:
+    for j in range(WHITE):
+        sums[j] = 0.0
 total = 0.0
 for j in range(WHITE):
     total = total + sums[j] * sums[j]

@@ -31,6 +31,8 @@ class FitCheck(Record):
         where nothing is known of a channel, and empty where that is not known of any.
     units : tuple of str
         The channels that may be in other units than the model, or in some recordings.
+    doubts : tuple of str
+        What contradicts the plant: residuals far larger than its noise makes them, outputs that stand still.
     """
 
     NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {"left_out": INDEX, "recordings": COUNT}
@@ -42,6 +44,7 @@ class FitCheck(Record):
     mean: tuple[float, ...] = ()
     spread: tuple[float, ...] = ()
     units: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -50,7 +53,7 @@ class FitCheck(Record):
         held = self.held_out
         if held is not None and held.is_over:
             found.insert(0, f"{_over(held)}: {_CAUSES if not found else _CHANGES}")
-        return tuple(f"the fit: {one}" for one in (*self.units, *found))
+        return tuple(f"the fit: {one}" for one in (*self.units, *self.doubts, *found))
 
 
 _CAUSES = (

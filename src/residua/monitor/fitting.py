@@ -26,9 +26,12 @@ from residua.monitor.setup import blank_test, specification
 from residua.monitor.specification import Specification
 from residua.recording.levels import level_and_spread, units_at_point, units_between
 from residua.visible import echo
+from residua.words import counted, listing
 
 #: Largest part that may be held out.
 MOST_HELD_OUT = 0.5
+#: Residuals this many times as large as the noise of the plant makes them are no matter of its size.
+_FAR_LARGER = 10.0
 
 
 def fitted_test(
@@ -60,7 +63,7 @@ def fitted_test(
     try:
         if known is not None and known.is_bound:  # data change no threshold
             bounds = _with_basis(settings.fitted(watched, run, rate), len(recordings), "")
-            check = replace(FitCheck(None), **_levels(blank, generator, recordings))
+            check = replace(FitCheck(None), **_levels(blank, generator, recordings, run))
             return bounds, check, fault_free_covariance(run)
         run, left_out = _without_transients(run, transient, generator.residuals)
         kept = settings.kept(watched)
@@ -73,7 +76,7 @@ def fitted_test(
         raise DataError(f"{error}; {settling_reason(generator, blank.settle)}") from error
     held = None if rows is None else alarms_held_out(test, run, rows, rate)
     check = FitCheck(held, changes(run, generator.residuals), left_out, len(recordings))
-    check = replace(check, **_levels(blank, generator, recordings))
+    check = replace(check, **_levels(blank, generator, recordings, run))
     test = _with_basis(test, len(recordings), f"; {_checked(check, held_out, int(run.usable.sum()))}")
     return test, check, fault_free_covariance(run)
 
@@ -156,9 +159,9 @@ def _without_transients(run: FaultFreeRun, transient: int | str, residuals: Sequ
 
 
 def _levels(
-    blank: Specification, generator: ResidualGenerator, recordings: Sequence[NDArray[np.float64]]
+    blank: Specification, generator: ResidualGenerator, recordings: Sequence[NDArray[np.float64]], run: FaultFreeRun
 ) -> dict[str, Any]:
-    """Return mean and spread of each channel, as fields of a check, and which may be in other units."""
+    """Return mean and spread of each channel, as fields of a check, and what contradicts the plant."""
     plant = generator.plant
     channels = (*plant.inputs, *plant.outputs)
     values = [plausible_values(blank, data)[0][0] + blank.offset for data in recordings]
@@ -168,8 +171,40 @@ def _levels(
     units = units_between(channels, sources, *(np.array(part) for part in zip(*each, strict=True)))
     units += units_at_point(channels, mean, spread, blank.offset)
     known = np.isfinite(mean) & np.isfinite(spread)
+    doubts = (*_standing_still(plant.outputs, spread[len(plant.inputs) :]), *_far_larger(generator, run))
     mean, spread = np.where(known, mean, 0.0), np.where(known, spread, 0.0)
-    return {"mean": tuple(mean.tolist()), "spread": tuple(spread.tolist()), "units": tuple(units)}
+    return {"mean": tuple(mean.tolist()), "spread": tuple(spread.tolist()), "units": tuple(units), "doubts": doubts}
+
+
+def _standing_still(outputs: Sequence[str], spread: NDArray[np.float64]) -> list[str]:
+    """Return which outputs never move where others do."""
+    still = [repr(name) for name, one in zip(outputs, spread.tolist(), strict=True) if one == 0]
+    if not still or not np.nanmax(spread, initial=0.0) > 0:
+        return []
+    return [
+        f"{listing(still)} never {'moves' if len(still) == 1 else 'move'} in these recordings, as of a dead sensor or a "
+        "column without data: what is normal of it they do not show"
+    ]
+
+
+def _far_larger(generator: ResidualGenerator, run: FaultFreeRun) -> list[str]:
+    """Return which residuals are far larger than the noise of the plant makes them, by its model."""
+    covariance = generator.covariance_of_sums(1)
+    if covariance is None or not run.usable.any():
+        return []
+    expected = np.sqrt(np.diag(covariance))
+    sizes = np.sqrt(np.mean(run.residuals[run.usable] ** 2, axis=0))  # without noise and faults they are zero
+    ratio = sizes / np.where(expected > 0, expected, np.inf)
+    far = np.flatnonzero(ratio > _FAR_LARGER)
+    if not far.size:
+        return []
+    worst = int(far[ratio[far].argmax()])
+    others = f", and {counted(len(far) - 1, 'other')} more than {_FAR_LARGER:g} times" if len(far) > 1 else ""
+    return [
+        f"the residual {generator.residuals[worst]!r} is {ratio[worst]:.2g} times as large as the noise of "
+        f"the plant makes it{others}: are columns swapped or in other units, is a sensor dead, or is the plant not like "
+        "its model? Thresholds for such residuals hide faults; residual_report shows more"
+    ]
 
 
 def _check_recordings(recordings: Sequence[NDArray[np.float64]], n_inputs: int) -> None:
@@ -178,6 +213,8 @@ def _check_recordings(recordings: Sequence[NDArray[np.float64]], n_inputs: int) 
         if len(data) != 1:
             raise DataError(f"{which} has the shape (plants, time, channels): fit takes (time, channels), or several")
         outputs = data[0, :, n_inputs:]
+        if len(outputs) and not np.isfinite(outputs).any():
+            raise DataError(f"no output has a value in {which}: it cannot show what is normal")
         if len(outputs) > 1 and not np.nanmax(np.ptp(np.where(np.isfinite(outputs), outputs, 0.0), axis=0)) > 0:
             raise DataError(f"no output ever changes in {which}: it cannot show what is normal")
 
