@@ -182,8 +182,8 @@ def _standing_still(outputs: Sequence[str], spread: NDArray[np.float64]) -> list
     if not still or not np.nanmax(spread, initial=0.0) > 0:
         return []
     return [
-        f"{listing(still)} never {'moves' if len(still) == 1 else 'move'} in these recordings, as of a dead sensor or a "
-        "column without data: what is normal of it they do not show"
+        f"{listing(still)} never {'moves' if len(still) == 1 else 'move'} in these recordings, as of a dead sensor or "
+        "a column without data: what is normal of it they do not show"
     ]
 
 
