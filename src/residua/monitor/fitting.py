@@ -201,9 +201,9 @@ def _far_larger(generator: ResidualGenerator, run: FaultFreeRun) -> list[str]:
     worst = int(far[ratio[far].argmax()])
     others = f", and {counted(len(far) - 1, 'other')} more than {_FAR_LARGER:g} times" if len(far) > 1 else ""
     return [
-        f"the residual {generator.residuals[worst]!r} is {ratio[worst]:.2g} times as large as the noise of "
-        f"the plant makes it{others}: are columns swapped or in other units, is a sensor dead, or is the plant not like "
-        "its model? Thresholds for such residuals hide faults; residual_report shows more"
+        f"the residual {generator.residuals[worst]!r} is {ratio[worst]:.2g} times as large as the noise of the plant "
+        f"makes it{others}: are columns swapped or in other units, is a sensor dead, or is the plant not like its model? "
+        "Thresholds for such residuals hide faults; residual_report shows more"
     ]
 
 
