@@ -202,7 +202,7 @@ def _far_larger(generator: ResidualGenerator, run: FaultFreeRun) -> list[str]:
     others = f", and {counted(len(far) - 1, 'other')} more than {_FAR_LARGER:g} times" if len(far) > 1 else ""
     return [
         f"the residual {generator.residuals[worst]!r} is {ratio[worst]:.2g} times as large as the noise of the plant "
-        f"makes it{others}: are columns swapped or in other units, is a sensor dead, or is the plant not like its model? "
+        f"makes it{others}: are columns swapped or in other units, is a sensor dead, or is the plant unlike its model? "
         "Thresholds for such residuals hide faults; residual_report shows more"
     ]
 
