@@ -32,7 +32,11 @@ def loads(content: bytes, source: str) -> dict[str, Any]:
     except RecursionError as error:
         raise FileFormatError(f"{source} is not JSON: nested too deeply") from error
     except ValueError as error:  # also text that is not UTF-8, and integers without end
-        raise FileFormatError(f"{source} is not JSON: {error}") from error
+        is_cut = isinstance(error, json.JSONDecodeError) and (
+            error.pos >= len(error.doc) or "Unterminated" in error.msg
+        )
+        advice = "; it ends there: it is cut short, copy it again or take another one" if is_cut else ""
+        raise FileFormatError(f"{source} is not JSON: {error}{advice}") from error
     return found if isinstance(found, dict) else {}
 
 

@@ -12,7 +12,7 @@ import polars as pl
 import pytest
 import scipy.io
 
-from residua.errors import DataError, FileFormatError, MissingExtraError
+from residua.errors import DataError, FileFormatError, MissingExtraError, SettingError
 from residua.library import three_tank
 from residua.recording.recording import Recording, read_recording, recording_from_frame
 from residua.recording.table_writer import write_table
@@ -374,3 +374,25 @@ def test_recordings_that_others_made(shared_data: Path) -> None:
     np.testing.assert_allclose(normal.y.mean(axis=0), PLANT.operating_point.outputs, atol=1e-2)
     fault = read_recording(shared_data / "three_tank_dts200" / "test_5ch.mat", PLANT, variable="fault08")
     assert fault.y.shape == (2001, 3)
+
+
+def test_errors_say_what_to_do(tmp_path: Path) -> None:
+    plant = PLANT
+    names = [*plant.inputs, *plant.outputs]
+    path = tmp_path / "data.csv"
+    path.write_text("time," + ",".join(["renamed", *names[1:]]) + "\n0" + ",1" * len(names) + "\n")
+    with pytest.raises(DataError, match="where names differ, give columns="):
+        read_recording(path, plant)
+    path.write_text("time," + ",".join(names) + "\ns" + ",m" * len(names) + "\n0" + ",1" * len(names) + "\n")
+    with pytest.raises(DataError, match="if this line holds units, take it out"):
+        read_recording(path, plant, dt=1.0)
+    for times in ("0,0,1", "0,nan,2"):
+        rows = "\n".join(time + ",1" * len(names) for time in times.split(","))
+        path.write_text("time," + ",".join(names) + "\n" + rows + "\n")
+        with pytest.raises(DataError, match="where the rows are evenly apart, give their step dt"):
+            read_recording(path, plant, time="time")
+    for options in ({"dt": "x"}, {"dt": np.nan}):
+        with pytest.raises(DataError, match="dt must be a positive step"):
+            read_recording(path, plant, **options)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(SettingError, match=r"plant must be a residua\.Plant"):
+        read_recording(path, 5)  # pyright: ignore[reportArgumentType]

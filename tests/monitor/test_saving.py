@@ -19,7 +19,7 @@ from effort import cases, rounds
 from older_files import as_version
 from residua.decide import NormThreshold
 from residua.decide.matched_hold import HeldState
-from residua.errors import AccuracyError, FileFormatError
+from residua.errors import AccuracyError, FileFormatError, SettingError
 from residua.library import three_tank
 from residua.linear import RankDecision
 from residua.monitor.design_records import generator_in, generator_out
@@ -555,3 +555,22 @@ def test_a_rank_of_which_most_singular_values_were_not_computed_is_saved_and_sho
         record["evidence"]["ranks"]["states"][3] = omitted
         with pytest.raises(FileFormatError, match=f"a rank of 719 does not fit 3 singular values and {omitted} others"):
             generator_in(json.loads(json.dumps(record)), "design")
+
+
+@pytest.mark.parametrize("share", [0.3, 0.9])
+def test_a_file_that_was_cut_short_is_called_so(share: float, tmp_path: Path) -> None:
+    path = tmp_path / "m.json"
+    rs.Monitor(rs.identify.given_residuals(1)).fit(None, np.random.default_rng(0).standard_normal((500, 1))).save(path)
+    content = path.read_bytes()
+    path.write_bytes(content[: int(share * len(content))])
+    with pytest.raises(FileFormatError, match="it is cut short"):
+        rs.Monitor.load(path)
+
+
+def test_a_rate_and_a_frame_that_are_none_are_errors_of_the_package() -> None:
+    data = np.random.default_rng(0).standard_normal((500, 1))
+    monitor = rs.Monitor(rs.identify.given_residuals(1))
+    with pytest.raises(SettingError, match="false_alarm_rate must lie between 0 and 1"):
+        monitor.fit(None, data, false_alarm_rate="1%")  # pyright: ignore[reportArgumentType]
+    with pytest.raises(SettingError, match="backend must be"):
+        monitor.fit(None, data).run(None, data).to_frame("zzz")

@@ -31,7 +31,7 @@ from residua.decide.statement import (
     weight_text,
 )
 from residua.decide.structured import CodeTest
-from residua.errors import DataError, MissingExtraError
+from residua.errors import DataError, MissingExtraError, SettingError
 from residua.files import write_text
 from residua.recording.clock import Clock
 from residua.visible import echo, listed
@@ -469,9 +469,11 @@ class Diagnosis:
         ------
         MissingExtraError
             If that package is not installed.
+        SettingError
+            If it is another one.
         """
         if backend not in ("pandas", "polars"):
-            raise ValueError(f"backend must be 'pandas' or 'polars', got {echo(backend)}")
+            raise SettingError(f"backend must be 'pandas' or 'polars', got {echo(backend)}")
         try:
             module = __import__(backend)
         except ImportError as error:

@@ -312,7 +312,7 @@ class Monitor:
         with self._lock:
             for one in parts:
                 self._learn_step(one.dt)
-            rate = self.false_alarm_rate if false_alarm_rate is None else float(false_alarm_rate)
+            rate = self.false_alarm_rate if false_alarm_rate is None else false_alarm_rate
             check_rate(rate)
             recordings = [self._block(one.u, one.y) for one in parts]
             blank = blank_test(self.generator)

@@ -38,7 +38,9 @@ class ReadOptions:
         """Check the requested columns."""
         if self.decimal not in (".", ","):
             raise SettingError(f"decimal must be '.' or ',', got {echo(self.decimal)}")
-        if self.dt is not None and not (np.isfinite(self.dt) and self.dt > 0):
+        if self.plant is not None and not isinstance(self.plant, Plant):
+            raise SettingError(f"plant must be a residua.Plant, got {echo(self.plant)}")
+        if self.dt is not None and not (isinstance(self.dt, (int, float, np.number)) and 0 < self.dt < np.inf):
             raise DataError(f"dt must be a positive step in seconds, got {echo(self.dt)}")
         if self.tolerance is not None and not 0 < self.tolerance < (0.5 if self.fill_gaps else np.inf):
             least = "between 0 and 0.5" if self.fill_gaps else "over 0"
@@ -111,7 +113,8 @@ def missing_columns(absent: list[str], names: Sequence[str], source: str, *, mat
         parts.append(echo(name) + (f" (did you mean {echo(lowered[near[0]])}?)" if near else ""))
     return (
         f"{source}: missing column{'s' * (len(absent) > 1)} {', '.join(parts)}; "
-        f"there are: {listed([echo(name) for name in names[:_LISTED]])}"
+        f"there are: {listed([echo(name) for name in names[:_LISTED]])}; "
+        "where names differ, give columns={channel: column} (--columns CHANNEL=COLUMN)"
     )
 
 

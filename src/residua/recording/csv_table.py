@@ -288,9 +288,8 @@ def _parsed(cells: list[str], rows: list[int], what: str, decimal: str) -> NDArr
             out[i] = float(number)
         except ValueError:
             if text.lower() not in MISSING:
-                raise DataError(
-                    f"{what}, line {rows[i]}: expected a number, got {echo(cell)}{_advice(text, decimal)}"
-                ) from None
+                advice = _advice(text, decimal) or ("; if this line holds units, take it out" if i == 0 else "")
+                raise DataError(f"{what}, line {rows[i]}: expected a number, got {echo(cell)}{advice}") from None
             out[i] = np.nan
     return out
 

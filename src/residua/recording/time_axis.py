@@ -13,6 +13,8 @@ from residua.errors import DataError
 #: Largest difference of one step from the usual one, as a fraction of it, of times that count as regular.
 REGULAR = 0.01
 
+_EVEN = ", or, where the rows are evenly apart, give their step dt in seconds (--dt)"
+
 #: Names that a time column goes by, in any case, with or without ``[s]``.
 TIME_NAME = re.compile(r"(time|t|time[ _]?stamp|date[ _/]?time)\s*([\[(]\s*(s|sec|seconds)\s*[\])])?", re.IGNORECASE)
 
@@ -49,7 +51,9 @@ def regular_step(time: NDArray[np.float64], tolerance: float, first_row: int, so
     """
     bad = np.flatnonzero(~np.isfinite(time))
     if len(bad):
-        raise DataError(f"{source}: the time in row {first_row + bad[0]} is missing or not finite")
+        raise DataError(
+            f"{source}: the time in row {first_row + bad[0]} is missing or not finite; take the row out{_EVEN}"
+        )
     steps = np.diff(time)
     usual = float(np.median(steps))
     wrong = np.flatnonzero(steps <= 0)
@@ -58,7 +62,7 @@ def regular_step(time: NDArray[np.float64], tolerance: float, first_row: int, so
         what = "repeats" if steps[k] == 0 else "goes backwards"
         raise DataError(
             f"{source}: time {what} in row {first_row + k + 1}: {time[k + 1]:.10g} s after {time[k]:.10g} s "
-            f"(usual step {usual:g} s)"
+            f"(usual step {usual:g} s); put the rows in order{_EVEN}"
         )
     # Times far from zero are rounded; their steps cannot be more regular than that.
     rounding = 4 * np.finfo(float).eps * float(np.abs(time).max())
