@@ -338,21 +338,29 @@ moving_sums(window_row row, Py_ssize_t window, const double *v, double *sums, Py
 
 /* The same of those samples alone that are judged: at the others no window moves on, and the sums are zero. */
 INLINE void
-sums_of_judged(window_row row, Py_ssize_t window, const piece *p, Py_ssize_t k)
+spread_sums_of_judged(window_row row, Py_ssize_t window, const double *v, double *sums, const flag *usable,
+                      Py_ssize_t time, Py_ssize_t k, Py_ssize_t v_down, Py_ssize_t v_across, Py_ssize_t down,
+                      Py_ssize_t across)
 {
-    if (all_set(p->usable, p->time)) {
-        moving_sums(row, window, p->q, p->sums, p->time, k);
+    if (all_set(usable, time)) {
+        spread_sums(row, window, v, sums, time, k, v_down, v_across, down, across);
         return;
     }
-    for (Py_ssize_t i = 0; i < p->time;) {
+    for (Py_ssize_t i = 0; i < time;) {
         Py_ssize_t some = 0;
-        while (i + some < p->time && p->usable[i + some])
+        while (i + some < time && usable[i + some])
             some++;
-        moving_sums(row, window, p->q + i * k, p->sums + i * k, some, k);
-        for (i += some; i < p->time && !p->usable[i]; i++)
+        spread_sums(row, window, v + i * v_down, sums + i * down, some, k, v_down, v_across, down, across);
+        for (i += some; i < time && !usable[i]; i++)
             for (Py_ssize_t j = 0; j < k; j++)
-                p->sums[i * k + j] = 0.0;
+                sums[i * down + j * across] = 0.0;
     }
+}
+
+INLINE void
+sums_of_judged(window_row row, Py_ssize_t window, const piece *p, Py_ssize_t k)
+{
+    spread_sums_of_judged(row, window, p->q, p->sums, p->usable, p->time, k, k, 1, k, 1);
 }
 
 /* Alarms of statistics, NaN where nothing is decided; an alarm of a test that remembers is raised and ended at once. */
@@ -1123,16 +1131,16 @@ name_by_direction(const isolation_plan *n, window_row row, const piece *p, doubl
     const Py_ssize_t time = p->time;
     if (p->apart || (p->scores != NULL && time > 1)) {
         if (p->apart)
-            spread_sums(row, n->window, p->q, columns, time, k, 1, p->apart, 1, time);
+            spread_sums_of_judged(row, n->window, p->q, columns, p->usable, time, k, 1, p->apart, 1, time);
         else
-            spread_sums(row, n->window, p->q, columns, time, k, k, 1, 1, time);
+            spread_sums_of_judged(row, n->window, p->q, columns, p->usable, time, k, k, 1, 1, time);
         if (p->scores != NULL && !score_lines(n, p, columns, part, k))
             score_columns(n, p, columns, k);
         for (Py_ssize_t j = 0; j < k; j++) /* what is kept of the last sample */
             p->sums[(time - 1) * k + j] = columns[j * time + time - 1];
         return;
     }
-    moving_sums(row, n->window, p->q, p->sums, time, k);
+    sums_of_judged(row, n->window, p, k);
     if (p->scores != NULL)
         for (Py_ssize_t i = 0; i < time; i++)
             score_sample(n, p->sums + i * k, p->usable[i], part, p->scores + i * n->groups, k);

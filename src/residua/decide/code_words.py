@@ -51,13 +51,13 @@ def _one(
     when, name = raised_text(alarm, clock), " or ".join(reading.faults)
     if not reading.faults:
         return _unread(reading, when), "no code", None, tuple(sentences)
+    also = f", or {reading.either} with members silent" if reading.possible else ""
     if alarm.samples < window:
-        headline = f"{capital(when)}, too short to be sure of the name; read as {name}."
+        headline = f"{capital(when)}, too short to be sure of the name; read as {name}{also}."
         return headline, "short alarm", alarm.margin, tuple(sentences)
     off = "" if reading.answer == "exact" else f" ({reading.answer} code)"
     steady = alarm.read_share is None or alarm.read_share >= STEADY_SHARE
     confidence = f"{reading.answer if steady else 'unsteady'} code"
-    also = f", or {reading.either} with members silent" if reading.possible else ""
     return f"Fault found: {name}{also}{off}, {when}.", confidence, alarm.margin, tuple(sentences)
 
 

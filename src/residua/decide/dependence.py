@@ -51,6 +51,32 @@ def correlation_times(columns: NDArray[np.float64], parts: Sequence[slice], powe
     return np.maximum(tau[cut, np.arange(columns.shape[1])], 1.0)
 
 
+def mean_autocorrelation(
+    columns: NDArray[np.float64], known: NDArray[np.bool_], parts: Sequence[slice], lags: int
+) -> NDArray[np.float64]:
+    """Return the autocorrelation at lags from 0 to ``lags``, the mean of all columns that move, whatever is missing.
+
+    Parameters
+    ----------
+    columns : ndarray, shape (time, k)
+        Of mean zero; zero where not known.
+    known : ndarray of bool, shape (time,)
+    parts : sequence of slice
+        As of :func:`correlation_times`.
+    lags : int
+    """
+    total, pairs = np.zeros((lags + 1, columns.shape[1])), np.zeros((lags + 1, 1))
+    for part in parts:
+        count = min(lags, part.stop - part.start - 1) + 1
+        total[:count] += _products(columns[part], count)
+        pairs[:count] += np.rint(_products(known[part, None].astype(float), count))
+    moving = total[0] > 0
+    if not moving.any():
+        return np.eye(1, lags + 1)[0]
+    covariance = total[:, moving] / np.maximum(pairs, 1.0)
+    return np.clip(covariance / covariance[0], -1.0, 1.0).mean(axis=1)
+
+
 def _products(rows: NDArray[np.float64], count: int) -> NDArray[np.float64]:
     """Return the sums of products of samples that are 0, 1, 2, ... apart, by column."""
     length = 1 << int(2 * len(rows) - 1).bit_length()

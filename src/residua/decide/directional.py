@@ -68,7 +68,7 @@ class DirectionTest(Isolation):
         """Return the correlation of the residual, summed over the window, with each signature."""
         if not self.bases:  # nothing to compare a direction with
             return state, Scores(np.zeros((*tested.usable.shape, 0)))
-        sums, window = moving_sum(tested.whitened, state)
+        sums, window = moving_sum(tested.whitened, state, tested.usable)
         size = row_norms(sums)
         usable = tested.usable & (size > 0)
         size = np.where(usable, size, 1.0)
@@ -138,7 +138,7 @@ class Directional(IsolationSettings):
     Parameters
     ----------
     window : int
-        Samples over which the (whitened) residual is averaged before its direction is judged.
+        Judged samples over which the (whitened) residual is averaged before its direction is judged.
     signature : {"auto", "subspace", "steady"}
         ``"subspace"``: the line or plane that the residual of a fault never leaves. ``"steady"``: the
         direction that it settles to when the fault is constant. ``"auto"`` takes the line or plane where

@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.decide.dependence import correlation_times
+from residua.decide.dependence import correlation_times, mean_autocorrelation
 from residua.decide.whitening import moving_directions, whitening_matrix
 from residua.decide.window import empty_window, moving_sum
 from residua.errors import DataError
@@ -22,6 +22,8 @@ from residua.words import counted
 KNOWN = 10.0
 #: Stretches of time that are held out in turn; fewer where moments are known well anyway.
 FOLDS, FEW_FOLDS = 16, 4
+#: Samples of a window, and correlation times, up to which correlations say how far holes thin it out.
+_CORRELATED = 5.0
 #: Independent samples to a residual from which on few stretches do.
 _PLENTY = 20 * KNOWN
 
@@ -163,6 +165,40 @@ class FaultFree:
         return self._summed(self.usable[:, None].astype(float), self.usable)
 
     @cached_property
+    def without_holes(self) -> NDArray[np.float64]:
+        r"""Factors that bring each sum to the size that it would have if nothing had been missing, as a column.
+
+        .. math:: f_t^2 = \frac{\sum_{i,j} \varrho(i - j)}{\sum_{i,j} \varrho(\tau_i - \tau_j)}
+
+        over the samples :math:`\tau` of a window and over as many without holes: correlated samples that lie further
+        apart are less alike, and their sum varies less. Exactly one where there are none, and no less elsewhere: other
+        data may have as many holes.
+        """
+        out, N = np.ones((len(self.usable), 1)), self.window
+        if N == 1 or not self._has_holes:
+            return out
+        share = float(np.mean(self.usable))
+        last = int(np.ceil(_CORRELATED * correlation_times(self.deviations, self.parts).mean() / share)) + 1
+        rho = np.append(mean_autocorrelation(self.deviations, self.usable, self.parts, last), 0.0)  # and none beyond
+        distances = np.minimum(np.arange(1, N), last + 1)
+        whole = N + 2 * float(np.sum((N - np.arange(1, N)) * rho[distances]))
+        for part in self.parts:
+            rows = np.flatnonzero(self.usable[part]) + part.start
+            ends = np.arange(N - 1, len(rows))
+            thinned = np.full(len(ends), float(N))
+            for d in range(1, N) if len(ends) else ():
+                pairs = np.cumsum(np.append(0.0, rho[np.minimum(rows[d:] - rows[:-d], last + 1)]))
+                thinned += 2 * (pairs[ends - d + 1] - pairs[ends - N + 1])
+            there = (rows[ends] - rows[ends - N + 1] > N - 1) & (thinned > 0) & (whole > 0)
+            out[rows[ends[there]], 0] = np.sqrt(np.clip(whole / thinned[there], 1.0, N))
+        return out
+
+    @property
+    def _has_holes(self) -> bool:
+        rows = [np.flatnonzero(self.usable[part]) for part in self.parts]
+        return any(len(one) and one[-1] - one[0] + 1 > len(one) for one in rows)
+
+    @cached_property
     def full(self) -> NDArray[np.bool_]:
         """Usable samples of which as many as the window has lie behind, in the same recording."""
         seen = np.concatenate([np.cumsum(self.usable[part]) for part in self.parts])
@@ -215,11 +251,9 @@ class FaultFree:
         first = whitening_matrix(covariance)
         if self.window == 1:
             return Moments(self.middle + center, first, intensity)
-        chosen = summed & (self.weights[:, 0] >= self.window / 2)
-        if not chosen.any():
+        if not summed.any():
             return Moments(self.middle + center, first, 1.0)
-        weight = self.weights[chosen]
-        z = (self.sums[chosen] - weight * center) @ first / np.sqrt(weight)
+        z = (self.sums[summed] - self.window * center) @ first / np.sqrt(self.window) * self.without_holes[summed]
         # What the first whitening raised to its floor never moved: sums of it count as those of independent samples do,
         # or the second whitening would take the floor away again.
         raised = 1 - np.sum(first * (covariance @ first), axis=0)
@@ -283,7 +317,8 @@ class FaultFree:
         """Return the norms of the whitened sums, as a monitor computes them but for rounding."""
         chosen = slice(None) if rows is None else rows
         sums = self.sums[chosen] - self.weights[chosen] * (moments.center - self.middle)
-        return np.linalg.norm(sums @ moments.whitening, axis=1) / np.sqrt(self.window)
+        norms = np.linalg.norm(sums @ moments.whitening, axis=1) / np.sqrt(self.window)
+        return norms * self.without_holes[chosen, 0]
 
     def scaled(self, moments: Moments, whole: Moments) -> Moments:
         """Return moments in the scale of those of all samples.

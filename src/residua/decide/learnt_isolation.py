@@ -136,9 +136,10 @@ class LearntDirections(Isolation):
         """Return the scores of the model's faults, and the correlation of the residual with each learnt direction."""
         base, scores = self.base.run(state.base, block, tested)
         q, usable = whitened_residuals(self.center, self.space, block)
-        sums, window = moving_sum(q, state.window)
+        usable = usable & tested.usable
+        sums, window = moving_sum(q, state.window, usable)
         size = row_norms(sums)
-        usable = usable & tested.usable & (size > 0)
+        usable = usable & (size > 0)
         size = np.where(usable, size, np.nan)
         cosines = np.minimum(np.abs(ordered_product(sums, self.directions)) / size[..., None], 1.0)
         joint = np.concatenate([scores.scores, cosines], axis=2)

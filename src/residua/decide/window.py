@@ -54,7 +54,7 @@ def empty_window(plants: int, window: int, k: int) -> WindowState:
 def moving_sum(
     values: NDArray[np.float64], state: WindowState, judged: NDArray[np.bool_] | None = None
 ) -> tuple[NDArray[np.float64], WindowState]:
-    """Return the sum over the last ``window`` samples at every sample.
+    """Return the sum over the last ``window`` samples, of those that count, at every sample.
 
     A window is the end of one block, summed backwards, and the beginning of the next, summed forwards: two
     additions per sample, no drift, and the same order of operations for any cutting of the data.

@@ -457,7 +457,11 @@ alarm = standing
 #: How well each group's signature explains the residual, averaged over a window, and the group that does it best:
 #: of scores that agree to three digits the narrower signature, of equally narrow ones the larger score.
 NAME = f"""
-{MOVING_SUM.replace("WINDOW", "NAMING_WINDOW").replace("window_", "naming_").replace("sums[", "averaged[")}
+if decided:
+{_indented(MOVING_SUM.replace("WINDOW", "NAMING_WINDOW").replace("window_", "naming_").replace("sums[", "averaged["), 1)}
+else:
+    for j in range(WHITE):
+        averaged[j] = 0.0
 total = 0.0
 for j in range(WHITE):
     total = total + averaged[j] * averaged[j]

@@ -193,18 +193,28 @@ def _far_larger(generator: ResidualGenerator, run: FaultFreeRun) -> list[str]:
     if covariance is None or not run.usable.any():
         return []
     expected = np.sqrt(np.diag(covariance))
-    sizes = np.sqrt(np.mean(run.residuals[run.usable] ** 2, axis=0))  # without noise and faults they are zero
-    ratio = sizes / np.where(expected > 0, expected, np.inf)
-    far = np.flatnonzero(ratio > _FAR_LARGER)
-    if not far.size:
-        return []
-    worst = int(far[ratio[far].argmax()])
-    others = f", and {counted(len(far) - 1, 'other')} more than {_FAR_LARGER:g} times" if len(far) > 1 else ""
-    return [
-        f"the residual {generator.residuals[worst]!r} is {ratio[worst]:.2g} times as large as the noise of the plant "
-        f"makes it{others}: are columns swapped or in other units, is a sensor dead, or is the plant unlike its model? "
-        "Thresholds for such residuals hide faults; residual_report shows more"
-    ]
+    expected, rows = np.where(expected > 0, expected, np.inf), run.residuals[run.usable]
+    found = []
+    for what, ratio in (("moves", rows.std(axis=0) / expected), ("off", np.abs(rows.mean(axis=0)) / expected)):
+        far = np.flatnonzero(ratio > _FAR_LARGER)
+        if not far.size:
+            continue
+        worst = int(far[ratio[far].argmax()])
+        others = f", and {counted(len(far) - 1, 'other')} more than {_FAR_LARGER:g} times" if len(far) > 1 else ""
+        name, times = generator.residuals[worst], f"{ratio[worst]:.2g}"
+        if what == "moves":
+            found.append(
+                f"the residual {name!r} moves {times} times as much as the noise of the plant makes it{others}: are "
+                "columns swapped or in other units, is a sensor dead, or is the plant unlike its model? A threshold "
+                "that covers this hides faults; residual_report shows more"
+            )
+        else:
+            found.append(
+                f"the residual {name!r} lies {times} of the deviations off zero that the noise of the plant gives "
+                f"it{others}: are columns swapped, or is the plant at another operating point? What is fitted takes it "
+                "for normal"
+            )
+    return found
 
 
 def _check_recordings(recordings: Sequence[NDArray[np.float64]], n_inputs: int) -> None:
