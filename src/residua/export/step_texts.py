@@ -458,7 +458,11 @@ alarm = standing
 #: of scores that agree to three digits the narrower signature, of equally narrow ones the larger score.
 NAME = f"""
 if decided:
-{_indented(MOVING_SUM.replace("WINDOW", "NAMING_WINDOW").replace("window_", "naming_").replace("sums[", "averaged["), 1)}
+{
+    _indented(
+        MOVING_SUM.replace("WINDOW", "NAMING_WINDOW").replace("window_", "naming_").replace("sums[", "averaged["), 1
+    )
+}
 else:
     for j in range(WHITE):
         averaged[j] = 0.0
