@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations, product
 
 import numpy as np
@@ -9,9 +10,12 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from residua.decide import CodeReading, Structured, read_code, read_codes
+from residua.decide.alarm import Alarm
 from residua.decide.code_reading import UNKNOWN
+from residua.decide.code_words import statement_by_code
 from residua.decide.structured import candidates_of_code, code_test, column_read
 from residua.errors import DataError, SettingError
+from residua.recording.clock import Clock
 
 GENERALIZED = ~np.eye(4, dtype=bool)
 FAULTS = ("a", "b", "c", "d")
@@ -240,3 +244,20 @@ def test_shapes_that_do_not_fit_are_refused(fired: list, codes: list, faults: li
 def test_settings_are_checked(wrong: dict) -> None:
     with pytest.raises(SettingError):
         Structured(**wrong)
+
+
+@pytest.mark.parametrize("samples", [20, 200])
+def test_the_faults_of_longer_codes_stand_in_the_headline(samples: int) -> None:
+    test = code_test(Structured(window=50), np.array([[1, 1, 1], [0, 1, 1], [0, 0, 1]], dtype=bool), ["a", "b", "c"])
+    reading = test.read([True, False, False])
+    assert reading.answer == "exact"
+    assert reading.possible == (("b",), ("c",))
+    alarm = Alarm(0.0, 1.0, None, (), 0, samples, reading=reading)
+    headline = statement_by_code(alarm, Clock(), 50, dedicated=False).headline
+    assert "a, or b or c with members silent" in headline
+    assert (
+        "silent"
+        not in statement_by_code(
+            replace(alarm, reading=test.read([True, True, True])), Clock(), 50, dedicated=False
+        ).headline
+    )

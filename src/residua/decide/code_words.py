@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from residua.decide.alarm import Alarm
-from residua.decide.code_reading import CodeReading
+from residua.decide.code_reading import LISTED, CodeReading
 from residua.decide.statement import Statement, capital, raised_text, too_short
 from residua.recording.clock import Clock
 from residua.words import listing, percent
@@ -51,7 +51,9 @@ def _one(
     when, name = raised_text(alarm, clock), " or ".join(reading.faults)
     if not reading.faults:
         return _unread(reading, when), "no code", None, tuple(sentences)
-    also = f", or {reading.either} with members silent" if reading.possible else ""
+    more = [name for group in reading.possible for name in group]
+    shown = more if len(more) <= LISTED else [*more[:LISTED], f"{len(more) - LISTED} more"]
+    also = f", or {listing(shown, 'or')} with members silent" if more else ""
     if alarm.samples < window:
         headline = f"{capital(when)}, too short to be sure of the name; read as {name}{also}."
         return headline, "short alarm", alarm.margin, tuple(sentences)
