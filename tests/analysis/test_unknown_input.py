@@ -199,7 +199,7 @@ def test_a_turned_block_of_hidden_states_has_its_modes_beside_an_equation() -> N
     np.testing.assert_allclose(found.fixed_poles, -rate, rtol=1e-12)
 
 
-@trips("design.observers.unknown_input_observer:_placed")
+@trips("design.observers.unknown_input_observer:_known_to_exist")
 def test_an_observer_that_exists_is_not_refused_as_if_it_did_not() -> None:
     plant = slow_hidden([1e-5, 1.3e-5, 1.7e-5])
     with pytest.raises(AccuracyError, match="an observer of this plant exists"):

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 #: Lags are summed up to so many times the correlation time that they give.
-_CUT = 5.0
+CUT = 5.0
 #: Longest lag that is looked at, as a share of the longest stretch.
 _LONGEST = 0.25
 
@@ -46,7 +46,7 @@ def correlation_times(columns: NDArray[np.float64], parts: Sequence[slice], powe
     size = np.where(total[0] > 0, total[0], 1.0)
     rho = total / size * (pairs[0] / np.maximum(pairs, 1))[:, None]
     tau = 1 + 2 * np.cumsum(np.clip(rho[1:], -1, 1) ** power, axis=0)
-    enough = np.arange(1, lags + 1)[:, None] >= _CUT * np.maximum(tau, 1.0)
+    enough = np.arange(1, lags + 1)[:, None] >= CUT * np.maximum(tau, 1.0)
     cut = np.where(enough.any(axis=0), enough.argmax(axis=0), lags - 1)
     return np.maximum(tau[cut, np.arange(columns.shape[1])], 1.0)
 

@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.decide.dependence import correlation_times, mean_autocorrelation
+from residua.decide.dependence import CUT, correlation_times, mean_autocorrelation
 from residua.decide.whitening import moving_directions, whitening_matrix
 from residua.decide.window import empty_window, moving_sum
 from residua.errors import DataError
@@ -22,8 +22,6 @@ from residua.words import counted
 KNOWN = 10.0
 #: Stretches of time that are held out in turn; fewer where moments are known well anyway.
 FOLDS, FEW_FOLDS = 16, 4
-#: Samples of a window, and correlation times, up to which correlations say how far holes thin it out.
-_CORRELATED = 5.0
 #: Independent samples to a residual from which on few stretches do.
 _PLENTY = 20 * KNOWN
 
@@ -178,7 +176,7 @@ class FaultFree:
         if N == 1 or not self._has_holes:
             return out
         share = float(np.mean(self.usable))
-        last = int(np.ceil(_CORRELATED * correlation_times(self.deviations, self.parts).mean() / share)) + 1
+        last = int(np.ceil(CUT * self._correlation_time / share)) + 1
         rho = np.append(mean_autocorrelation(self.deviations, self.usable, self.parts, last), 0.0)  # and none beyond
         distances = np.minimum(np.arange(1, N), last + 1)
         whole = N + 2 * float(np.sum((N - np.arange(1, N)) * rho[distances]))
@@ -271,10 +269,13 @@ class FaultFree:
         return float(single.mean()), float(correlation_times(in_time, self.parts, 2).mean())
 
     @cached_property
+    def _correlation_time(self) -> float:
+        return float(correlation_times(self.deviations, self.parts).mean())
+
+    @property
     def memory(self) -> int:
         """Samples after which residuals are independent, or nearly so."""
-        times = correlation_times(self.deviations, self.parts)
-        return int(np.ceil(times.mean())) if times.mean() > 1.5 else 0
+        return int(np.ceil(self._correlation_time)) if self._correlation_time > 1.5 else 0
 
     # ------------------------------------------------------------------ holding out
 

@@ -126,33 +126,26 @@ class CodeTest(Isolation):
         first, second = np.triu_indices(len(below), 1)
         whole = ((codes[:, below[first]] | codes[:, below[second]]) == pattern[:, None]).all(axis=0)
         pairs = pairs_of((groups[below[a]], groups[below[b]]) for a, b in zip(first[whole], second[whole], strict=True))
+        above = np.flatnonzero((codes >= pattern[:, None]).all(axis=0))
+        above = above[np.argsort(off[above], kind="stable")]
         if (off == 0).any():
             g = int(off.argmin())
-            return CodeReading("exact", groups[g], 0, pairs, (), *made, settled[g], self._containing(pattern, g))
+            wider = each_once([groups[g], *(groups[j] for j in above[off[above] > 0])])[1:]
+            return CodeReading("exact", groups[g], 0, pairs, (), *made, settled[g], wider)
         if self.dedicated and (codes.any(axis=1) | ~pattern).all():  # each member that fired has a fault of its own
             own = sorted((groups[g] for g in np.flatnonzero(pattern @ codes)), key=self.member_of)
             return CodeReading("several", (), 0, pairs, (), *made, together=tuple(own))
-        above = np.flatnonzero((codes >= pattern[:, None]).all(axis=0))
         if len({groups[g] for g in above}) == 1 and self.strongly_isolating:  # its own settled code may be there too
-            g = int(above[np.argmin(off[above])])
+            g = int(above[0])
             return CodeReading("degraded", groups[g], int(off[g]), pairs, (), *made, settled[g])
         smallest = int(off.min(initial=len(pattern) + 1))
         near = np.flatnonzero(off == smallest)
         nearest = tuple(dict.fromkeys(groups[g] for g in near))  # both codes of one fault can be equally near
-        possible = each_once(groups[g] for g in above[np.argsort(off[above], kind="stable")])
+        possible = each_once(groups[g] for g in above)
         alone = len(nearest) == 1 and all(set(group) <= set(nearest[0]) for group in possible)
         if alone and smallest <= self.distance and not pattern.all():
             return CodeReading("nearest", nearest[0], smallest, pairs, (), *made, settled[near[0]])
         return CodeReading("unknown", (), smallest if len(near) else -1, pairs, nearest, *made, possible=possible)
-
-    def _containing(self, pattern: NDArray[np.bool_], own: int) -> tuple[tuple[str, ...], ...]:
-        """Return the other faults of which part of a code may have fired a pattern: the shortest code first."""
-        fired = pattern[:, None]
-        wider = np.flatnonzero((self.codes >= fired).all(axis=0) & (self.codes != fired).any(axis=0))
-        order = np.argsort(self.codes[:, wider].sum(axis=0), kind="stable")
-        mine = set(self.groups[own])
-        others = (tuple(name for name in self.groups[g] if name not in mine) for g in wider[order])
-        return each_once(group for group in others if group)
 
     # ------------------------------------------------------------------------ running
 

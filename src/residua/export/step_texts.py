@@ -225,12 +225,17 @@ else:
         sums[j] = whitened[j]
 """
 
-NORM = f"""
+#: The same over judged samples alone.
+SUM_OF_JUDGED = f"""
 if decided:
-{_indented(MOVING_SUM.replace("WINDOW", "TEST_WINDOW").replace("window_", "test_"), 1)}
+{_indented(MOVING_SUM, 1)}
 else:
     for j in range(WHITE):
         sums[j] = 0.0
+"""
+
+NORM = f"""
+{SUM_OF_JUDGED.replace("WINDOW", "TEST_WINDOW").replace("window_", "test_")}
 total = 0.0
 for j in range(WHITE):
     total = total + sums[j] * sums[j]
@@ -457,15 +462,7 @@ alarm = standing
 #: How well each group's signature explains the residual, averaged over a window, and the group that does it best:
 #: of scores that agree to three digits the narrower signature, of equally narrow ones the larger score.
 NAME = f"""
-if decided:
-{
-    _indented(
-        MOVING_SUM.replace("WINDOW", "NAMING_WINDOW").replace("window_", "naming_").replace("sums[", "averaged["), 1
-    )
-}
-else:
-    for j in range(WHITE):
-        averaged[j] = 0.0
+{SUM_OF_JUDGED.replace("WINDOW", "NAMING_WINDOW").replace("window_", "naming_").replace("sums[", "averaged[")}
 total = 0.0
 for j in range(WHITE):
     total = total + averaged[j] * averaged[j]

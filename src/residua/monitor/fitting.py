@@ -195,26 +195,29 @@ def _far_larger(generator: ResidualGenerator, run: FaultFreeRun) -> list[str]:
     expected = np.sqrt(np.diag(covariance))
     expected, rows = np.where(expected > 0, expected, np.inf), run.residuals[run.usable]
     found = []
-    for what, ratio in (("moves", rows.std(axis=0) / expected), ("off", np.abs(rows.mean(axis=0)) / expected)):
+    for ratio, said, causes in (
+        (rows.std(axis=0) / expected, "moves {} times as much as the noise of the plant makes it", _MOVES),
+        (
+            np.abs(rows.mean(axis=0)) / expected,
+            "lies {} of the deviations off zero that the noise of the plant gives it",
+            _OFF,
+        ),
+    ):
         far = np.flatnonzero(ratio > _FAR_LARGER)
-        if not far.size:
-            continue
-        worst = int(far[ratio[far].argmax()])
-        others = f", and {counted(len(far) - 1, 'other')} more than {_FAR_LARGER:g} times" if len(far) > 1 else ""
-        name, times = generator.residuals[worst], f"{ratio[worst]:.2g}"
-        if what == "moves":
-            found.append(
-                f"the residual {name!r} moves {times} times as much as the noise of the plant makes it{others}: are "
-                "columns swapped or in other units, is a sensor dead, or is the plant unlike its model? A threshold "
-                "that covers this hides faults; residual_report shows more"
-            )
-        else:
-            found.append(
-                f"the residual {name!r} lies {times} of the deviations off zero that the noise of the plant gives "
-                f"it{others}: are columns swapped, or is the plant at another operating point? What is fitted takes it "
-                "for normal"
-            )
+        if far.size:
+            worst = int(far[ratio[far].argmax()])
+            more = f", and {counted(len(far) - 1, 'other')} more than {_FAR_LARGER:g} times" if len(far) > 1 else ""
+            told = said.format(f"{ratio[worst]:.2g}")
+            found.append(f"the residual {generator.residuals[worst]!r} {told}{more}: {causes}")
     return found
+
+
+#: What may make residuals far larger than the noise of the plant, and what follows.
+_MOVES = (
+    "are columns swapped or in other units, is a sensor dead, or is the plant unlike its model? A threshold that "
+    "covers this hides faults; residual_report shows more"
+)
+_OFF = "are columns swapped, or is the plant at another operating point? What is fitted takes it for normal"
 
 
 def _check_recordings(recordings: Sequence[NDArray[np.float64]], n_inputs: int) -> None:

@@ -51,8 +51,9 @@ def renewed(content: dict[str, Any]) -> dict[str, Any]:
         _with_counts(content)
     if version in OLDER and content.get("state") is not None:
         _with_less(content)
-    if content["fit_check"] is not None:  # what the channels were like was not kept at first
-        content["fit_check"] = {"mean": [], "spread": [], "units": []} | table_in(content["fit_check"], "fit_check")
+    if content["fit_check"] is not None:  # channels, and what contradicts the plant, were not kept at first
+        absent = {"mean": [], "spread": [], "units": [], "doubts": []}
+        content["fit_check"] = absent | table_in(content["fit_check"], "fit_check")
     return content
 
 

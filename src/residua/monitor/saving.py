@@ -188,8 +188,7 @@ def _monitor_in(content: Mapping[str, Any]) -> Monitor:
         monitor._test = monitor._settings.test_from_record(content["fitted"], "fitted", watched)
         monitor._spec = _running_in(monitor._plain_specification(), content["running"], monitor, watched)
         if content["fit_check"] is not None:
-            known = {"doubts": []} | table_in(content["fit_check"], "fit_check")  # not kept at first
-            monitor._check = values_in(known, "fit_check", FitCheck)
+            monitor._check = values_in(content["fit_check"], "fit_check", FitCheck)
             for name in ("mean", "spread"):
                 count, channels = len(getattr(monitor._check, name)), len(monitor.generator.system.inputs)
                 if count not in (0, channels):

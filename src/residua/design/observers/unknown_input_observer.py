@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -165,7 +166,8 @@ def observer_of(
     even = parts.even.plant
     if poles is None and margin is None:
         margin = margin_from(parts.A22, even)
-    placed = _placed(*parts.error_pair, poles, margin, plant.dt, rtol)
+    with _known_to_exist():
+        placed = place(*parts.error_pair, poles, margin, plant.dt, rtol)
     farthest = float(np.abs(placed.requested).max(initial=margin or 0.0))
     refuse_far_gain(*parts.error_pair, placed.gain, 1.0 if plant.dt else farthest)
     placed = replace(placed, gain=without_rounding(parts.M, placed.gain, parts.outputs))
@@ -188,21 +190,16 @@ def _with_free_matrix(
     A1 = without_rounding(T, form.A)
     if poles is None and margin is None:
         margin = margin_from(A1, plant)
-    placed = _placed(A1, form.C, poles, margin, plant.dt, rtol)
+    with _known_to_exist():
+        placed = place(A1, form.C, poles, margin, plant.dt, rtol)
     return assemble(plant, form, T, H, placed, existence, even=False)
 
 
-def _placed(
-    A: NDArray,
-    C: NDArray,
-    poles: Sequence[complex] | ArrayLike | None,
-    margin: float | None,
-    dt: float,
-    rtol: float,
-) -> Placement:
-    """Place the poles of an error that is known to be detectable: from the plant, whose modes are known better."""
+@contextmanager
+def _known_to_exist() -> Iterator[None]:
+    """Placement for an error that is known to be detectable: from the plant, whose modes are known better."""
     try:
-        return place(A, C, poles, margin, dt, rtol)
+        yield
     except UndetectableError as error:
         raise AccuracyError(
             "an observer of this plant exists, but rounding in the matrices of its error moves fixed poles that are "
@@ -227,7 +224,8 @@ def _of_singular_plant(
     p = len(form.C)
     seen = staircase(A1, form.C, rtol=rtol).n_observable
     needed = seen < staircase(A1, C1, rtol=rtol).n_observable  # or else the smallest T is the best
-    placed = _placed(A1, C1 if needed else form.C, poles, margin, plant.dt, rtol)
+    with _known_to_exist():
+        placed = place(A1, C1 if needed else form.C, poles, margin, plant.dt, rtol)
     K1, Z = placed.gain[:, :p], placed.gain[:, p:] if needed else np.zeros((len(A1), len(free.N)))
     T, H = free.T - Z @ free.N, without_rounding(free.H - Z @ free.M, form.W)
     made = assemble(parts.measured, form, T, H, replace(placed, gain=K1), existence)

@@ -74,6 +74,17 @@ def _equilibrated(M: Matrices, E: NDArray[np.float64]) -> tuple[Matrices, NDArra
     return (r * A * c, r * B * v, q * C * c, q * D * v), u.unit * r * E * c, u.unit
 
 
+def _standard_form(
+    M: Matrices, E: NDArray[np.float64] | None, rtol: float, decisions: list[RankDecision]
+) -> tuple[Matrices, float, int]:
+    """Return a system with the identity for ``E``, the unit of its ``s``, and how many states were algebraic."""
+    if E is None:
+        return M, 1.0, 0
+    even, E, unit = _equilibrated(M, E)
+    standard = _standard(even, E, rtol, decisions)
+    return standard, unit, len(M[0]) - len(standard[0])
+
+
 def _standard(M: Matrices, E: NDArray[np.float64], rtol: float, decisions: list[RankDecision]) -> Matrices:
     """Turn the algebraic part of a descriptor system into inputs and outputs, and ``E`` into the identity."""
     A, B, C, D = M
@@ -177,15 +188,9 @@ def invariant_zeros(
     >>> invariant_zeros([[0, 1], [-2, -3]], [[0], [1]], [[4, 1]]).zeros.real.round(12)
     array([-4.])
     """
-    M, descriptor = _checked(A, B, C, D, E)
     decisions: list[RankDecision] = []
-    n, unit = M[0].shape[0], 1.0
-    if descriptor is not None:
-        M, descriptor, unit = _equilibrated(M, descriptor)
-        M = _standard(M, descriptor, rtol, decisions)
-    k = M[0].shape[0]
+    M, unit, algebraic = _standard_form(*_checked(A, B, C, D, E), rtol, decisions)
     zeros, rank = _zeros_by_parts(M, rtol, decisions)
-    algebraic = n - k
     return InvariantZeros(unit * zeros[np.lexsort((zeros.imag, zeros.real))], rank - algebraic, tuple(decisions))
 
 
@@ -235,11 +240,8 @@ def zeros_apart(
     uncertainty : ndarray
         Nothing instead of both where other parts have zeros, too, or entries cancel.
     """
-    M, descriptor = _checked(A, B, C, D, E)
-    unit, decisions = 1.0, list[RankDecision]()
-    if descriptor is not None:
-        M, descriptor, unit = _equilibrated(M, descriptor)
-        M = _standard(M, descriptor, rtol, decisions)
+    decisions: list[RankDecision] = []
+    M, unit, _ = _standard_form(*_checked(A, B, C, D, E), rtol, decisions)
     n, whole = len(M[0]), bordered(*M)
     found: list[NDArray[np.complex128]] = [np.zeros(0, dtype=complex)]
     moved: list[NDArray[np.float64]] = [np.zeros(0)]
