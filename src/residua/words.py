@@ -104,6 +104,12 @@ def percent(part: int, whole: int) -> str:
     return f"{math.floor(100 * share + 1e-6) / 100:g} %"
 
 
+def one_in(rate: float) -> str:
+    """Return a rate as one in so many: ``1 in 2,000``, of two digits."""
+    many = float(f"{1 / rate:.2g}")
+    return f"1 in {many:,.0f}" if many >= 10 else f"1 in {many:g}"
+
+
 def some(names: Iterable[str], most: int = 10) -> str:
     """Return names as a phrase, the first ones and how many there are besides."""
     items = list(names)

@@ -14,7 +14,7 @@ import typer
 
 from residua import __version__
 from residua.cli import identify_command, learn_command, live_command, plant_commands, screen, validate_command
-from residua.cli.checks import check_outputs, check_recordings, checked_rate
+from residua.cli.checks import FalseAlarmRate, check_outputs, check_recordings
 from residua.cli.design_command import Commands, thresholds
 from residua.cli.guard import FAULT, NO_FAULT, GuardedGroup, in_cli_words, warn
 from residua.cli.recording_options import (
@@ -32,7 +32,6 @@ from residua.cli.recording_options import (
     Variable,
     in_words_of_options,
 )
-from residua.decide.false_alarms import ENOUGH, within_tolerance
 from residua.demos import Outcome
 from residua.errors import AccuracyError, DataError, SettingError
 from residua.export import to_c, to_fmu, to_onnx, to_structured_text
@@ -93,10 +92,7 @@ def fit(
         list[Path], typer.Argument(metavar="NORMAL.csv...", help="Fault-free recordings; each has a start of its own.")
     ],
     output: Annotated[Path, typer.Option("--output", "-o", metavar="OUT.json", help="Monitor to write.")],
-    false_alarm_rate: Annotated[
-        float | None,
-        typer.Option(callback=checked_rate, metavar="RATE", help="Fraction in alarm; that of the design when omitted."),
-    ] = None,
+    false_alarm_rate: FalseAlarmRate = None,
     held_out: Annotated[
         float, typer.Option(metavar="PART", help="Last part of each recording that only checks the fit.")
     ] = 0.2,
@@ -128,43 +124,22 @@ def fit(
         held_out=held_out,
         transient=_start_left_out(transient),
     )
-    rate = watch.false_alarm_rate if false_alarm_rate is None else false_alarm_rate
     runs = [_run(watch, one) for one in data]
     watch.reset()
     watch.save(output)
-    judged = sum(int(one.decided.sum()) for one in runs)
-    alarmed = sum(float((one.alarm & one.decided).sum()) for one in runs)
+    check = watch.fit_check
+    assert check is not None
     screen.say(
         thresholds(watch),
+        *([check.false_alarms] if check.false_alarms else []),
         f"basis: {watch.norm_test.basis}",
-        _fitted_samples(runs, judged),
-        f"fraction in alarm: {alarmed / max(1, judged):.3g} ({_asked(runs[0], rate)})",
-        _expected_alarms(watch, rate, sum(len(one.alarms) for one in runs)),
+        _fitted_samples(runs),
         *([] if watch.norm_test.is_bound or len(runs) > 1 else [_ONE_DAY]),
         *(f"{one.source}: {note}" for one in data for note in one.notes),
         f"written: {output}",
     )
-    for note in watch.fit_check.notes if watch.fit_check else ():
+    for note in check.notes:
         warn(in_cli_words(note))
-    _warn_of_few(watch, judged, rate)
-
-
-def _warn_of_few(watch: Monitor, judged: int, rate: float) -> None:
-    """Say where the data cannot show the rate that was asked for: where the basis says so, with the same number."""
-    promised = getattr(watch.norm_test, "promised", None)  # a test of a user's own need not promise anything
-    if promised is None and (judged * rate >= ENOUGH or watch.norm_test.is_bound):
-        return
-    if promised is not None and within_tolerance(promised, rate):
-        return
-    told = ""
-    if promised is not None:
-        told = "these promise no rate, " if promised >= 1 else f"these promise at most {promised:.2g}, "
-    lasting = getattr(watch.norm_test, "persistence", 1) + watch.norm_test.release - 1
-    warn(
-        f"{judged} samples are too few to see a false alarm rate of {rate:g}: {told}"
-        f"{int(np.ceil(ENOUGH / rate)) * lasting:,} or so show it, more where residuals vary slowly; "
-        "give more, or ask for a higher rate with --false-alarm-rate"
-    )
 
 
 def _start_left_out(text: str) -> int | str:
@@ -175,8 +150,9 @@ def _start_left_out(text: str) -> int | str:
     return text if text == "auto" else int(text)
 
 
-def _fitted_samples(runs: list[Diagnosis], judged: int) -> str:
+def _fitted_samples(runs: list[Diagnosis]) -> str:
     """Say how many samples a fit has seen, and what became of them."""
+    judged = sum(int(one.decided.sum()) for one in runs)
     number, span = sum(len(one.time) for one in runs), sum(map(_span, runs))
     several = f" in {len(runs)} recordings" if len(runs) > 1 else ""
     incomplete = sum(one.n_missing for one in runs)
@@ -186,34 +162,11 @@ def _fitted_samples(runs: list[Diagnosis], judged: int) -> str:
     )
 
 
-def _asked(diagnosis: Diagnosis, rate: float) -> str:
-    return "thresholds certified by the design" if diagnosis.certified else f"asked for: at most {rate:g}"
-
-
-#: Samples for which the number of alarms is said.
-_STRETCH = 10_000
 #: What one recording cannot show.
 _ONE_DAY = (
     "this holds for days like the one that was fitted: fit several recordings where load, season or operation differ, "
     "and run one that was not fitted"
 )
-
-
-def _expected_alarms(watch: Monitor, rate: float, here: int) -> str:
-    """Say how many alarms data like these bring: each lasts at least as long as it takes to end."""
-    from scipy.special import pdtrik  # slow to import, and needed only here
-
-    shortest = watch.norm_test.release
-    most = _STRETCH * rate / shortest
-    promised = getattr(watch.norm_test, "promised", None)  # a test of a user's own need not promise anything
-    sure = ""
-    if promised is not None and not within_tolerance(promised, rate):
-        sure = f"with 95 % confidence no more than {_STRETCH * promised / shortest:.2g}; " if promised < 1 else ""
-    return (
-        f"expect on fault-free data like these: up to {most:.2g} alarms per {_STRETCH:,} judged samples (each lasts "
-        f"{shortest} samples or more; by chance up to {int(np.ceil(pdtrik(0.975, most)))} in one such stretch); "
-        f"{sure}here: {here}"
-    )
 
 
 @app.command()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Annotated
 
 import typer
 
@@ -17,6 +18,17 @@ def checked_rate(value: float | None) -> float | None:
     if value is not None and not 0 < value < 1:
         raise typer.BadParameter(f"must lie between 0 and 1, got {value:g}")
     return value
+
+
+FalseAlarmRate = Annotated[
+    float | None,
+    typer.Option(
+        callback=checked_rate,
+        metavar="RATE",
+        help="Fraction of fault-free samples in alarm; by default what the log can carry: 5 / rows, between 1e-4 and "
+        "1e-2.",
+    ),
+]
 
 
 def checked_positive(value: float | None) -> float | None:

@@ -12,11 +12,10 @@ from typing import Annotated, Any
 import typer
 
 from residua.cli import methods, screen
-from residua.cli.checks import check_outputs, check_sample_time, checked_positive, checked_rate
+from residua.cli.checks import FalseAlarmRate, check_outputs, check_sample_time, checked_positive
 from residua.cli.guard import GuardedGroup, in_cli_words, note
 from residua.cli.plant_commands import PlantFile
 from residua.decide import Directional, Matched, NormThreshold, Structured
-from residua.decide.checks import FALSE_ALARM_RATE
 from residua.decide.isolation import IsolationSettings
 from residua.design import MatchedFilters
 from residua.design.core.brought import as_generator
@@ -69,9 +68,7 @@ def design(
         float | None,
         typer.Option(callback=checked_positive, metavar="S", help="Step of the recordings, for a continuous plant."),
     ] = None,
-    false_alarm_rate: Annotated[
-        float, typer.Option(callback=checked_rate, metavar="RATE", help="Fraction of fault-free samples in alarm.")
-    ] = FALSE_ALARM_RATE,
+    false_alarm_rate: FalseAlarmRate = None,
     persistence: Annotated[
         int, typer.Option(min=1, metavar="N", help="Samples in a row over the threshold that raise an alarm.")
     ] = 3,

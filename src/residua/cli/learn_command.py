@@ -10,7 +10,7 @@ import numpy as np
 import typer
 
 from residua.cli import screen
-from residua.cli.checks import check_outputs, check_recordings, checked_rate
+from residua.cli.checks import FalseAlarmRate, check_outputs, check_recordings
 from residua.cli.design_command import thresholds
 from residua.cli.guard import in_cli_words, warn
 from residua.cli.identify_command import (
@@ -50,12 +50,9 @@ from residua.cli.recording_options import (
     Variable,
 )
 from residua.decide import NormThreshold
-from residua.decide.checks import FALSE_ALARM_RATE
 from residua.design import kalman_filter
 from residua.monitor import Monitor
-from residua.monitor.diagnosis import Diagnosis
 from residua.recording.recording import Recording
-from residua.words import counted
 
 #: Of each recording: where the model's part ends, and where that of the threshold ends; the rest is the check.
 _MODEL, _THRESHOLD = 0.5, 0.75
@@ -77,9 +74,7 @@ def learn(
     delay: Delay = None,
     sensor_faults: SensorFaults = True,
     actuator_faults: ActuatorFaults = True,
-    false_alarm_rate: Annotated[
-        float, typer.Option(callback=checked_rate, metavar="RATE", help="Fraction of fault-free samples in alarm.")
-    ] = FALSE_ALARM_RATE,
+    false_alarm_rate: FalseAlarmRate = None,
     persistence: Annotated[
         int, typer.Option(min=1, metavar="N", help="Samples in a row over the threshold that raise an alarm.")
     ] = 3,
@@ -113,55 +108,33 @@ def learn(
     plant = with_fault_list(model.plant, sensors=sensor_faults, actuators=actuator_faults)
     test = NormThreshold(persistence=persistence, window=average, false_alarm_rate=false_alarm_rate)
     monitor = Monitor(kalman_filter(plant), test=test)
-    basis = _fit(monitor, data, before)
-    alarmed, judged, text = _check(monitor, data)
-    monitor.reset()
+    rows = _fit(monitor, data)
     monitor.save(output)
+    check = monitor.fit_check
+    assert check is not None
     screen.say(
         fault_text(plant),
-        basis,
+        rows,
         in_cli_words(f"{thresholds(monitor)}: {monitor.norm_test.basis}"),
-        f"{text} (asked for: at most {false_alarm_rate:g})",
+        check.false_alarms,
         f"written: {output}",
     )
-    for note in monitor.fit_check.notes if monitor.fit_check else ():
+    for note in check.notes:
         warn(in_cli_words(note))
-    if not judged:
-        warn("no sample of the last quarter could be judged, so the monitor is unchecked: give longer recordings")
-    elif alarmed > false_alarm_rate * judged:
-        warn(
-            "false alarms on rows that neither the model nor the threshold has seen are above the rate that was asked "
-            "for: the plant does more there than before, or the recordings are too short to show all that is normal"
-        )
+    if check.held_out is None:
+        warn("too few samples of the last quarter can be judged, so the monitor is unchecked: give longer recordings")
 
 
-def _fit(monitor: Monitor, data: Sequence[Recording], before: Sequence[Recording]) -> str:
-    """Fit the threshold, and say on which rows."""
+def _fit(monitor: Monitor, data: Sequence[Recording]) -> str:
+    """Fit the threshold, hold the last quarter of each recording out as the check, and say on which rows."""
     unseen = [part(one, _MODEL, _THRESHOLD) for one in data]
     complete = [int(np.isfinite(np.hstack([one.u, one.y])).all(axis=1).sum()) for one in unseen]
     needed = _ENOUGH * monitor.design.plant.n_outputs
     if sum(complete) >= needed and min(complete) > 2 * monitor.settling_samples:
-        monitor.fit(list(unseen), held_out=0.0)  # the last quarter is the check
+        monitor.fit([part(one, _MODEL, 1.0) for one in data], held_out=(1 - _THRESHOLD) / (1 - _MODEL))
         return f"threshold from {sum(complete)} rows that the model is not from, the third quarter of each recording"
-    monitor.fit(list(before), held_out=0.0)
+    monitor.fit(list(data), held_out=1 - _THRESHOLD)
     return (
         "threshold from all rows before the last quarter, those of the model included: its own are judged too well, "
         f"but {sum(complete)} others are fewer than {needed}, or too few in a recording for the filter to settle"
     )
-
-
-def _check(monitor: Monitor, data: Sequence[Recording]) -> tuple[int, int, str]:
-    """Return the samples of the last quarter in alarm and those judged, and what to say of them."""
-    runs = [monitor.run(part(one, _THRESHOLD, 1.0)) for one in data]
-    alarmed = judged = alarms = 0
-    for one in runs:
-        assert isinstance(one, Diagnosis)
-        alarmed += int((one.alarm & one.decided).sum())
-        judged += int(one.decided.sum())
-        alarms += len(one.alarms)
-    rate = f"{alarmed / judged:.3g}" if judged else "-"
-    text = (
-        f"held-out check on the last quarter of each recording: {alarmed} of {judged} judged samples in alarm, "
-        f"a fraction of {rate}, in {counted(alarms, 'alarm')}"
-    )
-    return alarmed, judged, text

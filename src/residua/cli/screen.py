@@ -285,6 +285,7 @@ def show_diagnosis(diagnosis: Diagnosis) -> None:
     say(*words.sentences)
     if diagnosis.n_missing:
         say(f"{diagnosis.missing_text}.")
+    say(*([diagnosis.false_alarms] if diagnosis.false_alarms else []))
     say(*diagnosis.notes)
 
 

@@ -9,8 +9,9 @@ import numpy as np
 from residua.errors import SettingError
 from residua.visible import echo
 
-#: Fraction of fault-free samples in alarm, unless another is asked for.
-FALSE_ALARM_RATE = 1e-4
+#: Fractions of fault-free samples in alarm among which a test without a wish of its user aims, and the samples in alarm
+#: that a fit may expect among its rows: with fewer its threshold would be a guess.
+_LEAST_RATE, _MOST_RATE, _EXPECTED = 1e-4, 1e-2, 5
 #: Probability with which a fault arrives in a sample, unless another is set: one in ten thousand.
 PRIOR_RATE = 1 / 10_000
 
@@ -32,7 +33,28 @@ def check_whole(value: object, name: str, *, least: int = 1) -> None:
         raise SettingError(f"{name} must be a whole number, at least {least}, got {echo(value)}")
 
 
-def check_rate(rate: float) -> None:
-    """Raise unless ``rate`` is a usable false alarm rate."""
-    if not is_number(rate) or not 0 < rate < 1:
+def rate_aimed_at(wish: float | None, rows: int = 0) -> float:
+    """Return the fraction of fault-free samples in alarm that a test aims at: the wish, else what the log can carry.
+
+    Parameters
+    ----------
+    wish : float or None
+        As it was set.
+    rows : int
+        Usable fault-free rows that a fit uses: without a wish it aims at five of them, within 1e-4 and 1e-2. 0 without
+        data, where the threshold is from the noise of the plant: 1e-4.
+
+    Examples
+    --------
+    >>> [rate_aimed_at(None, rows) for rows in (500, 5_000, 50_000, 0)]
+    [0.01, 0.001, 0.0001, 0.0001]
+    """
+    if wish is not None:
+        return wish
+    return min(max(_EXPECTED / rows, _LEAST_RATE), _MOST_RATE) if rows else _LEAST_RATE
+
+
+def check_rate(rate: float | None) -> None:
+    """Raise unless ``rate`` is a usable false alarm rate, or ``None`` for what the log can carry."""
+    if rate is not None and (not is_number(rate) or not 0 < rate < 1):
         raise SettingError(f"false_alarm_rate must lie between 0 and 1, got {echo(rate)}")

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.decide.checks import check_samples
+from residua.decide.checks import check_samples, rate_aimed_at
 from residua.decide.compiled import CompiledTest
 from residua.decide.recent_samples import Sums, over_recent
 from residua.decide.row_norms import row_squares
@@ -19,6 +19,7 @@ from residua.decide.stream_test import StreamTest
 from residua.decide.test import ResidualTest
 from residua.errors import SettingError
 from residua.number_kinds import WINDOW, NumberKind
+from residua.words import one_in
 
 #: Exceedances that are expected where the distribution is compared with the data, and deviations that contradict it.
 _EXPECTED, _CONTRADICTION = (0.1, 0.01), 3.5
@@ -82,8 +83,9 @@ class ChiSquared(StreamSettings):
     ----------
     window : int
         N, in samples.
-    false_alarm_rate : float
-        The fraction of fault-free samples in alarm; the threshold follows from it exactly.
+    false_alarm_rate : float, optional
+        The fraction of fault-free samples in alarm; the threshold follows from it exactly. When omitted, what the log
+        of a fit can carry; see :class:`residua.decide.NormThreshold`.
     mean_time_between_false_alarms : float, optional
         In samples, for a window of one sample, where it is the inverse of that fraction.
     threshold : float, optional
@@ -145,7 +147,7 @@ class ChiSquared(StreamSettings):
 
         time = self.mean_time_between_false_alarms
         if rate is None:
-            rate = self.false_alarm_rate if time is None else 1 / time
+            rate = rate_aimed_at(self.false_alarm_rate) if time is None else 1 / time
         if samples is None or samples <= dimension + _LEAST_FREE:
             return float(np.sqrt(chdtri(dimension * self.window, rate)))
         free, scale = _trace(dimension, self.window, samples)
@@ -204,7 +206,7 @@ class ChiSquared(StreamSettings):
     def promise(self, threshold: float, dimension: int) -> tuple[str, float | None]:
         """Return what a threshold means, in words, and the time between false alarms where it is known."""
         share = self.fraction(threshold, dimension)
-        text = f"a fraction of {share:.3g} of the samples in alarm"
+        text = f"{one_in(share)} samples in alarm"
         return text, (1 / share if self.window == 1 else None)
 
     def _contradiction(

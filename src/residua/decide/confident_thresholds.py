@@ -15,7 +15,7 @@ from residua.decide.pareto_tail import ParetoTail
 from residua.errors import SettingError
 from residua.tolerances import ROUNDING, SAME
 from residua.visible import echo
-from residua.words import number
+from residua.words import number, one_in
 
 #: Where a threshold is from.
 Source = Literal["auto", "quantile", "tail", "conformal"]
@@ -83,16 +83,16 @@ class StatedPromise(Promise):
         return reached <= self.asked * (1 + SAME) if self.source != "tail" else super().holds
 
     def __str__(self) -> str:
-        sure = f"with 95 % confidence at most {self.promised:.2g} on other data like these"
+        sure = f"with 95 % confidence at most {one_in(self.promised)} on other data like these"
         if self.source == "tail":
-            text = f"about {self.aimed:.2g} of them in alarm by a generalised Pareto tail ({self.extended}), {sure}"
+            text = f"about {one_in(self.aimed)} of them in alarm by a generalised Pareto tail ({self.extended}), {sure}"
             if self.asked < least_rate(self.worth):
                 text += f", if the tail goes on like that: it is extrapolated; {self._limit} without it"
             return text
         if not self.holds:
             return f"the largest of them, {sure}: {self._limit}"
         if self.source == "conformal":
-            return f"at most {self.aimed:.2g} in alarm on average over fits, {sure}"
+            return f"at most {one_in(self.aimed)} in alarm on average over fits, {sure}"
         return f"an order statistic, {sure}"
 
     @property
@@ -100,13 +100,13 @@ class StatedPromise(Promise):
         """Say what such samples can promise, and how many it would take."""
         least, share = least_rate(self.worth), self.worth / self.samples
         independent = "" if share >= _ALL else f" (worth {number(self.worth)} independent ones)"
-        text = f"with {self.samples} samples{independent} no rate below {least:.2g} can be promised at 95 %"
+        text = f"with {self.samples} samples{independent} no fewer than {one_in(least)} can be promised at 95 %"
         needed = samples_for(self.asked)
         if self.source == "conformal":
-            text += f", nor one below {1 / (self.worth + 1):.2g} on average"
+            text += f", nor fewer than {one_in(1 / (self.worth + 1))} on average"
             needed = 2 / self.asked - 2  # of which the second half counts
         many = int(np.ceil(needed / (1.0 if share >= _ALL else share) * (1 - ROUNDING)))
-        return f"{text}; {self.asked:g} takes {'' if share >= _ALL else 'about '}{many} samples"
+        return f"{text}; {one_in(self.asked)} takes {'' if share >= _ALL else 'about '}{many} samples"
 
 
 def promise_by(source: str, seen: Observed, asked: float) -> Promise:
@@ -202,7 +202,7 @@ def _by_tail(
     if asked * n >= 1:
         level = max(level, _over(own, int(asked * n)) - half)
     shape, spread = tail.shape
-    words = f"from a rate of {tail.rate:.2g}, with a shape of {shape:.2f} +- {spread:.2f}"
+    words = f"from {one_in(tail.rate)}, with a shape of {shape:.2f} +- {spread:.2f}"
     expected = tail.expected(level)
     bound = min(max(tail.bound(level, CONFIDENCE), expected), 1.0)
     return StatedPromise(level + half, asked, expected, bound, words, "tail", n, max(n / together, 1.0))

@@ -177,9 +177,10 @@ class CUSUM(StreamSettings):
     mean_time_between_false_alarms : float, optional
         In samples, from a start or the end of an alarm to the next false alarm, on average. The threshold follows
         from it by integral equation.
-    false_alarm_rate : float
+    false_alarm_rate : float, optional
         Where no time is given: the fraction of fault-free samples in alarm, by the same equations (of Pignatiello and
-        Runger's sums about: an alarm is taken to end as its allowance takes it down).
+        Runger's sums about: an alarm is taken to end as its allowance takes it down). When omitted, what the log of a
+        fit can carry; see :class:`residua.decide.NormThreshold`.
     threshold : float, optional
         h, where it is to be neither.
     form : {"auto", "page", "crosier", "pignatiello-runger"}

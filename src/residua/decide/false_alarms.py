@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from residua.decide.dependence import correlation_times, effective_exceedances
 from residua.decide.exceedance_runs import RunModel
 from residua.decide.exceedance_tail import HIGHEST, Scale, Tail, quantile, scale_of, tail_of, without_steps
+from residua.words import one_in
 
 #: How sure a promise is.
 CONFIDENCE = 0.95
-#: Over this multiple of the rate that was asked for, it is reported as a promise of its own.
+#: Over this multiple of the rate that is aimed at, what can be promised is said beside it.
 TOLERATED = 1.5
 #: Where the data cannot tell, the threshold is set for at least this share of the rate.
 _LEAST_AIM = 0.6
@@ -99,15 +100,14 @@ class Promise:
         return within_tolerance(self.promised, self.asked)
 
     def __str__(self) -> str:
-        text = f"about {self.aimed:.2g} of them in alarm"
+        text, asked = f"about {one_in(self.aimed)} of them in alarm", one_in(self.asked)
         if self.extended:
             text += f" (too few to see that: {self.extended})"
         if self.promised >= 1:
-            return f"{text}; {self.asked:g} was asked for, and these data promise no rate: give more"
-        text += f", with 95 % confidence at most {self.promised:.2g} on other data like these"
-        return (
-            text if self.holds else f"{text}; {self.asked:g} was asked for, which these data cannot promise: give more"
-        )
+            return f"{text}; {asked} is aimed at, and these data promise no rate"
+        if self.holds:
+            return f"{text}, {asked} on other data like these, with 95 % confidence within a factor of {TOLERATED:g}"
+        return f"{text}, with 95 % confidence at most {one_in(self.promised)} on other data like these; {asked} is aimed at"
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,12 +222,12 @@ def promise_of(seen: Observed, asked: float) -> Promise:
         statistic = seen.statistic  # by moments of others, which would scatter equal values
     plain = tail_of(statistic[seen.counted], seen.blocks[seen.counted], seen.scale, asked)
     if seen.persistence == seen.release == 1:
-        origin = f"extended from a rate of {plain.rate:.2g} by the tail of the data" if plain.rate > asked else ""
+        origin = f"extended from {one_in(plain.rate)} by the tail of the data" if plain.rate > asked else ""
         promise = _promise(plain.level, lambda rate: _known(plain, rate), asked, origin)
     else:
         model = RunModel.of(statistic, seen.counted, seen.begins, _grouped(seen.blocks), plain,
                             seen.persistence, seen.release)  # fmt: skip
-        origin = f"extended from a rate of {model.seen(asked):.2g} by the tail of the data and a model of runs"
+        origin = f"extended from {one_in(model.seen(asked))} by the tail of the data and a model of runs"
         promise = _promise(model.level, lambda rate: (model.spread(model.level(rate)), model.worth), asked, origin)
     return replace(promise, threshold=promise.threshold + half)
 

@@ -138,9 +138,10 @@ class GLR(StreamSettings):
         In samples, from a start to the alarm, on average. The threshold follows by Siegmund and Venkatraman's
         approximation, corrected by 4,000 simulated runs (seeded), and from the runs themselves below 300 samples; it
         is within about 5 %.
-    false_alarm_rate : float
+    false_alarm_rate : float, optional
         Where no time is given: the fraction of fault-free samples in alarm, with alarms as long as simulated ones that
-        are 300 samples apart: exceeded by a tenth at 0.05 and at 0.1, beyond which none is designed.
+        are 300 samples apart: exceeded by a tenth at 0.05 and at 0.1, beyond which none is designed. When omitted, what
+        the log of a fit can carry; see :class:`residua.decide.NormThreshold`.
     threshold : float, optional
         h, where it is to be neither.
     source : {"auto", "design", "data", "quantile", "tail", "conformal"}

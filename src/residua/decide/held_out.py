@@ -14,6 +14,7 @@ from residua.decide.fault_free import FaultFree
 from residua.decide.test import Block, FaultFreeRun, ResidualTest
 from residua.number_kinds import COUNT, INDEX, POSITIVE, PROBABILITY, NumberKind
 from residua.records import Record
+from residua.words import one_in
 
 #: How sure an interval is: 2.5 % on either side.
 CONFIDENCE = 0.95
@@ -36,7 +37,7 @@ class HeldOut(Record):
     independent : float
         Independent samples that they are worth.
     asked : float
-        Fraction in alarm that was asked for.
+        Fraction in alarm that the fit aimed at.
     """
 
     NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {
@@ -84,15 +85,12 @@ class HeldOut(Record):
 
     @property
     def is_over(self) -> bool:
-        """Whether the rate is over that asked for, with 97.5 % confidence."""
+        """Whether the rate is over that aimed at, with 97.5 % confidence."""
         return self.interval[0] > self.asked
 
     def __str__(self) -> str:
-        low, high = self.interval
-        return (
-            f"of the last {self.samples} samples, which were held out of the fit, {self.rate:.2g} in alarm "
-            f"(95 % confidence: {low:.2g} to {high:.2g})"
-        )
+        often = f" ({one_in(self.rate)})" if self.alarmed else ""
+        return f"{self.alarmed:,} of {self.samples:,} held-out samples in alarm{often}"
 
 
 def held_out_rows(run: FaultFreeRun, share: float, window: int) -> NDArray[np.bool_] | None:

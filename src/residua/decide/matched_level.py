@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.decide.checks import check_rate
+from residua.decide.checks import check_rate, rate_aimed_at
 from residua.decide.false_alarms import observed, promise_of
 from residua.decide.fault_free import FaultFree, Moments
 from residua.decide.isolation import check_groups
@@ -30,6 +30,7 @@ from residua.errors import DataError, FileFormatError, SettingError
 from residua.records import joined, table_in
 from residua.tolerances import SIGNAL_ROUNDING, TINY
 from residua.visible import echo
+from residua.words import one_in
 
 #: What makes a test of the whitening matrix that belongs to it.
 MakeTest = Callable[[NDArray[np.float64]], MatchedTest]
@@ -160,7 +161,7 @@ class LikelihoodThreshold(TestSettings):
     make: Callable[[ResidualGenerator], MakeTest]
 
     @property
-    def false_alarm_rate(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
+    def false_alarm_rate(self) -> float | None:  # pyright: ignore[reportIncompatibleVariableOverride]
         """That of the settings."""
         return self.settings.false_alarm_rate
 
@@ -306,10 +307,9 @@ def matched_test_from_model(
     base = norm_test_from_model(settings, covariance, n_residuals)
     if base is None or settings.threshold is not None:
         return base
-    level = level_for_rate(make(base.whitening), settings.false_alarm_rate)
-    basis = (
-        f"bound on the largest of all hypotheses at {settings.false_alarm_rate:g} per sample, noise model of the plant"
-    )
+    rate = rate_aimed_at(settings.false_alarm_rate)
+    level = level_for_rate(make(base.whitening), rate)
+    basis = f"bound on the largest of all hypotheses at {one_in(rate)} samples, noise model of the plant"
     return replace(base, threshold=level, basis=basis)
 
 

@@ -12,7 +12,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.decide.checks import check_rate
+from residua.decide.checks import check_rate, rate_aimed_at
 from residua.decide.compiled import CompiledTest
 from residua.decide.false_alarms import coincidence
 from residua.decide.fault_free import FaultFree
@@ -258,7 +258,7 @@ def bank_test_from_model(
     settings: NormSettings, covariance: NDArray | None, members: Parts, n_residuals: int
 ) -> BankTest | None:
     """Return the test that needs no data, or ``None`` when data are needed; see :func:`fit_bank_test`."""
-    single = replace(settings, false_alarm_rate=settings.false_alarm_rate / max(1, len(members)))
+    single = replace(settings, false_alarm_rate=rate_aimed_at(settings.false_alarm_rate) / max(1, len(members)))
     tests = [norm_test_from_model(single, _part(covariance, rows), len(rows)) for rows in rows_of(members)]
     present = [test for test in tests if test is not None]
     return side_by_side(present, 1.0, members, n_residuals) if present and len(present) == len(tests) else None
@@ -368,7 +368,7 @@ def side_by_side(
         one.persistence,
         one.release,
         one.window,
-        _basis(tests, at_once, promised),
+        _basis(tests, at_once),
         one.kind,
         promised,
         float(max(drawn)) if drawn else None,
@@ -376,7 +376,7 @@ def side_by_side(
     )
 
 
-def _basis(tests: Sequence[NormTest], at_once: float, promised: float | None) -> str:
+def _basis(tests: Sequence[NormTest], at_once: float) -> str:
     """Return where the thresholds of the members come from, in words."""
     bases = list(dict.fromkeys(test.basis for test in tests))
     count = len(tests)
@@ -387,15 +387,11 @@ def _basis(tests: Sequence[NormTest], at_once: float, promised: float | None) ->
     if bases[0].startswith("threshold given"):
         return basis
     if at_once > 1:
-        basis += (
-            f"; that is {at_once:.3g}/{count} of the rate of the whole bank, for {at_once:.3g} are in alarm at once"
+        return (
+            f"{basis}; that is {at_once:.3g}/{count} of the rate of the whole bank, for {at_once:.3g} are in alarm at "
+            "once"
         )
-    else:
-        basis += f"; that is 1/{count} of the rate of the whole bank"
-    if promised is not None:
-        sure = f"at most {promised:.2g} with 95 % confidence" if promised < 1 else "which these data cannot promise"
-        basis += f", {sure}"
-    return basis
+    return f"{basis}; that is 1/{count} of the rate of the whole bank"
 
 
 #: Members whose bases are listed one by one.

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Self, SupportsFloat
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residua.decide.checks import FALSE_ALARM_RATE, check_rate, check_samples, is_number
+from residua.decide.checks import check_rate, check_samples, is_number
 from residua.decide.compiled import CompiledTest
 from residua.decide.false_alarms import observed
 from residua.decide.fault_free import FaultFree
@@ -200,9 +200,10 @@ class PeakThreshold(TestSettings):
         has certified (its ``thresholds``); without any, fitted to fault-free data (:meth:`residua.Monitor.fit`).
     window : int
         Samples of the window, the last one included.
-    false_alarm_rate : float
-        Intended fraction of fault-free samples in alarm for fitted thresholds; it does not change thresholds that the
-        user sets or the design certifies.
+    false_alarm_rate : float, optional
+        Intended fraction of fault-free samples in alarm for fitted thresholds, what the log can carry when omitted (see
+        :class:`residua.decide.NormThreshold`); it does not change thresholds that the user sets or the design
+        certifies.
 
     Raises
     ------
@@ -232,7 +233,7 @@ class PeakThreshold(TestSettings):
 
     thresholds: SupportsFloat | Mapping[str, SupportsFloat] | Sequence[SupportsFloat] | None = None
     window: int = 60
-    false_alarm_rate: float = FALSE_ALARM_RATE
+    false_alarm_rate: float | None = None
 
     def __post_init__(self) -> None:
         """Check the settings."""
@@ -240,7 +241,8 @@ class PeakThreshold(TestSettings):
         check_samples(self.window, "window")
         check_rate(self.false_alarm_rate)
         object.__setattr__(self, "window", int(self.window))
-        object.__setattr__(self, "false_alarm_rate", float(self.false_alarm_rate))
+        rate = self.false_alarm_rate
+        object.__setattr__(self, "false_alarm_rate", None if rate is None else float(rate))
 
     def for_members(self, members: Sequence[str]) -> tuple[float, ...] | None:
         """Return the threshold of every member, or the one of a residual without members; ``None`` without any.
@@ -349,7 +351,8 @@ class PeakThreshold(TestSettings):
     def from_record(cls, content: Any, where: str) -> Self:
         """Return the settings that a record describes."""
         content = record(content, where, field_names(cls))
-        rate = float_in(content["false_alarm_rate"], joined(where, "false_alarm_rate"), PROBABILITY)
+        rate = content["false_alarm_rate"]
+        rate = None if rate is None else float_in(rate, joined(where, "false_alarm_rate"), PROBABILITY)
         window = whole_in(content["window"], joined(where, "window"), COUNT)
         return cls(_thresholds_in(content["thresholds"], joined(where, "thresholds")), window, rate)
 

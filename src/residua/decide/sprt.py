@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.decide.checks import is_number
+from residua.decide.checks import is_number, rate_aimed_at
 from residua.decide.run_lengths import (
     AlarmCycle,
     Chain,
@@ -154,9 +154,11 @@ class SPRT(StreamSettings):
 
     Parameters
     ----------
-    false_alarm_rate : float
+    false_alarm_rate : float, optional
         :math:`\alpha`, of each decision of each side of each residual, by Wald's bound: **not** a fraction of samples.
-        What it comes to as a time between false alarms is in ``basis`` and in :meth:`run_length`.
+        What it comes to as a time between false alarms is in ``basis`` and in :meth:`run_length`. When omitted, 1e-4,
+        and a fit finds A for the fraction of samples in alarm that its log can carry instead
+        (:class:`residua.decide.NormThreshold`).
     miss_rate : float
         :math:`\beta`: the decisions "no fault" where the mean is off by the shift from a start on.
     shift : float
@@ -222,28 +224,33 @@ class SPRT(StreamSettings):
             raise SettingError(
                 f"shift must be a positive number of standard deviations, got {echo(self.shift)}: the change to be seen"
             )
-        if self.false_alarm_rate + self.miss_rate >= 1:
+        if self.wrong_alarms + self.miss_rate >= 1:
             raise SettingError(
-                f"false_alarm_rate and miss_rate must be below 1 together, got {self.false_alarm_rate:g} and "
+                f"false_alarm_rate and miss_rate must be below 1 together, got {self.wrong_alarms:g} and "
                 f"{self.miss_rate:g}: a coin does better"
             )
         object.__setattr__(self, "miss_rate", float(self.miss_rate))
         object.__setattr__(self, "shift", float(self.shift))
 
     @property
+    def wrong_alarms(self) -> float:
+        """The false alarms of each decision, by Wald's bound."""
+        return rate_aimed_at(self.false_alarm_rate)
+
+    @property
     def lower(self) -> float:
         """B, by Wald's bound."""
-        return float(np.log(self.miss_rate / (1 - self.false_alarm_rate)))
+        return float(np.log(self.miss_rate / (1 - self.wrong_alarms)))
 
     @property
     def upper(self) -> float:
         """A, by Wald's bound."""
-        return float(np.log((1 - self.miss_rate) / self.false_alarm_rate))
+        return float(np.log((1 - self.miss_rate) / self.wrong_alarms))
 
     @property
     def wald_sample_numbers(self) -> tuple[float, float]:
         """The average sample numbers of one side without and with a fault, by Wald's approximation: no overshoot."""
-        a, b, A, B = self.false_alarm_rate, self.miss_rate, self.upper, self.lower
+        a, b, A, B = self.wrong_alarms, self.miss_rate, self.upper, self.lower
         half = self.shift**2 / 2
         return (a * A + (1 - a) * B) / -half, ((1 - b) * A + b * B) / half
 
@@ -288,8 +295,10 @@ class SPRT(StreamSettings):
             f"{exact.samples_with_fault:.3g} samples on average"
         ), time
 
-    def asked(self, watched: Watched) -> float:
-        """Return the fraction of fault-free samples in alarm that goes with what is designed."""
+    def asked(self, watched: Watched, rows: int = 0) -> float:
+        """Return the fraction of fault-free samples in alarm: by rows without a wish, else what is designed for."""
+        if rows and self.mean_time_between_false_alarms is None and self.false_alarm_rate is None:
+            return rate_aimed_at(None, rows)
         covariance = watched.generator.covariance_of_sums(1)
         k = watched.generator.n_residuals if covariance is None else moving_directions(covariance)
         return self.cycle(self.designed(k), k).fraction

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.autoregression import Past, autoregression, unforetold, whiteness
-from residua.decide.checks import FALSE_ALARM_RATE, check_rate, is_number
+from residua.decide.checks import check_rate, is_number, rate_aimed_at
 from residua.decide.confident_thresholds import check_source, promise_by
 from residua.decide.dependence import correlation_times
 from residua.decide.exceedance_tail import scale_of
@@ -78,7 +78,7 @@ class StreamSettings(TestSettings):
     uncertain: ClassVar[str] = "the mean"
 
     mean_time_between_false_alarms: float | None = None
-    false_alarm_rate: float = FALSE_ALARM_RATE
+    false_alarm_rate: float | None = None
     threshold: float | None = None
     source: str = "auto"
     treatment: str = "auto"
@@ -104,13 +104,14 @@ class StreamSettings(TestSettings):
                 f"threshold={self.threshold:g} is given, so that source={self.source!r} is of no use: leave one out"
             )
         by_design = time is None and self.threshold is None and self.source not in _OF_DATA
-        if by_design and self.false_alarm_rate > self.largest_fraction:
+        rate = self.false_alarm_rate
+        if by_design and rate is not None and rate > self.largest_fraction:
             raise SettingError(
                 f"{type(self).__name__} is designed for at most {self.largest_fraction:g} of samples in alarm, got "
-                f"false_alarm_rate={self.false_alarm_rate:g}: beyond, alarms come so soon after one another that each "
+                f"false_alarm_rate={rate:g}: beyond, alarms come so soon after one another that each "
                 "changes the next; give less, or mean_time_between_false_alarms="
             )
-        object.__setattr__(self, "false_alarm_rate", float(self.false_alarm_rate))
+        object.__setattr__(self, "false_alarm_rate", None if rate is None else float(rate))
 
     # ------------------------------------------------------------- of each kind of test
 
@@ -171,7 +172,7 @@ class StreamSettings(TestSettings):
         def solved(more: float) -> float:
             if time is not None and rate is None:
                 return threshold_of(lambda h: self.run_length(h, dimension), more * time, guess)
-            wanted = more / (self.false_alarm_rate if rate is None else rate)
+            wanted = more / (rate_aimed_at(self.false_alarm_rate) if rate is None else rate)
             return threshold_of(lambda h: 1 / self.cycle(h, dimension).fraction, wanted, guess)
 
         known = solved(1.0)
@@ -459,10 +460,10 @@ class StreamSettings(TestSettings):
 
     # ----------------------------------------------- what the rest of a monitor asks for
 
-    def asked(self, watched: Watched) -> float:
+    def asked(self, watched: Watched, rows: int = 0) -> float:
         """Return the fraction of fault-free samples in alarm: that which goes with the wanted time between alarms."""
         if self.mean_time_between_false_alarms is None:
-            return self.false_alarm_rate
+            return super().asked(watched, rows)
         covariance = watched.generator.covariance_of_sums(1)
         n = watched.generator.n_residuals
         k = n if covariance is None else moving_directions(covariance)

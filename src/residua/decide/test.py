@@ -15,6 +15,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.decide.checks import rate_aimed_at
 from residua.decide.compiled import CompiledTest
 from residua.design import ResidualGenerator
 from residua.records import Record, values_in, values_out
@@ -308,15 +309,16 @@ class TestSettings(Record, ABC):
         The mark of its records in files.
     makes : type
         What runs: a :class:`ResidualTest`.
-    false_alarm_rate : float
-        Intended fraction of fault-free samples in alarm, unless ``fit`` gets another one.
+    false_alarm_rate : float or None
+        Intended fraction of fault-free samples in alarm, unless ``fit`` gets another one; ``None``: what the log of a
+        fit can carry (:func:`residua.decide.checks.rate_aimed_at`).
     """
 
     __test__: ClassVar[bool] = False  # no test of pytest's
 
     kind: ClassVar[str]
     makes: ClassVar[type[ResidualTest]]
-    false_alarm_rate: float
+    false_alarm_rate: float | None
 
     def from_model(self, watched: Watched) -> ResidualTest | None:
         """Return the test that needs no data; ``None`` when data are needed."""
@@ -335,9 +337,12 @@ class TestSettings(Record, ABC):
     def check(self, watched: Watched) -> None:
         """Raise :class:`residua.errors.SettingError` where the settings do not fit what is to be watched."""
 
-    def asked(self, watched: Watched) -> float:
-        """Return the fraction of fault-free samples in alarm that is asked for, unless ``fit`` gets another one."""
-        return self.false_alarm_rate
+    def asked(self, watched: Watched, rows: int = 0) -> float:
+        """Return the fraction of fault-free samples in alarm that is aimed at, unless ``fit`` gets another one.
+
+        ``rows`` are the usable fault-free rows that a fit uses; 0 without data.
+        """
+        return rate_aimed_at(self.false_alarm_rate, rows)
 
     @property
     def takes_certified(self) -> bool:

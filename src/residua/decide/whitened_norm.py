@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.decide.checks import FALSE_ALARM_RATE, check_rate, check_samples, is_number
+from residua.decide.checks import check_rate, check_samples, is_number, rate_aimed_at
 from residua.decide.compiled import CompiledTest
 from residua.decide.confident_thresholds import check_source, promise_by
 from residua.decide.false_alarms import Observed, observed
@@ -25,6 +25,7 @@ from residua.linear.systems.recursion import ordered_product
 from residua.number_kinds import COUNT, ENTRY, PART, POSITIVE, PROBABILITY, SHARE, WINDOW, NumberKind
 from residua.tolerances import SIGNAL_ROUNDING
 from residua.visible import echo
+from residua.words import one_in
 
 #: Largest whitened residual that is judged: the square of a sum of many still is a number.
 _LARGEST = 1e120
@@ -52,7 +53,7 @@ class NormSettings(TestSettings):
     release: int | None = None
     window: int = 1
     whiten: str = "auto"
-    false_alarm_rate: float = FALSE_ALARM_RATE
+    false_alarm_rate: float | None = None
     source: str = field(default="auto", kw_only=True)
 
     def __post_init__(self) -> None:
@@ -258,8 +259,9 @@ def norm_test_from_model(settings: NormSettings, covariance: NDArray | None, n_r
     elif use_model and covariance is not None:
         from scipy.special import chdtri  # slow to import, and needed only here
 
-        threshold = float(np.sqrt(chdtri(moving_directions(covariance), settings.false_alarm_rate)))
-        basis = f"chi-squared distribution at {settings.false_alarm_rate:g} per sample, noise model of the plant"
+        rate = rate_aimed_at(settings.false_alarm_rate)
+        threshold = float(np.sqrt(chdtri(moving_directions(covariance), rate)))
+        basis = f"chi-squared distribution at {one_in(rate)} samples, noise model of the plant"
     else:
         return None
     release = settings.release or settings.persistence

@@ -143,6 +143,8 @@ class Diagnosis:
         Samples of the window of a finite-horizon test (:class:`residua.decide.PeakThreshold`); 0 for any other.
     certified : bool
         Whether its thresholds are certified by the design.
+    false_alarms : str
+        How rare false alarms are, in one line by :attr:`residua.Monitor.fit_check`; empty without a fit.
     predicted : bool
         Whether the filter, a Kalman filter, went on with those outputs of a sample that were there; else values were
         held.
@@ -201,6 +203,7 @@ class Diagnosis:
     match: Match | None = field(default=None, repr=False)
     horizon: int = 0
     certified: bool = False
+    false_alarms: str = ""
     predicted: bool = False
     averaged: int = 1
     band_share: float = 0.0

@@ -6,15 +6,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
+from residua.decide.false_alarms import within_tolerance
 from residua.decide.held_out import HeldOut
 from residua.decide.stationarity import Change
-from residua.number_kinds import COUNT, INDEX, NumberKind
+from residua.number_kinds import COUNT, INDEX, PROBABILITY, SHARE, NumberKind
 from residua.records import Record
+from residua.words import one_in
 
 
 @dataclass(frozen=True)
 class FitCheck(Record):
-    """The check of a fit on its own recordings.
+    """The check of a fit on its own recordings. Prints as one line on false alarms, and what speaks against the fit.
 
     Attributes
     ----------
@@ -33,9 +35,22 @@ class FitCheck(Record):
         The channels that may be in other units than the model, or in some recordings.
     doubts : tuple of str
         What contradicts the plant: residuals far larger than its noise makes them, outputs that stand still.
+    rows : int
+        Usable rows that the fit used, without those held out.
+    aimed : float or None
+        Fraction of fault-free samples in alarm that the fit aimed at; ``None`` for thresholds that data do not change.
+    promised : float or None
+        The fraction that these rows promise not to be exceeded, with 95 % confidence; ``None`` if nothing is known of
+        it, as of a threshold that is not from data.
     """
 
-    NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {"left_out": INDEX, "recordings": COUNT}
+    NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {
+        "left_out": INDEX,
+        "recordings": COUNT,
+        "rows": INDEX,
+        "aimed": PROBABILITY,
+        "promised": SHARE,
+    }
 
     held_out: HeldOut | None
     changes: tuple[Change, ...] = ()
@@ -45,6 +60,29 @@ class FitCheck(Record):
     spread: tuple[float, ...] = ()
     units: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
+    rows: int = 0
+    aimed: float | None = None
+    promised: float | None = None
+
+    @property
+    def false_alarms(self) -> str:
+        """How rare false alarms are: what the fit promises, and what was seen; empty where data change no threshold.
+
+        Promised is the rate that the fit aimed at, within a factor of 1.5; where its rows cannot show that, both are
+        said.
+        """
+        if self.aimed is None:
+            return ""
+        said = f"{one_in(self.aimed)} samples "
+        if self.promised is None:
+            said += "aimed at"
+        elif within_tolerance(self.promised, self.aimed):
+            said += "promised"
+        elif self.promised < 1:
+            said += f"aimed at, {one_in(self.promised)} promised as far as {self.rows:,} samples can show"
+        else:
+            said += f"aimed at, which {self.rows:,} samples are too few to promise"
+        return f"false alarms: {said}, {self.held_out or 'no samples held out'}"
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -52,8 +90,11 @@ class FitCheck(Record):
         found = [one.sentence(self.recordings > 1) for one in self.changes]
         held = self.held_out
         if held is not None and held.is_over:
-            found.insert(0, f"{_over(held)}: {_CAUSES if not found else _CHANGES}")
+            found.insert(0, f"{held}, too many for {one_in(held.asked)}: {_CHANGES if found else _CAUSES}")
         return tuple(f"the fit: {one}" for one in (*self.units, *self.doubts, *found))
+
+    def __str__(self) -> str:
+        return "\n".join(filter(None, (self.false_alarms, *self.notes)))
 
 
 _CAUSES = (
@@ -61,14 +102,6 @@ _CAUSES = (
     "longer one, or to several"
 )
 _CHANGES = "the recording does not stay as it begins"
-
-
-def _over(held: HeldOut) -> str:
-    low, _ = held.interval
-    return (
-        f"{held.rate:.2g} of the {held.samples} samples that were held out are in alarm, {held.asked:g} was asked for "
-        f"(with 95 % confidence it is {low:.2g} or more)"
-    )
 
 
 __all__ = ["FitCheck"]

@@ -38,7 +38,7 @@ def fitted_test(
     settings: TestSettings,
     watched: Watched,
     recordings: Sequence[NDArray[np.float64]],
-    rate: float,
+    rate: float | None,
     *,
     settle: int | None,
     max_hold: int,
@@ -51,7 +51,8 @@ def fitted_test(
 
     And the covariance of the fault-free residuals.
 
-    The last part of every recording, ``held_out`` of its usable samples, is left to the check.
+    The last part of every recording, ``held_out`` of its usable samples, is left to the check. Without a rate the fit
+    aims at that of the settings, or by the rows that it uses.
     """
     generator, known = watched.generator, settings.known(watched)
     if known is not None and known.is_bound:  # bounds want a longer wait, and hold from rest
@@ -62,21 +63,21 @@ def fitted_test(
     )
     try:
         if known is not None and known.is_bound:  # data change no threshold
-            bounds = _with_basis(settings.fitted(watched, run, rate), len(recordings), "")
+            asked = settings.asked(watched) if rate is None else rate
+            bounds = _with_basis(settings.fitted(watched, run, asked), len(recordings), "")
             check = replace(FitCheck(None), **_levels(blank, generator, recordings, run))
             return bounds, check, fault_free_covariance(run)
         run, left_out = _without_transients(run, transient, generator.residuals)
         kept = settings.kept(watched)
         window = 1 if kept is None else kept[1]
         rows = held_out_rows(run, held_out, window)
-        test, rows = _fitted(settings, watched, run, rows, rate)
+        test, check = _fitted(settings, watched, run, rows, rate)
     except DataError as error:
         if 2 * blank.settle * len(recordings) < len(run.usable):
             raise
         raise DataError(f"{error}; {settling_reason(generator, blank.settle)}") from error
-    held = None if rows is None else alarms_held_out(test, run, rows, rate)
-    check = FitCheck(held, changes(run, generator.residuals), left_out, len(recordings))
-    check = replace(check, **_levels(blank, generator, recordings, run))
+    check = replace(check, changes=changes(run, generator.residuals), left_out=left_out, recordings=len(recordings),
+                    **_levels(blank, generator, recordings, run))  # fmt: skip
     test = _with_basis(test, len(recordings), f"; {_checked(check, held_out, int(run.usable.sum()))}")
     return test, check, fault_free_covariance(run)
 
@@ -112,15 +113,21 @@ def fault_free_covariance(run: FaultFreeRun) -> NDArray[np.float64]:
 
 
 def _fitted(
-    settings: TestSettings, watched: Watched, run: FaultFreeRun, held: NDArray[np.bool_] | None, rate: float
-) -> tuple[ResidualTest, NDArray[np.bool_] | None]:
-    """Return the fitted test, and what was held out: nothing, where what is left would be too little."""
-    if held is not None:
-        try:
-            return settings.fitted(watched, replace(run, usable=run.usable & ~held), rate), held
-        except DataError:  # raised again, or not, by all samples; the basis says that none were held out
-            pass
-    return settings.fitted(watched, run, rate), None
+    settings: TestSettings, watched: Watched, run: FaultFreeRun, held: NDArray[np.bool_] | None, rate: float | None
+) -> tuple[ResidualTest, FitCheck]:
+    """Return the fitted test, and its check by what was held out: nothing, where what is left would be too little."""
+    used = run if held is None else replace(run, usable=run.usable & ~held)
+    rows = int(used.usable.sum())
+    aimed = settings.asked(watched, rows) if rate is None else rate
+    try:
+        test = settings.fitted(watched, used, aimed)
+    except DataError:
+        if held is None:
+            raise
+        return _fitted(settings, watched, run, None, rate)
+    out = None if held is None else alarms_held_out(test, run, held, aimed)
+    promised = getattr(test, "promised", None)  # a test of a user's own need not promise anything
+    return test, FitCheck(out, rows=rows, aimed=aimed, promised=promised)
 
 
 def _checked(check: FitCheck, share: float, samples: int) -> str:

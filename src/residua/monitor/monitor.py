@@ -222,8 +222,14 @@ class Monitor:
 
     @property
     def false_alarm_rate(self) -> float:
-        """The fraction of fault-free samples in alarm that the test asks for: that of a fit which gets no other."""
-        return self.test.asked(self._watched(self.generator))
+        """The fraction of fault-free samples in alarm that is aimed at: by the last fit, before one by the test.
+
+        A test without a wish aims at 1e-4 before a fit, and a fit at 5 / rows, of the usable rows that it uses,
+        between 1e-4 and 1e-2.
+        """
+        if self._check is not None and self._check.aimed is not None:
+            return self._check.aimed
+        return self._settings.asked(self._watched(self.generator))
 
     @property
     def fit_check(self) -> FitCheck | None:
@@ -260,10 +266,11 @@ class Monitor:
     ) -> Monitor:
         """Fit mean, covariance and threshold to one or several fault-free recordings.
 
-        The last fifth of every recording is held out: used neither for the covariance nor for the threshold. How many
-        of its samples are in alarm, with the confidence interval of that, is in ``norm_test.basis`` and in
-        :attr:`fit_check`. Where it is more than was asked for, or the residuals change within a recording (a step or a
-        drift in what was taken for fault-free), the notes of every diagnosis say so, with what to do.
+        The last fifth of every recording is held out: used neither for the covariance nor for the threshold.
+        ``print(monitor.fit_check)`` says in one line how rare false alarms are by the fit, and how many of these
+        samples are in alarm. Where that contradicts the rate aimed at with 97.5 % confidence, or the residuals change
+        within a recording (a step or a drift in what was taken for fault-free), the notes of every diagnosis say so,
+        with what to do.
 
         Several (flights, days, batches) each have a start of their own, over which the filter settles, and nothing is
         summed or counted from one to the next. A finite-horizon test has thresholds alone, and a fit
@@ -284,7 +291,8 @@ class Monitor:
         dt : float, optional
             Step, for a continuous generator without ``time``.
         false_alarm_rate : float, optional
-            Fraction of fault-free samples in alarm that is aimed at; that of the test when omitted.
+            Fraction of fault-free samples in alarm that is aimed at. When omitted, that of the test, which without one
+            aims at what the recordings can carry: 5 / rows, between 1e-4 and 1e-2.
         held_out : float
             Part of the usable samples of each recording, the last ones, that only checks the fit; 0: none. Where that
             would be under thirty samples, or under two windows of the test, none are, and the basis says so; nor for
@@ -312,8 +320,7 @@ class Monitor:
         with self._lock:
             for one in parts:
                 self._learn_step(one.dt)
-            rate = self.false_alarm_rate if false_alarm_rate is None else false_alarm_rate
-            check_rate(rate)
+            check_rate(false_alarm_rate)
             recordings = [self._block(one.u, one.y) for one in parts]
             blank = blank_test(self.generator)
             samples = np.concatenate([data.reshape(-1, data.shape[2]) for data in recordings])
@@ -322,7 +329,7 @@ class Monitor:
                 self._settings,
                 self._watched(self.generator),
                 recordings,
-                rate,
+                false_alarm_rate,
                 settle=self.settle,
                 max_hold=self.max_hold,
                 plausible=self._limits(ranges, blank),
@@ -499,8 +506,8 @@ class Monitor:
         for p in range(len(data)):
             recorded = Recorded(clock, data[p], measured.source, measured.origin, compared, own)
             told = (*notes, *unlike_the_fit(check, plant, data[p], decisions.aside[p]))
-            diagnosis = diagnosis_from(decisions.of(p), recorded, spec, generator, state.filter, p, told, self._bounds)
-            whole.append(diagnosis)
+            made = diagnosis_from(decisions.of(p), recorded, spec, generator, state.filter, p, told, self._bounds, check)
+            whole.append(made)
         return whole if np.ndim(measured.y) == 3 else whole[0]
 
     def run_file(

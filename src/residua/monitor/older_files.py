@@ -51,8 +51,8 @@ def renewed(content: dict[str, Any]) -> dict[str, Any]:
         _with_counts(content)
     if version in OLDER and content.get("state") is not None:
         _with_less(content)
-    if content["fit_check"] is not None:  # channels, and what contradicts the plant, were not kept at first
-        absent = {"mean": [], "spread": [], "units": [], "doubts": []}
+    if content["fit_check"] is not None:  # channels, what contradicts the plant and the rate were not kept at first
+        absent = {"mean": [], "spread": [], "units": [], "doubts": [], "rows": 0, "aimed": None, "promised": None}
         content["fit_check"] = absent | table_in(content["fit_check"], "fit_check")
     return content
 

@@ -69,6 +69,7 @@ def diagnosis_from(
     plant: int,
     notes: tuple[str, ...],
     bounds: Mapping[str, MemberBounds],
+    check: FitCheck | None = None,
 ) -> Diagnosis:
     """Return the diagnosis of one plant from the decisions on its recording; ``state`` is that after it, of all."""
     tested, named, test, isolation = decisions.tested, decisions.named, spec.test, spec.isolation
@@ -123,6 +124,7 @@ def diagnosis_from(
         member_thresholds=test.part_thresholds,
         horizon=test.horizon,
         certified=test.is_certified,
+        false_alarms=check.false_alarms if check else "",
     )
 
 

@@ -226,7 +226,7 @@ def _judged(
     told = (*monitor.notes, *(monitor._check.notes if monitor._check else ()))
     told = (*told, *unlike_the_fit(monitor._check, generator.plant, signals, decisions.aside))
     recorded = Recorded(time, signals, source, _text(origin), compared_outputs(monitor.design))
-    return diagnosis_from(decisions, recorded, spec, generator, state.filter, 0, told, monitor._bounds)
+    return diagnosis_from(decisions, recorded, spec, generator, state.filter, 0, told, monitor._bounds, monitor._check)
 
 
 def _first(time: NDArray) -> Any:

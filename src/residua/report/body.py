@@ -157,6 +157,7 @@ def _recording(diagnosis: Diagnosis) -> str:
         f"{_local(diagnosis)}, step {length(diagnosis.generator.dt)}, {length(float(np.ptp(diagnosis.time)))} in all; "
         f"{decided:,} judged ({percent(decided, n)}).",
         _missing(diagnosis),
+        *([escape(f"{capital(diagnosis.false_alarms)}.")] if diagnosis.false_alarms else []),
         *(escape(note) for note in diagnosis.notes),
     ]
     return '<p class="recording">' + "<br>".join(parts) + "</p>"
