@@ -8,7 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 #: Statistics in C, as :file:`_judging.h` numbers them; that of parts is in :file:`_members.h`.
-STATISTICS = ("norm", "page", "crosier", "pignatiello-runger", "ewma", "chi-squared", "glr", "directed glr", "parts")
+STATISTICS = (
+    "norm",
+    "page",
+    "crosier",
+    "pignatiello-runger",
+    "ewma",
+    "chi-squared",
+    "glr",
+    "directed glr",
+    "parts",
+    "means",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +46,8 @@ class CompiledTest:
         How many whitened residuals each part has that is tested by itself, such as a member of a bank.
     limits : ndarray, shape (parts,), or None
         The threshold of each.
+    weights, scaling, clip, full
+        Of a bank of means, as of :class:`residua.decide.MultiscaleEWMATest`.
     joint : ndarray, shape (residuals, k), or None
         A whitening of all, in which the direction is judged; the other one when omitted.
     """
@@ -59,6 +72,10 @@ class CompiledTest:
     sizes: NDArray[np.int64] | None = None
     limits: NDArray[np.float64] | None = None
     joint: NDArray[np.float64] | None = None
+    weights: NDArray[np.float64] | None = None
+    scaling: NDArray[np.float64] | None = None
+    clip: float = 0.0
+    full: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -452,7 +452,8 @@ take_all(Runner *self, PyObject *plan, PyObject *state)
     const Py_ssize_t plan_sizes[PLAN_ARRAYS] = {
         n * n, n * m, nr * n, nr * m, n * m, m, m, m, (Py_ssize_t)self->first * nr * n, n * n, nr * self->n_ratios, nr,
         nr * k, t->order * k * k, k * k, k * t->knots_of_each, t->knots_of_each, k * t->directions, k * p->columns,
-        p->groups, t->parts, t->parts, nr * k, p->groups * p->k, partial_numbers(n, self->some.inputs, self->some.p)};
+        p->groups, t->parts, t->parts, nr * k, p->groups * p->k,
+        t->scales * (k * k + 1) + 2, partial_numbers(n, self->some.inputs, self->some.p)};
     const Py_ssize_t parts = t->kind == PARTS ? t->parts : 1;
     const Py_ssize_t state_sizes[STATE_ARRAYS] = {
         n, self->held, 1, 1, 1, 1, 1, 1, n, 1, 1, n * n, 1, t->window * k, k, 1, t->order * k, t->order, kept_sums(t), parts, parts,
@@ -492,7 +493,8 @@ is_complete(const Runner *self)
                            || (self->test.knots_of_each && (j == KNOTS || j == SCORES))
                            || (self->test.kind == DIRECTED_GLR && j == ALONG)
                            || (kind == DIRECTIONS && (j == BASES || j == DIMENSIONS))
-                           || (parts && (j == SIZES || j == LIMITS)) || (kind == CODES && j == CODE_TABLE);
+                           || (parts && (j == SIZES || j == LIMITS)) || (kind == CODES && j == CODE_TABLE)
+                           || (self->test.kind == MEANS && j == MEAN_NUMBERS);
         complete &= self->has_plan[j] || !needed;
     }
     for (int j = 0; j < STATE_ARRAYS; j++) {
@@ -593,6 +595,7 @@ read_plan(Runner *self, const whole *i, const double *d)
     t->new_weight = d[NEW_WEIGHT];
     t->deviation = d[DEVIATION];
     t->parts = (Py_ssize_t)i[N_PARTS];
+    t->scales = (Py_ssize_t)i[N_SCALES];
     self->naming.groups = (Py_ssize_t)i[GROUPS];
     self->naming.kind = i[MEMBERS] ? CODES : i[GROUPS] ? DIRECTIONS : NOBODY;
     self->naming.k = i[MEMBERS] ? (Py_ssize_t)i[MEMBERS] : t->k;
@@ -608,12 +611,12 @@ read_plan(Runner *self, const whole *i, const double *d)
     const Py_ssize_t sums[] = {[NORM] = 0, [PAGE] = 2 * t->k + 1, [CROSIER] = t->k + 1,
                                [PIGNATIELLO_RUNGER] = t->k + 2, [EWMA] = t->k, [CHI_SQUARED] = (t->window - 1) * width,
                                [GLR] = (t->window - 1) * width, [DIRECTED_GLR] = (t->window - 1) * width,
-                               [PARTS] = 0};
+                               [PARTS] = 0, [MEANS] = (t->scales - 1) * t->k};
     if (self->partial && (self->some.inputs > self->m || self->some.p != self->nr))
         return -1;
-    return t->kind < NORM || t->kind > PARTS || t->window < 1 || t->sums != sums[t->kind]
+    return t->kind < NORM || t->kind > MEANS || t->window < 1 || t->sums != sums[t->kind]
                    || (self->naming.kind != NOBODY && self->naming.window < 1) || t->knots_of_each == 1
-                   || (t->kind == PARTS) != (t->parts > 0)
+                   || (t->kind == PARTS) != (t->parts > 0) || (t->kind == MEANS) != (t->scales > 0)
                    || (self->naming.kind == CODES && self->naming.k != t->parts)
                ? -1
                : 0;
@@ -719,6 +722,12 @@ point_at_plan(Runner *self)
     t->knots = PLAN(self, KNOTS);
     t->scores = PLAN(self, SCORES);
     t->along = PLAN(self, ALONG);
+    if (t->kind == MEANS) {
+        t->mean_weights = PLAN(self, MEAN_NUMBERS);
+        t->clip = t->mean_weights[t->scales];
+        t->full = t->mean_weights[t->scales + 1];
+        t->scaling = t->mean_weights + t->scales + 2;
+    }
     self->naming.dimensions = self->plan[DIMENSIONS].buf;
     self->naming.codes = self->plan[CODE_TABLE].buf;
     for (Py_ssize_t i = 0; i < self->nr && self->nr <= 4 && t->k <= 4; i++) {
@@ -735,7 +744,9 @@ point_at_plan(Runner *self)
                           && self->n <= MAX_SMALL;
     self->in_quads = is_square && self->sums_squares;
     const int is_summed = t->kind == CROSIER && !t->order && !t->knots_of_each && self->naming.kind == NOBODY;
-    self->in_columns = is_square && (is_summed || (t->kind == NORM && t->window == 1 && self->naming.kind == DIRECTIONS));
+    const int is_plain_mean = t->kind == MEANS && !t->order && self->naming.kind != CODES;
+    self->in_columns = is_square && (is_summed || is_plain_mean
+                                     || (t->kind == NORM && t->window == 1 && self->naming.kind == DIRECTIONS));
     self->most_raw = is_square && is_summed ? most_raw(t) : 0.0;
     self->limit = self->sums_squares && t->window == 1 ? largest_square(t->threshold) : LARGEST_SQUARES;
     const int limits[3] = {OFFSET, LOW, HIGH};
@@ -918,7 +929,8 @@ make_scratch(const Runner *self, scratch *s, Py_ssize_t time)
     const Py_ssize_t states = (3 * CHUNK + 3) * (self->n + 1) + 16;
     const int is_summed = t->kind >= CHI_SQUARED && t->kind <= DIRECTED_GLR;
     const Py_ssize_t lanes = t->kind == CROSIER ? (samples / LANES / CHECKED + 1) * LANES * k : 0;
-    const Py_ssize_t history = is_summed ? widest * (t->window - 1 + samples + 16) : lanes;
+    const Py_ssize_t means = t->kind == MEANS ? samples * ((t->scales + 1) * k + 2) : 0;
+    const Py_ssize_t history = is_summed ? widest * (t->window - 1 + samples + 16) : lanes + means;
     const Py_ssize_t parts = samples * t->parts, members = self->naming.kind == CODES ? parts : 0;
     const Py_ssize_t directions = self->naming.kind == DIRECTIONS ? samples * (k + 3) : 0;
     const Py_ssize_t columns = parts ? samples * (self->nr + 1) + parts : 0;
