@@ -35,11 +35,10 @@ typedef struct {
     Py_ssize_t parts, terms;
     const whole *begins, *from;
     const double *limits, *weights, *joint;
-    /* Of a bank of means: how many there are, their weights, what scales each, and the lengths at which a sample is
-     * clipped and a mean is full. */
+    /* Of a bank of means: how many there are, their weights, what scales each, and of each part the lengths at which a
+     * sample is clipped, a mean is full, and an alarm ends. */
     Py_ssize_t scales;
-    const double *mean_weights, *scaling;
-    double clip, full;
+    const double *mean_weights, *scaling, *clips, *fulls, *releases;
 } test_plan;
 
 typedef struct {
@@ -875,7 +874,7 @@ judge_stream(const test_plan *t, const test_row *row, piece *p, double *part, do
     else if (t->kind == EWMA)
         averages(t, row->sums, p, k);
     else if (t->kind == MEANS)
-        longest_means(t, row->sums, p, part, k);
+        longest_means(t, row->sums, p, k);
     else
         of_recent(t, row->sums, p, spare, k, has_squares && p->e == p->q);
     if (!all_set(p->usable, p->time))

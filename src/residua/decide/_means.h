@@ -4,38 +4,33 @@
 
 #define SMALLEST_MEAN 3.054936363499605e-151 /* 2^-500, as in residua.linear.systems.recursion */
 
-/* The part of a sample that enters the long means: one but where it is clipped. */
+/* The square of the longest mean of a part after one sample, of its columns from `begin` on; no long mean grows beyond
+ * its full length. `e` and `means` are those of all `width` columns. */
 INLINE double
-entering(const test_plan *t, double square)
+longest_mean(const test_plan *t, double *means, const double *e, Py_ssize_t which, Py_ssize_t begin, Py_ssize_t k,
+             Py_ssize_t width)
 {
-    return square > t->clip * t->clip ? t->clip / sqrt(square) : 1.0;
-}
-
-/* The square of the length of one mean, scaled. */
-INLINE double
-scaled_square(const double *mean, const double *scaling, double *part, Py_ssize_t k)
-{
-    row_product(mean, scaling, k, k, part);
-    return square_of(part, k);
-}
-
-/* The square of the longest mean after one sample; no long mean grows beyond its full length. */
-INLINE double
-longest_mean(const test_plan *t, double *means, const double *e, double *part, Py_ssize_t k)
-{
-    const double square = square_of(e, k), factor = entering(t, square), full = t->full * t->full;
-    double largest = scaled_square(e, t->scaling, part, k);
-    for (Py_ssize_t s = 1; s < t->scales; s++) {
-        double *mean = means + (s - 1) * k;
+    const double square = square_of(e + begin, k), clip = t->clips[which], most = t->fulls[which];
+    const double factor = square > clip * clip ? clip / sqrt(square) : 1.0, full = most * most;
+    double largest = 0.0;
+    for (Py_ssize_t s = 0; s < t->scales; s++) {
+        double *mean = means + (s - 1) * width + begin;
+        const double *now = s ? mean : e + begin, *scaling = t->scaling + (s * width + begin) * width + begin;
         const double new_weight = t->mean_weights[s], old_weight = 1.0 - new_weight;
-        for (Py_ssize_t j = 0; j < k; j++)
-            mean[j] = old_weight * mean[j] + new_weight * (e[j] * factor);
-        if (square == 0.0 && all_within(e, k, 0.0))
+        for (Py_ssize_t j = 0; j < k && s; j++)
+            mean[j] = old_weight * mean[j] + new_weight * (e[begin + j] * factor);
+        if (s && square == 0.0 && all_within(e + begin, k, 0.0))
             for (Py_ssize_t j = 0; j < k; j++)
                 mean[j] = fabs(mean[j]) < SMALLEST_MEAN ? 0.0 : mean[j];
-        double length = scaled_square(mean, t->scaling + s * k * k, part, k);
-        if (length > full) {
-            const double left = t->full / sqrt(length);
+        double length = 0.0;
+        for (Py_ssize_t c = 0; c < k; c++) {
+            double sum = 0.0;
+            for (Py_ssize_t j = 0; j < k; j++)
+                sum += now[j] * scaling[j * width + c];
+            length += sum * sum;
+        }
+        if (s && length > full) {
+            const double left = most / sqrt(length);
             for (Py_ssize_t j = 0; j < k; j++)
                 mean[j] *= left;
             length = full;
@@ -75,13 +70,14 @@ means_of_piece(const test_plan *t, double *means, const piece *p, const double *
 {
     const Py_ssize_t time = p->time, slow = t->scales - 1;
     double *restrict const longest = room, *restrict const columns = longest + time;
+    const double clip = t->clips[0], full = t->fulls[0];
     double least = INFINITY, now[4 * MOST_SLOW], weights[MOST_SLOW], olds[MOST_SLOW];
     for (Py_ssize_t i = 0; i < time; i++)
         least = squares[i] < least ? squares[i] : least;
     if (!(least > 0.0))
         return 0;
     for (Py_ssize_t i = 0; i < time; i++)
-        longest[i] = squares[i] > t->clip * t->clip ? t->clip / sqrt(squares[i]) : 1.0;
+        longest[i] = squares[i] > clip * clip ? clip / sqrt(squares[i]) : 1.0;
     for (Py_ssize_t j = 0; j < k; j++)
         for (Py_ssize_t i = 0; i < time; i++)
             columns[j * time + i] = e[j * apart + i] * longest[i];
@@ -101,7 +97,7 @@ means_of_piece(const test_plan *t, double *means, const piece *p, const double *
         longest[i] = 0.0;
     for (Py_ssize_t s = 0; s < slow; s++)
         larger_squares(columns + (s + 1) * k * time, time, time, t->scaling + (s + 1) * k * k, longest, k);
-    if (!(largest_of(longest, time) <= t->full * t->full))
+    if (!(largest_of(longest, time) <= full * full))
         return 0;
     larger_squares(e, apart, time, t->scaling, longest, k);
     for (Py_ssize_t i = 0; i < time; i++)
@@ -127,7 +123,7 @@ into_columns(const double *e, Py_ssize_t time, double *restrict columns, double 
 
 /* The longest mean after each sample of a piece; residuals lie in columns where they are `apart`. */
 INLINE void
-longest_means(const test_plan *t, double *means, const piece *p, double *part, Py_ssize_t k)
+longest_means(const test_plan *t, double *means, const piece *p, Py_ssize_t k)
 {
     const Py_ssize_t time = p->time;
     double *const columns = p->history, *const squares = columns + k * time, *const room = squares + time;
@@ -148,7 +144,7 @@ longest_means(const test_plan *t, double *means, const piece *p, double *part, P
                 one[j] = p->q[j * p->apart + i];
             e = one;
         }
-        p->statistic[i] = p->usable[i] ? longest_mean(t, means, e, part, k) : 0.0;
+        p->statistic[i] = p->usable[i] ? longest_mean(t, means, e, 0, 0, k, k) : 0.0;
     }
     roots(p->statistic, time);
 }

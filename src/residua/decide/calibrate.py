@@ -12,9 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc, chdtri
+from scipy.special import chdtrc
 
-from residua.linear.systems.recursion import run_filter
 
 #: Worlds, fewer of many residuals, and at least; rows that each is fitted to at most, new rows of each, and samples
 #: that it takes to settle.
@@ -95,10 +94,8 @@ def simulated_worlds(model: ResidualModel, *, seed: int = 0) -> Worlds:
     rows = min(model.rows, _MOST_ROWS)
     shrink = float(np.sqrt(rows / model.rows))
     A = model.coefficients
-    if len(A):  # a fit to few rows draws the memory towards none: once corrected for that
-        found = _refit(_simulated(model, A, rows, seed)[:, :rows], model)
-        corrected = A - (found.mean(axis=0) - A)
-        A = corrected if _largest_pole(corrected) < _MOST_POLE else A
+    if len(A):
+        A = _as_long_as_it_may_be(A, _refit(_simulated(model, A, rows, seed)[:, :rows], model), shrink)
     q = _simulated(model, A, rows, seed)
     q = q - shrink * q[:, :rows].mean(axis=1, keepdims=True)
     if len(A):
@@ -113,11 +110,11 @@ def simulated_worlds(model: ResidualModel, *, seed: int = 0) -> Worlds:
     whitening = np.zeros_like(whole)
     for part in model.columns:
         block = mean[part, part] + shrink * (whole[:, part, part] - mean[part, part])
-        whitening[:, part, part] = inverse_root(block)
+        whitening[:, part, part] = _inverse_root(block)
     return Worlds(fitted @ whitening, q[:, rows:] @ whitening, shrink)
 
 
-def inverse_root(covariances: NDArray[np.float64]) -> NDArray[np.float64]:
+def _inverse_root(covariances: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the symmetric inverse root of covariances; directions without variance are left as they are."""
     values, vectors = np.linalg.eigh(covariances)
     values = np.where(values > _NO_VARIANCE, values, 1.0)
@@ -171,6 +168,19 @@ def allowance(levels: NDArray[np.float64], worlds: NDArray[np.float64], rate: fl
     return max(1.0, most) + growth * max(0.0, float(np.log10(last / rate)))
 
 
+def _as_long_as_it_may_be(A: NDArray[np.float64], found: NDArray[np.float64], shrink: float) -> NDArray[np.float64]:
+    """Return the memory that worlds have: corrected for what fits to few rows lose of it, and a standard error longer.
+
+    ``found`` are fits to worlds with the memory ``A``. The longer the memory, the more wrong is a mean.
+    """
+    whole, kept = np.trace(A.sum(axis=0)), np.trace(found.sum(axis=1), axis1=1, axis2=2)
+    longer = 1 + shrink * kept.std() / abs(whole) if whole > 0 else 1.0
+    for wanted in (longer * (2 * A - found.mean(axis=0)), 2 * A - found.mean(axis=0), A):
+        if _largest_pole(wanted) < _MOST_POLE:
+            return wanted
+    return A
+
+
 def _simulated(model: ResidualModel, A: NDArray[np.float64], rows: int, seed: int) -> NDArray[np.float64]:
     """Return whitened residuals of all worlds: of so many rows, and of new ones."""
     k, order = len(model.covariance), len(A)
@@ -184,11 +194,11 @@ def _simulated(model: ResidualModel, A: NDArray[np.float64], rows: int, seed: in
             e[..., part] = _with_tails(e[..., part], radii)
     if not order:
         return e[:, SETTLING:]
-    state, C = _companion(A)
-    B = np.vstack([np.eye(k), np.zeros(((order - 1) * k, k))])
-    innovations = np.ascontiguousarray(e @ np.linalg.inv(model.rewhitening))
-    start = np.zeros((len(e), order * k))
-    return run_filter(state, B, C, np.eye(k), start, innovations)[1][:, SETTLING:]
+    innovations, oldest_first = e @ np.linalg.inv(model.rewhitening), A[::-1].reshape(order * k, k)
+    q = np.zeros((worlds, order + e.shape[1], k))
+    for t in range(e.shape[1]):
+        q[:, order + t] = innovations[:, t] + q[:, t : order + t].reshape(worlds, -1) @ oldest_first
+    return q[:, order + SETTLING :]
 
 
 def _with_tails(e: NDArray[np.float64], radii: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -236,21 +246,12 @@ def _yule_walker(C: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.linalg.solve(left + ridge, right).reshape(worlds, order, k, k)
 
 
-def _companion(A: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the state matrix of an autoregression, and what of the state foretells the next sample."""
-    order, k = A.shape[:2]
-    state, foretold = np.eye(order * k, k=-k), np.hstack([one.T for one in A])
-    state[:k] = foretold
-    return state, foretold
-
-
 def _largest_pole(A: NDArray[np.float64]) -> float:
-    return float(np.abs(np.linalg.eigvals(_companion(A)[0])).max())
+    """Return the size of the largest pole of an autoregression."""
+    order, k = A.shape[:2]
+    state = np.eye(order * k, k=-k)
+    state[:k] = np.hstack([one.T for one in A])
+    return float(np.abs(np.linalg.eigvals(state)).max())
 
 
-def length_quantile(rate: float, k: int) -> float:
-    """Return the length that a standard normal vector exceeds at a rate."""
-    return float(np.sqrt(chdtri(k, rate)))
-
-
-__all__ = ["ResidualModel", "Worlds", "allowance", "inverse_root", "length_quantile", "levels_of", "simulated_worlds"]
+__all__ = ["ResidualModel", "Worlds", "allowance", "levels_of", "simulated_worlds"]

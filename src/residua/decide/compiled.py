@@ -46,8 +46,10 @@ class CompiledTest:
         How many whitened residuals each part has that is tested by itself, such as a member of a bank.
     limits : ndarray, shape (parts,), or None
         The threshold of each.
-    weights, scaling, clip, full
+    weights, scaling : ndarray or None
         Of a bank of means, as of :class:`residua.decide.MultiscaleEWMATest`.
+    lengths : tuple of ndarray
+        Its ``clips``, ``fulls`` and ``releases``.
     joint : ndarray, shape (residuals, k), or None
         A whitening of all, in which the direction is judged; the other one when omitted.
     """
@@ -74,8 +76,7 @@ class CompiledTest:
     joint: NDArray[np.float64] | None = None
     weights: NDArray[np.float64] | None = None
     scaling: NDArray[np.float64] | None = None
-    clip: float = 0.0
-    full: float = 0.0
+    lengths: tuple[NDArray[np.float64], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -203,11 +203,13 @@ class MultiscaleEWMATest(StreamTest):
 
     @property
     def compiled(self) -> CompiledTest | None:
-        """The same in C, of the residual as a whole."""
-        if type(self) is not MultiscaleEWMATest or self.names:
+        """The same in C."""
+        if type(self) is not MultiscaleEWMATest:
             return None
-        numbers = {"weights": self.weights, "scaling": self.scaling}
-        return self.compiled_as("means", **numbers, clip=float(self.clips[0]), full=float(self.fulls[0]))
+        numbers: dict[str, Any] = {"weights": self.weights, "scaling": self.scaling}
+        if self.names:
+            numbers |= {"sizes": self.sizes, "limits": self.thresholds}
+        return self.compiled_as("means", **numbers, lengths=(self.clips, self.fulls, self.releases))
 
     # ----------------------------------------------- what the rest of a monitor asks for
 

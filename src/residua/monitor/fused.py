@@ -124,7 +124,7 @@ def _plan(spec: Specification, test: CompiledTest) -> Plan:
     table = None if codes is None else np.ascontiguousarray(codes.codes.T, dtype=bool)
     means = None
     if test.weights is not None and test.scaling is not None:
-        means = np.concatenate([test.weights, [test.clip, test.full], test.scaling.ravel()])
+        means = np.concatenate([test.weights, *test.lengths, test.scaling.ravel()])
     widths = {"residuals": len(spec.C), "aside": channels, "whitened": k, "scores": groups}
     widths |= {"member_statistics": parts, "fired": parts, "code": members}
     return Plan(
