@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-
 #: Worlds, fewer of many residuals, and at least; rows that each is fitted to at most, new rows of each, and samples
 #: that it takes to settle.
 _WORLDS, _NUMBERS, _LEAST_WORLDS = 200, 2000, 40
