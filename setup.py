@@ -28,11 +28,11 @@ def kernel(name: str, depends: list[str]) -> Extension:
 
 
 filter_header, judging_header = "src/residua/linear/systems/_filter.h", "src/residua/decide/_judging.h"
-members_header = "src/residua/decide/_members.h"
+members_header, means_header = "src/residua/decide/_members.h", "src/residua/decide/_means.h"
 plant_header, tick_header = "src/residua/monitor/_plant_filter.h", "src/residua/monitor/_tick.h"
 gain_header, module_header = "src/residua/monitor/_partial_gain.h", "src/residua/_module.h"
 quads_header = "src/residua/monitor/_four_samples.h"
-loop_headers = [filter_header, judging_header, members_header, plant_header, tick_header, gain_header, quads_header]
+loop_headers = [filter_header, judging_header, members_header, means_header, plant_header, tick_header, gain_header, quads_header]
 kernels = [
     kernel("residua.linear.systems._recursion", [filter_header]),
     kernel("residua.monitor._fused", loop_headers),

@@ -11,13 +11,14 @@ import numpy as np
 import residua as rs
 from bank_examples import hand_made_bank, recording, sampled_plant
 from export_examples import expected
-from residua.decide import Directional, NormThreshold, PeakThreshold, Structured
+from residua.decide import Directional, MultiscaleEWMA, NormThreshold, PeakThreshold, Structured
 from residua.decide.structured import CodeTest
 from residua.monitor.running import Decisions
 from residua.monitor.specification import Specification
 
 ANSWERS = ("none", "exact", "several", "degraded", "nearest", "unknown")
-KINDS = ("bank", "dedicated", "dedicated, at once", "with actuators", "groups", "groups, by direction", "alone")
+KINDS = ("bank", "dedicated", "dedicated, at once", "with actuators", "groups", "groups, by direction", "alone",
+         "means", "dedicated, means")  # fmt: skip
 
 
 @cache
@@ -33,6 +34,8 @@ def bank_monitor(kind: str, outputs: int, window: int, seed: int) -> rs.Monitor:
     else:
         generator = hand_made_bank(plant, dedicated=kind.startswith("dedicated"))
         isolate = Structured(window=(1, 4, 30)[seed % 3], share=(0.5, 0.2, 1.0)[seed % 3], distance=seed % 3)
+        if kind.endswith("means"):
+            test = MultiscaleEWMA()
         if kind == "dedicated, at once":
             test = PeakThreshold(window=window)
     monitor = rs.Monitor(generator, test=test, isolate=isolate)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import residua as rs
-from residua.decide import CUSUM, EWMA, GLR, ChiSquared, Directional, NormThreshold, Structured
+from residua.decide import CUSUM, EWMA, GLR, ChiSquared, Directional, MultiscaleEWMA, NormThreshold, Structured
 from residua.decide.directional import DirectionTest
 from residua.decide.isolation import NoNames
 from residua.decide.member_thresholds import BankTest, GroupTest
@@ -34,6 +34,8 @@ TESTS: dict[str, Any] = {
     "chi-squared over a window": ChiSquared(threshold=5.0, window=5),
     "glr": GLR(threshold=3.5, window=6),
     "glr along faults": GLR(threshold=3.5, window=5, directions="faults"),
+    "means": MultiscaleEWMA(false_alarm_rate=0.01),
+    "four means": MultiscaleEWMA(false_alarm_rate=0.01, weights=(1, 0.3, 0.1, 0.02)),
 }
 ISOLATIONS: dict[str, Any] = {
     "none": None,

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from residua.decide.member_thresholds import BankTest, GroupTest
     from residua.decide.model_errors import OutputError
     from residua.decide.moderated_variances import ModeratedVariances, moderated_variances
+    from residua.decide.multiscale_ewma import MultiscaleEWMA, MultiscaleEWMATest
     from residua.decide.norm_threshold import NormTest, NormThreshold
     from residua.decide.page_hinkley import PageHinkley, PageHinkleyTest
     from residua.decide.peak_threshold import PeakThreshold, peak_over_window
@@ -76,6 +77,8 @@ __all__ = [
     "Matched",
     "MatchedTest",
     "ModeratedVariances",
+    "MultiscaleEWMA",
+    "MultiscaleEWMATest",
     "Named",
     "NormTest",
     "NormThreshold",
@@ -135,6 +138,7 @@ hand_on(
         "residua.decide.member_thresholds": ("BankTest", "GroupTest"),
         "residua.decide.model_errors": ("OutputError",),
         "residua.decide.moderated_variances": ("ModeratedVariances", "moderated_variances"),
+        "residua.decide.multiscale_ewma": ("MultiscaleEWMA", "MultiscaleEWMATest"),
         "residua.decide.norm_threshold": ("NormTest", "NormThreshold"),
         "residua.decide.page_hinkley": ("PageHinkley", "PageHinkleyTest"),
         "residua.decide.peak_threshold": ("PeakThreshold", "peak_over_window"),

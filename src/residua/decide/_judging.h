@@ -15,7 +15,7 @@
 #define LARGEST_SQUARES 9e239  /* sums of squares up to here are of numbers up to there */
 #define FULL 2.0               /* as in residua.decide.cusum */
 
-enum { NORM = 1, PAGE, CROSIER, PIGNATIELLO_RUNGER, EWMA, CHI_SQUARED, GLR, DIRECTED_GLR, PARTS };
+enum { NORM = 1, PAGE, CROSIER, PIGNATIELLO_RUNGER, EWMA, CHI_SQUARED, GLR, DIRECTED_GLR, PARTS, MEANS };
 enum { NOBODY, DIRECTIONS, CODES };
 
 typedef unsigned char flag;
@@ -35,6 +35,10 @@ typedef struct {
     Py_ssize_t parts, terms;
     const whole *begins, *from;
     const double *limits, *weights, *joint;
+    /* Of a bank of means: how many there are, their weights, what scales each, and of each part the lengths at which a
+     * sample is clipped, a mean is full, and an alarm ends. */
+    Py_ssize_t scales;
+    const double *mean_weights, *scaling, *clips, *fulls, *releases;
 } test_plan;
 
 typedef struct {
@@ -847,6 +851,8 @@ of_recent(const test_plan *t, double *sums, piece *p, double *part, Py_ssize_t k
             p->statistic[i] = p->statistic[--from];
 }
 
+#include "_means.h"
+
 INLINE void
 judge_stream(const test_plan *t, const test_row *row, piece *p, double *part, double *spare, Py_ssize_t k,
              int has_squares)
@@ -867,6 +873,8 @@ judge_stream(const test_plan *t, const test_row *row, piece *p, double *part, do
         cumulative_sums(t, row->sums, p, part, k);
     else if (t->kind == EWMA)
         averages(t, row->sums, p, k);
+    else if (t->kind == MEANS)
+        longest_means(t, row->sums, p, k);
     else
         of_recent(t, row->sums, p, spare, k, has_squares && p->e == p->q);
     if (!all_set(p->usable, p->time))

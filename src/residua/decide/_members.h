@@ -180,6 +180,56 @@ alarms_of_parts(const test_plan *t, const part_row *row, piece *p, part_piece *m
     }
 }
 
+/* The longest mean of each part, and of these the largest in units of its threshold. */
+INLINE void
+means_of_parts(const test_plan *t, const test_row *row, piece *p, part_piece *m, double *room)
+{
+    const Py_ssize_t k = t->k, parts = t->parts;
+    double *const e = room, *const part = room + k;
+    for (Py_ssize_t i = 0; i < p->time; i++) {
+        const double *one = p->q + i * k;
+        double *statistic = m->statistics + i * parts;
+        if (t->order) {
+            p->usable[i] = (flag)unforetold(t, row, one, p->usable[i], e, part, k);
+            one = e;
+        }
+        double largest = 0.0;
+        for (Py_ssize_t j = 0; j < parts; j++) {
+            const Py_ssize_t begin = (Py_ssize_t)t->begins[j], size = (Py_ssize_t)t->begins[j + 1] - begin;
+            statistic[j] = p->usable[i] ? sqrt(longest_mean(t, row->sums, one, j, begin, size, k)) : NAN;
+            const double ratio = statistic[j] / t->limits[j];
+            largest = ratio > largest ? ratio : largest;
+        }
+        p->statistic[i] = p->usable[i] ? largest : NAN;
+    }
+}
+
+/* Alarms of the means of each part, raised and ended at once, and of all. */
+INLINE void
+alarms_of_means(const test_plan *t, const part_row *row, piece *p, part_piece *m)
+{
+    const Py_ssize_t parts = t->parts;
+    for (Py_ssize_t i = 0; i < p->time; i++) {
+        const double *statistic = m->statistics + i * parts;
+        flag *fired = m->fired + i * parts, any_over = 0, any = 0;
+        for (Py_ssize_t j = 0; j < parts; j++) {
+            if (p->usable[i]) {
+                const int over = statistic[j] > t->limits[j];
+                if (over || statistic[j] <= t->releases[j])
+                    row->alarm[j] = (flag)over;
+                any_over |= (flag)over;
+            }
+            fired[j] = row->alarm[j];
+            any |= fired[j];
+        }
+        if (p->usable[i])
+            row->up[0] = any_over ? row->up[0] + 1 : 0;
+        p->over[i] = any_over;
+        p->alarm[i] = any;
+        p->up[i] = row->up[0];
+    }
+}
+
 /* The residual in units in which its direction is judged, zero where it is not usable. */
 INLINE void
 joint_residuals(const test_plan *t, const piece *p, double *centred)

@@ -8,7 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 #: Statistics in C, as :file:`_judging.h` numbers them; that of parts is in :file:`_members.h`.
-STATISTICS = ("norm", "page", "crosier", "pignatiello-runger", "ewma", "chi-squared", "glr", "directed glr", "parts")
+STATISTICS = (
+    "norm",
+    "page",
+    "crosier",
+    "pignatiello-runger",
+    "ewma",
+    "chi-squared",
+    "glr",
+    "directed glr",
+    "parts",
+    "means",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +46,10 @@ class CompiledTest:
         How many whitened residuals each part has that is tested by itself, such as a member of a bank.
     limits : ndarray, shape (parts,), or None
         The threshold of each.
+    weights, scaling : ndarray or None
+        Of a bank of means, as of :class:`residua.decide.MultiscaleEWMATest`.
+    lengths : tuple of ndarray
+        Its ``clips``, ``fulls`` and ``releases``.
     joint : ndarray, shape (residuals, k), or None
         A whitening of all, in which the direction is judged; the other one when omitted.
     """
@@ -59,6 +74,9 @@ class CompiledTest:
     sizes: NDArray[np.int64] | None = None
     limits: NDArray[np.float64] | None = None
     joint: NDArray[np.float64] | None = None
+    weights: NDArray[np.float64] | None = None
+    scaling: NDArray[np.float64] | None = None
+    lengths: tuple[NDArray[np.float64], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

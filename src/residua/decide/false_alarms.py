@@ -107,7 +107,8 @@ class Promise:
             return f"{text}; {asked} is aimed at, and these data promise no rate"
         if self.holds:
             return f"{text}, {asked} on other data like these, with 95 % confidence within a factor of {TOLERATED:g}"
-        return f"{text}, with 95 % confidence at most {one_in(self.promised)} on other data like these; {asked} is aimed at"
+        text += f", with 95 % confidence at most {one_in(self.promised)} on other data like these"
+        return f"{text}; {asked} is aimed at"
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,6 +20,8 @@ from residua.words import one_in
 CONFIDENCE = 0.95
 #: Fewest samples that are held out, and in windows: with fewer nothing is.
 LEAST, LEAST_WINDOWS = 30, 2
+#: Fraction in alarm up to which it is said as one in so many, too.
+_OFTEN = 0.1
 #: Samples that a test is run over at a time: bounds memory.
 _PIECE = 100_000
 
@@ -89,7 +91,7 @@ class HeldOut(Record):
         return self.interval[0] > self.asked
 
     def __str__(self) -> str:
-        often = f" ({one_in(self.rate)})" if self.alarmed else ""
+        often = f" ({one_in(self.rate)})" if self.alarmed and self.rate <= _OFTEN else ""
         return f"{self.alarmed:,} of {self.samples:,} held-out samples in alarm{often}"
 
 

@@ -304,6 +304,11 @@ class IsolationSettings(Record, ABC):
         """Return what has to be tested by itself, by name; ``None``: the residual as a whole."""
         return None
 
+    @property
+    def own_test(self) -> TestSettings | None:
+        """The settings of the test without which this isolation names nothing; ``None``: it goes with any."""
+        return None
+
     def test_of(self, settings: TestSettings) -> TestSettings:
         """Return the settings of the test that goes with this isolation, or raise if none does."""
         return settings

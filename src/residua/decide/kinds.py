@@ -14,6 +14,7 @@ from residua.decide.glr import GLR
 from residua.decide.isolation import IsolationSettings, NoIsolation
 from residua.decide.likelihood import Likelihood
 from residua.decide.matched import Matched
+from residua.decide.multiscale_ewma import MultiscaleEWMA
 from residua.decide.norm_threshold import NormThreshold
 from residua.decide.page_hinkley import PageHinkley
 from residua.decide.peak_threshold import PeakThreshold
@@ -26,7 +27,8 @@ from residua.visible import echo
 
 #: By the mark that files know them by; for ``isolate="auto"`` the last one counts that offers to read a design.
 TESTS: dict[str, type[TestSettings]] = {
-    cls.kind: cls for cls in (NormThreshold, PeakThreshold, Adaptive, ChiSquared, EWMA, CUSUM, GLR, SPRT, PageHinkley)
+    cls.kind: cls
+    for cls in (MultiscaleEWMA, NormThreshold, PeakThreshold, Adaptive, ChiSquared, EWMA, CUSUM, GLR, SPRT, PageHinkley)
 }
 ISOLATIONS: dict[str, type[IsolationSettings]] = {
     cls.kind: cls for cls in (Directional, Structured, Matched, Likelihood)

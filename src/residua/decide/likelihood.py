@@ -16,6 +16,7 @@ from residua.decide.checks import PRIOR_RATE, check_samples, is_number
 from residua.decide.directional import Directional, direction_test
 from residua.decide.fault_posterior import Belief, FaultFilter
 from residua.decide.isolation import Isolation, IsolationSettings, Named, Scores, Seen, check_groups
+from residua.decide.multiscale_ewma import MultiscaleEWMA
 from residua.decide.sizes import sizes_over, with_sizes
 from residua.decide.statement import Statement, headline_of, not_apart, not_isolated, scored, too_short
 from residua.decide.stream_settings import StreamSettings
@@ -451,10 +452,10 @@ class Likelihood(IsolationSettings):
 
     def test_of(self, settings: TestSettings) -> TestSettings:
         """Return the test, if it is one that makes the residual white."""
-        if not isinstance(settings, StreamSettings):
+        if not isinstance(settings, (StreamSettings, MultiscaleEWMA)):
             raise SettingError(
                 f"Likelihood needs a residual without memory, which {type(settings).__name__} does not make: "
-                "test=CUSUM(), GLR(), EWMA() or ChiSquared()"
+                "test=MultiscaleEWMA(), CUSUM(), GLR(), EWMA() or ChiSquared()"
             )
         return settings
 

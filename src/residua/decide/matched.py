@@ -25,6 +25,7 @@ from residua.decide.isolation import (
 from residua.decide.matched_hold import HeldState, Match, hold_block
 from residua.decide.matched_level import Likelihoods, LikelihoodThreshold
 from residua.decide.matched_responses import MatchedTest
+from residua.decide.norm_threshold import NormThreshold
 from residua.decide.sizes import fault_unit
 from residua.decide.statement import (
     POOR_SCORE,
@@ -272,6 +273,11 @@ class Matched(IsolationSettings):
     def check(self, generator: ResidualGenerator) -> None:
         """Raise unless the residuals are innovations."""
         check_white(generator)
+
+    @property
+    def own_test(self) -> TestSettings:
+        """A threshold on the norm, which becomes one on likelihoods."""
+        return NormThreshold()
 
     def test_of(self, settings: TestSettings) -> TestSettings:
         """Return the test of likelihoods with the threshold, persistence and release of a norm."""

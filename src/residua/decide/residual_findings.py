@@ -17,6 +17,7 @@ from residua.decide.fault_free import FaultFree, check_enough
 from residua.decide.pareto_tail import ParetoTail
 from residua.decide.stationarity import CONFIDENCE as SURE_OF_CHANGE, Change, changes
 from residua.decide.test import FaultFreeRun
+from residua.decide.treatment import treated
 from residua.errors import DataError
 from residua.tolerances import LEAKAGE, SIGNAL_ROUNDING
 from residua.words import counted, listing, number, some
@@ -225,7 +226,8 @@ def findings_of(
         facts.append(one)
         left.append(e)
     moved = [j for j in range(len(names)) if moves[j]]
-    parts, independent, notes = CUSUM().treatment_of(data)
+    made = treated(data, "auto", CUSUM().harmless_offset)
+    parts, independent, notes = made.parts, made.moving, made.notes
     bursts = _bursts(left, facts, moved)
     found = [
         *_memory(data, facts, moved, white, bursts),

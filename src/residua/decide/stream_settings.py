@@ -11,21 +11,19 @@ from typing import Any, ClassVar, Literal, Self, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.decide.autoregression import Past, autoregression, unforetold, whiteness
 from residua.decide.checks import check_rate, is_number, rate_aimed_at
 from residua.decide.confident_thresholds import check_source, promise_by
 from residua.decide.dependence import correlation_times
 from residua.decide.exceedance_tail import scale_of
 from residua.decide.false_alarms import Observed
 from residua.decide.fault_free import FaultFree, check_enough, held_apart
-from residua.decide.normal_scores import is_heavy_tailed, knots_of
 from residua.decide.run_lengths import LONGEST, AlarmCycle, threshold_of
 from residua.decide.stream_test import StreamTest, plain
 from residua.decide.test import Block, FaultFreeRun, TestSettings, Watched
+from residua.decide.treatment import Treated, treated
 from residua.decide.whitening import moving_directions, whitening_matrix
 from residua.design import ResidualGenerator
 from residua.errors import DataError, SettingError
-from residua.linear.subspaces.whitening import VARIANCE_FLOOR
 from residua.number_kinds import POSITIVE, PROBABILITY, NumberKind
 from residua.tolerances import LEAKAGE, SIGNAL_ROUNDING
 from residua.visible import echo
@@ -207,7 +205,8 @@ class StreamSettings(TestSettings):
                 "NormThreshold, whose threshold is then the level of rounding"
             )
         other = None if rate == self.asked(watched) else rate
-        parts, k, notes = self._whitened(data)
+        made = self._whitened(data)
+        parts, k, notes = made.parts, made.moving, made.notes
         mine, origin = self.for_parts(parts, watched), f"moments of {count} fault-free samples"
         if self.threshold is not None or self.source == "design":
             return mine._by_design(parts, k, other, "; ".join([origin, *notes]), count)
@@ -252,7 +251,7 @@ class StreamSettings(TestSettings):
         for start, stop in pairwise(edges):
             others = data.usable.copy()
             others[start:stop] = False
-            parts, _, _ = self._whitened(replace(data, usable=others))
+            parts = self._whitened(replace(data, usable=others)).parts
             blank = self.test(**parts, threshold=np.inf, release=0.0, basis="")
             for part in stretches:
                 if start <= part.start < stop:
@@ -264,8 +263,9 @@ class StreamSettings(TestSettings):
     def _by_later_half(self, data: FaultFree, rate: float) -> StreamTest:
         """Return the test made white by the first half of the data, with a threshold from the second."""
         first, _, second = held_apart(data)
-        parts, _, notes = self._whitened(replace(data, usable=first))
-        blank = self.test(**parts, threshold=np.inf, release=0.0, basis="")
+        treatment = self._whitened(replace(data, usable=first))
+        notes = treatment.notes
+        blank = self.test(**treatment.parts, threshold=np.inf, release=0.0, basis="")
         values, seen = np.full(len(second), np.nan), np.zeros(len(second), dtype=bool)
         start = int(second.argmax())
         stretches = [slice(max(part.start, start), part.stop) for part in data.parts if part.stop > start]
@@ -275,66 +275,9 @@ class StreamSettings(TestSettings):
         halves = "made white by the first half of the data, the threshold of the second"
         return self._by_data(blank, values, seen, stretches, rate, [halves, *notes])
 
-    def treatment_of(self, data: FaultFree) -> tuple[dict[str, Any], int, list[str]]:
-        """Return what a fit makes of data: what makes them white, their independent directions, and what it says."""
-        return self._whitened(data)
-
-    def _whitened(self, data: FaultFree) -> tuple[dict[str, Any], int, list[str]]:
-        """Return what makes the residual white, how many directions it then moves in, and what is said of it."""
-        whole, moving = data.moments(), data.moving
-        parts, notes = plain(whole.center, whole.whitening), []
-        if whole.intensity:
-            notes.append(f"covariance of too few samples, drawn by {whole.intensity:.2g} towards a simpler one")
-        q = np.where(data.usable[:, None], (data.residuals - whole.center) @ whole.whitening, 0.0)
-        if moving < q.shape[1]:
-            notes.append(f"{moving} of the {q.shape[1]} residuals are independent")
-        # Combinations of residuals that noise never moves hold nothing but rounding, which no model is for.
-        live = np.sort(np.argsort(np.sum(q**2, axis=0))[q.shape[1] - moving :])
-        q = q[:, live]
-        model = None
-        if self.treatment == "auto" and whiteness(q, data.usable, data.parts) < _COLOURED:
-            model = autoregression(q, data.usable, data.parts)
-            if not model.order:
-                notes.append("the residual is coloured, and no autoregression explains it")
-        e, varies = q[data.usable], np.ones(len(live), dtype=bool)
-        if model is not None and model.order:
-            e = np.concatenate([_innovations(model.coefficients, q[part], data.usable[part]) for part in data.parts])
-            values, vectors = np.linalg.eigh(e.T @ e / max(len(e), 1))  # in parts of the variance of each direction
-            floor = self._floor(len(e))
-            V = vectors / np.sqrt(np.maximum(values, floor))
-            notes.append(f"coloured: what the last {model.order} samples foretell is taken off")
-            varies = values > floor
-            exact = int(np.count_nonzero(~varies))
-            if exact == moving:
-                raise DataError(
-                    f"the past foretells all of this residual but for {number(float(values[-1]), 2)} of its variance, "
-                    f"which {len(e)} samples do not tell from their mean: give more, or fit with treatment='none'"
-                )
-            if exact:
-                notes.append(f"{counted(exact, 'combination')} of residuals foretold exactly")
-                moving -= exact
-            k, e = len(parts["center"]), e @ V
-            coefficients, rewhitening = np.zeros((model.order, k, k)), np.eye(k)
-            coefficients[:, live[:, None], live] = model.coefficients
-            rewhitening[live[:, None], live] = V
-            parts = {**parts, "coefficients": coefficients, "rewhitening": rewhitening}
-        if self.treatment == "auto" and is_heavy_tailed(e[:, varies]):
-            knots, scores = knots_of(e[:, varies])
-            notes.append("heavy tails: each value is judged by how rare it is")
-            # what never moves, or is foretold exactly, stays as it is: that is rounding, and the ends of recordings
-            everywhere = np.tile(scores, (len(parts["center"]), 1))
-            everywhere[live[varies]] = knots
-            parts = {**parts, "knots": everywhere, "scores": scores}
-        return parts, moving, notes
-
-    def _floor(self, samples: int) -> float:
-        """Return the part of its variance below which what is left of a direction is less than the error of its mean.
-
-        Where decoupling makes residuals depend on each other over time, an autoregression foretells combinations of
-        them exactly. What is left there of the ends of a recording, divided by its length, is all the noise they have.
-        """
-        error = _ENDS * _FOLDS / max(samples, 1)
-        return max(VARIANCE_FLOOR, (error / self.harmless_offset) ** 2)
+    def _whitened(self, data: FaultFree) -> Treated:
+        """Return what makes the residual white and Gaussian."""
+        return treated(data, self.treatment, self.harmless_offset)
 
     def _by_design(
         self, parts: Mapping[str, Any], k: int, rate: float | None, origin: str, samples: int | None
@@ -495,14 +438,6 @@ def is_white(generator: ResidualGenerator) -> bool:
     sums = [generator.covariance_of_sums(window) for window in _WINDOWS]
     limit = LEAKAGE * float(np.abs(covariance).max(initial=0.0))
     return all(one is not None and np.abs(one - covariance).max() <= limit for one in sums)
-
-
-def _innovations(
-    coefficients: NDArray[np.float64], q: NDArray[np.float64], usable: NDArray[np.bool_]
-) -> NDArray[np.float64]:
-    """Return what the past does not foretell, of the samples whose past is known."""
-    e, seen, _ = unforetold(coefficients, Past.empty(1, coefficients), q[None], usable[None])
-    return e[0, seen[0]]
 
 
 def _levels(values: NDArray[np.float64], falls_to: float) -> NDArray[np.float64]:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from residua.decide.compiled import CompiledIsolation, CompiledTest
 from residua.decide.member_thresholds import BankTest, GroupTest
+from residua.decide.multiscale_ewma import MultiscaleEWMATest
 from residua.decide.peak_threshold import PeakTest
 from residua.decide.structured import CodeTest
 from residua.errors import SettingError
@@ -82,10 +83,12 @@ def judging_of(spec: Specification) -> Judging:
         test = CompiledTest(OF_PARTS, one.center, one.whitening, 1.0, one.window, one.persistence, one.release)
         whole = one.whole if isinstance(one, GroupTest) else None
         parts = Parts(one.part_names, one.sizes, one.thresholds, whole)
+    if isinstance(one, MultiscaleEWMATest) and one.names:
+        parts = Parts(one.names, one.sizes, one.thresholds)
     if test is None or spec.test.responses is not None or spec.test.reads_signals:
         raise SettingError(
-            f"the test of this monitor ({type(one).__name__}) cannot be exported: NormThreshold, PeakThreshold, CUSUM, "
-            "EWMA, ChiSquared and GLR can"
+            f"the test of this monitor ({type(one).__name__}) cannot be exported: MultiscaleEWMA, NormThreshold, "
+            "PeakThreshold, CUSUM, EWMA, ChiSquared and GLR can"
         )
     if codes is not None and parts is not None and codes.groups:
         naming = CompiledIsolation()

@@ -11,6 +11,7 @@ from residua.decide.structured import CodeTest
 from residua.export import part_texts as texts
 from residua.export.judging import Judging
 from residua.export.program import Kind, Variable
+from residua.export.step_texts import FORETELL
 
 
 def part_sizes(judging: Judging) -> dict[str, int]:
@@ -31,7 +32,14 @@ def part_sizes(judging: Judging) -> dict[str, int]:
 
 def part_sections(judging: Judging) -> list[tuple[str, str]]:
     """Return the texts with their titles, in order."""
-    made = [("the norm of each part", texts.NORMS), ("the alarms", texts.ALARMS)]
+    if judging.test.statistic == "means":
+        made = [
+            ("what the past does not foretell of it", FORETELL),
+            ("the longest mean of each part", texts.MEANS),
+            ("the alarms", texts.MEAN_ALARMS),
+        ]
+    else:
+        made = [("the norm of each part", texts.NORMS), ("the alarms", texts.ALARMS)]
     if judging.naming.bases:
         made += [
             ("all residuals in units in which their direction is judged", texts.OVERALL),
@@ -56,6 +64,7 @@ def part_variables(judging: Judging, size: dict[str, int]) -> list[Variable]:
     made = [
         _constant("part_of_column", "count", column),
         _constant("part_threshold", "real", parts.thresholds),
+        _constant("part_release", "real", judging.test.lengths[2] if judging.test.lengths else ()),
         output("part_statistic", "real", count, "of each part; zeros where nothing is decided"),
         output("fired", "flag", count, "which parts are in alarm"),
         Variable("part_above", "count", "state", count, (), "samples in a row over the threshold of a part"),

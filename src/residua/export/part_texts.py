@@ -1,6 +1,6 @@
 """What a monitor does on each sample where parts of the residual are tested by themselves; as :mod:`step_texts`."""
 
-from residua.export.step_texts import MOVING_SUM, NAME, NORM
+from residua.export.step_texts import MOVING_SUM, NAME, NORM, _indented as indented, means
 
 #: The residual in the units in which the direction of all of it is judged.
 OVERALL = """
@@ -30,8 +30,20 @@ for m in range(PARTS):
         statistic = value
 """
 
+_OVER = """\
+else:
+    statistic = 0.0
+    for m in range(PARTS):
+        part_statistic[m] = 0.0
+alarm = False
+for m in range(PARTS):
+    fired[m] = part_standing[m]
+    if part_standing[m]:
+        alarm = True\
+"""
+
 #: Persistence of each part; all together are in alarm while one is.
-ALARMS = """
+ALARMS = f"""
 if decided:
     for m in range(PARTS):
         if part_statistic[m] > part_threshold[m]:
@@ -46,15 +58,29 @@ if decided:
                 part_below[m] = part_below[m] + 1
             if part_below[m] >= RELEASE:
                 part_standing[m] = False
-else:
-    statistic = 0.0
+{_OVER}
+"""
+
+#: The longest mean of each part.
+MEANS = f"""
+if seen:
     for m in range(PARTS):
-        part_statistic[m] = 0.0
-alarm = False
-for m in range(PARTS):
-    fired[m] = part_standing[m]
-    if part_standing[m]:
-        alarm = True
+{indented(means(of_part=True), 2)}
+        part_statistic[m] = sqrt(square)
+        value = part_statistic[m] / part_threshold[m]
+        if value > statistic:
+            statistic = value
+"""
+
+#: Two levels of each part; all together are in alarm while one is.
+MEAN_ALARMS = f"""
+if decided:
+    for m in range(PARTS):
+        if part_statistic[m] > part_threshold[m]:
+            part_standing[m] = True
+        elif part_statistic[m] <= part_release[m]:
+            part_standing[m] = False
+{_OVER}
 """
 
 NAME_OVERALL = NAME.replace("whitened[", "overall[").replace("WHITE", "OVERALL")

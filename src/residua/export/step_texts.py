@@ -362,6 +362,61 @@ for j in range(WHITE):
 statistic = sqrt(total) / deviation_of_average
 """
 
+
+def means(of_part: bool) -> str:
+    """Return the square of the longest mean of the residual, or of part ``m`` of it: clipped, averaged and scaled."""
+
+    def each(level: int, letter: str, *lines: str) -> str:
+        wanted = [f"if part_of_column[{letter}] == m:"] if of_part else []
+        deeper = ["    " * len(wanted) + line for line in lines]
+        made = [f"for {letter} in range(WHITE):", *("    " + line for line in (*wanted, *deeper))]
+        return "\n".join("    " * level + line for line in made)
+
+    which = "m" if of_part else "0"
+    return f"""
+total = 0.0
+{each(0, "j", "total = total + news[j] * news[j]")}
+slope = 1.0
+if total > clips[{which}] * clips[{which}]:
+    slope = clips[{which}] / sqrt(total)
+at_rest = True
+{each(0, "j", "if news[j] != 0.0:", "    at_rest = False")}
+square = 0.0
+for s in range(SCALES):
+    if s > 0:
+{each(2, "j", *_NEW_MEAN)}
+    else:
+{each(2, "j", "latest[j] = news[j]")}
+    value = 0.0
+{each(1, "c", "later = 0.0", *_SCALED, "value = value + later * later")}
+    if s > 0 and value > fulls[{which}] * fulls[{which}]:
+        scaled = fulls[{which}] / sqrt(value)
+{each(2, "j", "sums[(s - 1) * WHITE + j] = sums[(s - 1) * WHITE + j] * scaled")}
+        value = fulls[{which}] * fulls[{which}]
+    if value > square:
+        square = value
+"""
+
+
+_NEW_MEAN = (
+    "later = old_weights[s] * sums[(s - 1) * WHITE + j] + mean_weights[s] * (news[j] * slope)",
+    "if at_rest and later < smallest and later > -smallest:",
+    "    later = 0.0",
+    "sums[(s - 1) * WHITE + j] = later",
+    "latest[j] = later",
+)
+_SCALED = (
+    "for j in range(WHITE):",
+    "    later = later + latest[j] * scaling[(s * WHITE + j) * WHITE + c]",
+)
+
+#: A bank of exponentially weighted means.
+MEANS = f"""
+if seen:
+{_indented(means(of_part=False), 1)}
+    statistic = sqrt(square)
+"""
+
 #: Of the last samples that were seen: their squares, themselves, or their parts along directions.
 CHI_SQUARED = """
 if seen:

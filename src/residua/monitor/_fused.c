@@ -163,6 +163,31 @@ outputs_of_parts(const block *b, Py_ssize_t plant, Py_ssize_t first, const scrat
     return m;
 }
 
+/* What is written of parts that were tested, and who is named by them. */
+INLINE void
+name_parts(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row, Py_ssize_t first, piece *p,
+           part_piece *m, const part_row *own, scratch *s)
+{
+    const test_plan *t = &self->test;
+    const isolation_plan *n = &self->naming;
+    const Py_ssize_t time = p->time;
+    double *const spare = s->small;
+    write_piece(self, b, plant, first, p);
+    if (n->kind == DIRECTIONS)
+        name_by_direction(n, row_of_isolation(self, row), p, spare, s->columns, t->k);
+    if (n->kind == CODES)
+        read_codes(n, own, p, m);
+    if (!self->has_state[LAST_FLAGS])
+        return;
+    write_last(self, row, p, s, spare, t->k);
+    if (n->kind == CODES) {
+        const flag *code = m->code + (time - 1) * n->k;
+        memcpy(B1(self, LAST_CODE, row), code, (size_t)n->k);
+        if (n->groups && !p->is_quiet && p->alarm[time - 1])
+            agreements(n, code, p->usable[time - 1], F8(self, LAST_SCORES, row));
+    }
+}
+
 /* The same of parts that are tested one by one. */
 INLINE void
 judge_parts(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row, Py_ssize_t first, Py_ssize_t time,
@@ -179,6 +204,17 @@ judge_parts(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row
                s->usable, s->over, s->alarm, s->up};
     if (b->out[OUT_READY].base != NULL)
         copy_flags(out_b1(b, OUT_READY, plant, first), s->usable, time);
+    if (t->kind == MEANS) {
+        whiten_parts(t, &p, spare);
+        means_of_parts(t, &test, &p, &m, spare);
+        read_runs(self, row, 1, runs);
+        const whole before_it = runs[0];
+        alarms_of_means(t, &own, &p, &m);
+        stop_counts(&p, &before_it, 1);
+        keep_runs(self, row, 1, runs);
+        name_parts(self, b, plant, row, first, &p, &m, &own, s);
+        return;
+    }
     const int is_read = n->kind == DIRECTIONS || b->out[OUT_WHITENED].base != NULL;
     const int keeps = t->window > 1 || (t->joint == NULL && is_read);
     const int is_whitened = time > 1 && squares_by_column(t, &p, &m, keeps);
@@ -195,20 +231,7 @@ judge_parts(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row
     keep_runs(self, row, t->parts, runs);
     if (t->joint != NULL)
         joint_residuals(t, &p, spare);
-    write_piece(self, b, plant, first, &p);
-    if (n->kind == DIRECTIONS)
-        name_by_direction(n, row_of_isolation(self, row), &p, spare, s->columns, t->k);
-    if (n->kind == CODES)
-        read_codes(n, &own, &p, &m);
-    if (!self->has_state[LAST_FLAGS])
-        return;
-    write_last(self, row, &p, s, spare, t->k);
-    if (n->kind == CODES) {
-        const flag *code = m.code + (time - 1) * n->k;
-        memcpy(B1(self, LAST_CODE, row), code, (size_t)n->k);
-        if (n->groups && !p.is_quiet && p.alarm[time - 1])
-            agreements(n, code, p.usable[time - 1], F8(self, LAST_SCORES, row));
-    }
+    name_parts(self, b, plant, row, first, &p, &m, &own, s);
 }
 
 /* Whether no sample is over the threshold, and nobody asks how far below it they are. */
@@ -270,7 +293,7 @@ judge_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row
                             Py_ssize_t time, scratch *s)                                                              \
     {                                                                                                                 \
         const int square = self->nr == self->test.k;                                                                  \
-        if (self->test.kind == PARTS)                                                                                 \
+        if (self->test.parts)                                                                                         \
             judge_parts(self, b, plant, row, k, time, s);                                                             \
         else if (square && self->nr == 1)                                                                             \
             judge_piece(self, b, plant, row, k, time, s, 1, 1);                                                       \
@@ -452,10 +475,11 @@ take_all(Runner *self, PyObject *plan, PyObject *state)
     const Py_ssize_t plan_sizes[PLAN_ARRAYS] = {
         n * n, n * m, nr * n, nr * m, n * m, m, m, m, (Py_ssize_t)self->first * nr * n, n * n, nr * self->n_ratios, nr,
         nr * k, t->order * k * k, k * k, k * t->knots_of_each, t->knots_of_each, k * t->directions, k * p->columns,
-        p->groups, t->parts, t->parts, nr * k, p->groups * p->k, partial_numbers(n, self->some.inputs, self->some.p)};
-    const Py_ssize_t parts = t->kind == PARTS ? t->parts : 1;
+        p->groups, t->parts, t->parts, nr * k, p->groups * p->k,
+        t->scales * (k * k + 1) + 3 * (t->parts ? t->parts : 1), partial_numbers(n, self->some.inputs, self->some.p)};
+    const Py_ssize_t counted = t->kind == PARTS ? t->parts : 1, parts = t->parts ? t->parts : 1;
     const Py_ssize_t state_sizes[STATE_ARRAYS] = {
-        n, self->held, 1, 1, 1, 1, 1, 1, n, 1, 1, n * n, 1, t->window * k, k, 1, t->order * k, t->order, kept_sums(t), parts, parts,
+        n, self->held, 1, 1, 1, 1, 1, 1, n, 1, 1, n * n, 1, t->window * k, k, 1, t->order * k, t->order, kept_sums(t), counted, counted,
         parts, p->window * p->k, p->k, 1, p->k, p->k, 1, 1, nr, 1, p->groups, p->k};
     const char *const formats[STATE_ARRAYS] = {"d", "d", "il", "?", "il", "lq", "lq", "?",  "d", "d", "?", "d", "lq",
                                                "d", "d", "lq", "d", "?",  "d",  "il", "il", "?", "d", "d", "lq",
@@ -484,7 +508,7 @@ static int
 is_complete(const Runner *self)
 {
     int complete = 1;
-    const int parts = self->test.kind == PARTS, norm = self->test.kind == NORM || parts;
+    const int parts = self->test.parts > 0, norm = self->test.kind == NORM || self->test.kind == PARTS;
     const int kind = self->naming.kind, named = kind != NOBODY;
     for (int j = 0; j < PLAN_ARRAYS; j++) {
         const int needed = j <= HIGH || j == CENTER || j == WHITENING || (self->first && j <= RATIOS)
@@ -492,7 +516,8 @@ is_complete(const Runner *self)
                            || (self->test.knots_of_each && (j == KNOTS || j == SCORES))
                            || (self->test.kind == DIRECTED_GLR && j == ALONG)
                            || (kind == DIRECTIONS && (j == BASES || j == DIMENSIONS))
-                           || (parts && (j == SIZES || j == LIMITS)) || (kind == CODES && j == CODE_TABLE);
+                           || (parts && (j == SIZES || j == LIMITS)) || (kind == CODES && j == CODE_TABLE)
+                           || (self->test.kind == MEANS && j == MEAN_NUMBERS);
         complete &= self->has_plan[j] || !needed;
     }
     for (int j = 0; j < STATE_ARRAYS; j++) {
@@ -593,6 +618,7 @@ read_plan(Runner *self, const whole *i, const double *d)
     t->new_weight = d[NEW_WEIGHT];
     t->deviation = d[DEVIATION];
     t->parts = (Py_ssize_t)i[N_PARTS];
+    t->scales = (Py_ssize_t)i[N_SCALES];
     self->naming.groups = (Py_ssize_t)i[GROUPS];
     self->naming.kind = i[MEMBERS] ? CODES : i[GROUPS] ? DIRECTIONS : NOBODY;
     self->naming.k = i[MEMBERS] ? (Py_ssize_t)i[MEMBERS] : t->k;
@@ -608,12 +634,13 @@ read_plan(Runner *self, const whole *i, const double *d)
     const Py_ssize_t sums[] = {[NORM] = 0, [PAGE] = 2 * t->k + 1, [CROSIER] = t->k + 1,
                                [PIGNATIELLO_RUNGER] = t->k + 2, [EWMA] = t->k, [CHI_SQUARED] = (t->window - 1) * width,
                                [GLR] = (t->window - 1) * width, [DIRECTED_GLR] = (t->window - 1) * width,
-                               [PARTS] = 0};
+                               [PARTS] = 0, [MEANS] = (t->scales - 1) * t->k};
     if (self->partial && (self->some.inputs > self->m || self->some.p != self->nr))
         return -1;
-    return t->kind < NORM || t->kind > PARTS || t->window < 1 || t->sums != sums[t->kind]
+    return t->kind < NORM || t->kind > MEANS || t->window < 1 || t->sums != sums[t->kind]
                    || (self->naming.kind != NOBODY && self->naming.window < 1) || t->knots_of_each == 1
-                   || (t->kind == PARTS) != (t->parts > 0)
+                   || (t->kind == PARTS && !t->parts) || (t->kind != PARTS && t->kind != MEANS && t->parts)
+                   || (t->kind == MEANS) != (t->scales > 0)
                    || (self->naming.kind == CODES && self->naming.k != t->parts)
                ? -1
                : 0;
@@ -719,6 +746,14 @@ point_at_plan(Runner *self)
     t->knots = PLAN(self, KNOTS);
     t->scores = PLAN(self, SCORES);
     t->along = PLAN(self, ALONG);
+    if (t->kind == MEANS) {
+        t->mean_weights = PLAN(self, MEAN_NUMBERS);
+        const Py_ssize_t parts = t->parts ? t->parts : 1;
+        t->clips = t->mean_weights + t->scales;
+        t->fulls = t->clips + parts;
+        t->releases = t->fulls + parts;
+        t->scaling = t->releases + parts;
+    }
     self->naming.dimensions = self->plan[DIMENSIONS].buf;
     self->naming.codes = self->plan[CODE_TABLE].buf;
     for (Py_ssize_t i = 0; i < self->nr && self->nr <= 4 && t->k <= 4; i++) {
@@ -735,7 +770,9 @@ point_at_plan(Runner *self)
                           && self->n <= MAX_SMALL;
     self->in_quads = is_square && self->sums_squares;
     const int is_summed = t->kind == CROSIER && !t->order && !t->knots_of_each && self->naming.kind == NOBODY;
-    self->in_columns = is_square && (is_summed || (t->kind == NORM && t->window == 1 && self->naming.kind == DIRECTIONS));
+    const int is_plain_mean = t->kind == MEANS && !t->order && !t->parts;
+    self->in_columns = is_square && (is_summed || is_plain_mean
+                                     || (t->kind == NORM && t->window == 1 && self->naming.kind == DIRECTIONS));
     self->most_raw = is_square && is_summed ? most_raw(t) : 0.0;
     self->limit = self->sums_squares && t->window == 1 ? largest_square(t->threshold) : LARGEST_SQUARES;
     const int limits[3] = {OFFSET, LOW, HIGH};
@@ -834,7 +871,7 @@ runner_new(PyTypeObject *type, PyObject *args, PyObject *keywords)
         status = -1;
     if (status == 0 && self->naming.kind == DIRECTIONS && check_dimensions(self) < 0)
         status = -1, PyErr_SetString(PyExc_ValueError, "the dimensions of the signatures do not add up");
-    if (status == 0 && self->test.kind == PARTS) {
+    if (status == 0 && self->test.parts) {
         const int outcome = point_at_parts(self);
         if (outcome < 0)
             PyErr_NoMemory();
@@ -918,7 +955,8 @@ make_scratch(const Runner *self, scratch *s, Py_ssize_t time)
     const Py_ssize_t states = (3 * CHUNK + 3) * (self->n + 1) + 16;
     const int is_summed = t->kind >= CHI_SQUARED && t->kind <= DIRECTED_GLR;
     const Py_ssize_t lanes = t->kind == CROSIER ? (samples / LANES / CHECKED + 1) * LANES * k : 0;
-    const Py_ssize_t history = is_summed ? widest * (t->window - 1 + samples + 16) : lanes;
+    const Py_ssize_t means = t->kind == MEANS ? samples * ((t->scales + 1) * k + 2) : 0;
+    const Py_ssize_t history = is_summed ? widest * (t->window - 1 + samples + 16) : lanes + means;
     const Py_ssize_t parts = samples * t->parts, members = self->naming.kind == CODES ? parts : 0;
     const Py_ssize_t directions = self->naming.kind == DIRECTIONS ? samples * (k + 3) : 0;
     const Py_ssize_t columns = parts ? samples * (self->nr + 1) + parts : 0;

@@ -78,7 +78,7 @@ class FitCheck(Record):
             said += "aimed at"
         elif within_tolerance(self.promised, self.aimed):
             said += "promised"
-        elif self.promised < 1:
+        elif self.promised <= _WORTH_SAYING:
             said += f"aimed at, {one_in(self.promised)} promised as far as {self.rows:,} samples can show"
         else:
             said += f"aimed at, which {self.rows:,} samples are too few to promise"
@@ -97,6 +97,8 @@ class FitCheck(Record):
         return "\n".join(filter(None, (self.false_alarms, *self.notes)))
 
 
+#: Fraction in alarm up to which a promise is worth to be said.
+_WORTH_SAYING = 0.1
 _CAUSES = (
     "the last part is not like what comes before (a drift, another load), or the recording is too short; fit to a "
     "longer one, or to several"

@@ -106,6 +106,7 @@ def _plan(spec: Specification, test: CompiledTest) -> Plan:
         naming.window if codes is None else codes.window, sum(basis.shape[1] for basis in naming.bases),
         parts, members, codes is not None and codes.at_once,
         0 if spec.partial is None else spec.partial.B.shape[1],
+        0 if test.weights is None else len(test.weights),
     ]  # fmt: skip
     numbers = [
         *(test.threshold, test.release_level, test.allowance, 1 - test.weight, test.weight, test.deviation),
@@ -121,6 +122,9 @@ def _plan(spec: Specification, test: CompiledTest) -> Plan:
     sizes = None if test.sizes is None else np.ascontiguousarray(test.sizes, dtype=np.int64)
     limits, joint = (None if a is None else np.ascontiguousarray(a, dtype=float) for a in (test.limits, test.joint))
     table = None if codes is None else np.ascontiguousarray(codes.codes.T, dtype=bool)
+    means = None
+    if test.weights is not None and test.scaling is not None:
+        means = np.concatenate([test.weights, *test.lengths, test.scaling.ravel()])
     widths = {"residuals": len(spec.C), "aside": channels, "whitened": k, "scores": groups}
     widths |= {"member_statistics": parts, "fired": parts, "code": members}
     return Plan(
@@ -128,7 +132,7 @@ def _plan(spec: Specification, test: CompiledTest) -> Plan:
         np.array(numbers, dtype=float),
         (
             *(None if a is None else np.ascontiguousarray(a, dtype=float) for a in arrays),
-            *(dimensions, sizes, limits, joint, table),
+            *(dimensions, sizes, limits, joint, table, means),
         ),
         widths,
         named is not None,

@@ -506,8 +506,8 @@ class Monitor:
         for p in range(len(data)):
             recorded = Recorded(clock, data[p], measured.source, measured.origin, compared, own)
             told = (*notes, *unlike_the_fit(check, plant, data[p], decisions.aside[p]))
-            made = diagnosis_from(decisions.of(p), recorded, spec, generator, state.filter, p, told, self._bounds, check)
-            whole.append(made)
+            known = told, self._bounds, check
+            whole.append(diagnosis_from(decisions.of(p), recorded, spec, generator, state.filter, p, *known))
         return whole if np.ndim(measured.y) == 3 else whole[0]
 
     def run_file(

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from residua.decide.isolation import IsolationSettings, NoIsolation
 from residua.decide.kinds import ISOLATIONS
 from residua.decide.member_bounds import MemberBounds
-from residua.decide.norm_threshold import NormTest, NormThreshold
+from residua.decide.multiscale_ewma import MultiscaleEWMA
+from residua.decide.norm_threshold import NormTest
 from residua.decide.peak_threshold import PeakThreshold
 from residua.decide.test import ResidualTest, TestSettings, Watched
 from residua.design import ResidualGenerator
@@ -50,7 +51,7 @@ def chosen_test(
     """Return the settings of the test, and the thresholds that the design has certified; empty if none are used.
 
     Without settings: :class:`PeakThreshold` for a design with certified thresholds, the test that a design is made for
-    where it brings one, else :class:`NormThreshold`.
+    where it brings one, else :class:`MultiscaleEWMA`.
     """
     if test is not None and not isinstance(test, TestSettings):
         raise SettingError(
@@ -60,14 +61,14 @@ def chosen_test(
     if test is None or test.takes_certified:
         certified = brought_thresholds(design, generator)
     if test is None:
-        test = PeakThreshold() if certified else brought_test(design)
+        test = PeakThreshold() if certified else brought_test(design, isolate)
     isolate.test_of(test).check(Watched(generator, isolate.parts(generator), certified))
     return test, certified if test.uses_certified else {}
 
 
-def brought_test(design: Any) -> TestSettings:
-    """Return the settings of the test that a design is made for; of one that brings none those of a norm."""
-    test = design.test if isinstance(design, DesignWithTest) else NormThreshold()
+def brought_test(design: Any, isolate: IsolationSettings) -> TestSettings:
+    """Return the settings of the test that a design is made for, or that its isolation needs; else a bank of means."""
+    test = design.test if isinstance(design, DesignWithTest) else isolate.own_test or MultiscaleEWMA()
     if not isinstance(test, TestSettings):
         raise ModelError(f"the test of this design must be TestSettings, got {echo(test)}")
     return test

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.decide.statement import size_text
+from residua.decide.statement import capital, size_text
 from residua.recording.clock import length
 from residua.report.charts import by_interest, residual_unit
 from residua.report.choosing import SHOWN_FAULTS, look_alikes, shown_groups

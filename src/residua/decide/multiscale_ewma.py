@@ -1,0 +1,694 @@
+"""A bank of exponentially weighted means under one threshold: short and long changes at once, the default test."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri, ndtri
+
+from residua.decide.autoregression import Past, unforetold
+from residua.decide.calibrate import SETTLING, ResidualModel, allowance, levels_of, simulated_worlds
+from residua.decide.checks import check_rate, is_number, rate_aimed_at
+from residua.decide.compiled import CompiledTest
+from residua.decide.fault_free import FaultFree, check_enough
+from residua.decide.persistence import AlarmRuns, held, run_alarm
+from residua.decide.row_norms import row_squares
+from residua.decide.stream_test import StreamState, StreamTest, plain
+from residua.decide.test import Block, FaultFreeRun, ResidualTest, Tested, TestSettings, Watched
+from residua.decide.treatment import Treated, treated
+from residua.decide.whitened_norm import BAND_DEVIATIONS, BAND_SHARE, check_invertible, whitened_residuals
+from residua.decide.whitening import moving_directions, whitening_matrix
+from residua.errors import DataError, FileFormatError, SettingError
+from residua.linear.systems.recursion import SMALLEST, ordered_product, run_filter
+from residua.number_kinds import ENTRY, PART, POSITIVE, PROBABILITY, NumberKind
+from residua.tolerances import SIGNAL_ROUNDING
+from residua.visible import echo
+from residua.words import number, one_in
+
+#: Normal scores of the lengths at which what enters the long means is clipped, and to which a mean grows at least.
+_CLIP, _FULL = 3.0, 9.0
+#: Part of the threshold, as a normal score, at or below which an alarm ends.
+_FALLS_TO = 0.5
+#: Error of a mean that does not matter, in deviations: it is simulated.
+_HARMLESS = 1.0
+#: Samples of a mean that a fit leaves to its start, in units of its memory, and the most of a recording.
+_STARTING, _MOST_STARTING = 2.0, 0.25
+#: Parts of the variance of white noise below which a mean is rounding.
+_ROUNDING = 1e-4
+#: Independent exceedances by which scales are made alike.
+_EXCEEDANCES = 20
+#: Stretches of the data that are judged by the others.
+_FOLDS = 4
+#: Independent samples that the three means are worth, where an alarm is as rare as that (benchmarks/false_alarms.py).
+_AS_MANY = 11.0
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MultiscaleEWMATest(StreamTest):
+    r"""A bank of exponentially weighted means with every number filled in: what runs.
+
+    Attributes
+    ----------
+    weights : ndarray, shape (scales,)
+        From 1 downwards.
+    scaling : ndarray, shape (scales, k, k)
+        M: what makes each mean as long as a standard normal vector is.
+    sizes : ndarray of int, shape (parts,)
+        Whitened residuals of each part that is tested by itself; of the residual as a whole one part.
+    clips, fulls : ndarray, shape (parts,)
+        Lengths at which samples are clipped before they enter the long means, and to which a mean grows at most.
+    thresholds, releases : ndarray, shape (parts,)
+        Of each part; ``threshold`` is that of the residual as a whole, and 1 where parts are tested by themselves.
+    names : tuple of str
+        Of the parts; empty if the residual is tested as a whole.
+    """
+
+    NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {
+        **StreamTest.NUMBER_KINDS,
+        "weights": PART,
+        "scaling": ENTRY,
+        "clips": POSITIVE,
+        "fulls": POSITIVE,
+        "thresholds": POSITIVE,
+    }
+
+    weights: NDArray[np.float64]
+    scaling: NDArray[np.float64]
+    sizes: NDArray[np.int64]
+    clips: NDArray[np.float64]
+    fulls: NDArray[np.float64]
+    thresholds: NDArray[np.float64]
+    releases: NDArray[np.float64]
+    names: tuple[str, ...] = ()
+
+    @property
+    def columns(self) -> list[slice]:
+        """The whitened residuals of each part."""
+        return _columns([range(size) for size in self.sizes])
+
+    # ------------------------------------------------------------------------- running
+
+    def first_sums(self, plants: int) -> NDArray[np.float64]:
+        """Return the long means before the first sample: zero."""
+        return np.zeros((plants, int(np.count_nonzero(self.weights < 1)) * self.whitening.shape[1]))
+
+    def start(self, plants: int) -> StreamState:
+        """Return the state before the first sample."""
+        parts = (len(self.sizes),) if self.names else ()
+        runs = AlarmRuns(np.zeros(plants, np.int32), np.zeros(plants, np.int32), np.zeros((plants, *parts), bool))
+        return StreamState(Past.empty(plants, self.coefficients), self.first_sums(plants), runs.without_down())
+
+    def run(self, state: StreamState, block: Block) -> tuple[StreamState, Tested]:
+        """Run the means over a block, and the alarm that the longest of them raises."""
+        q, usable = whitened_residuals(self.center, self.whitening, block)
+        e, seen, past = unforetold(self.coefficients, state.past, q, usable)
+        if self.coefficients.size:
+            e = ordered_product(e, self.rewhitening)
+        squares, sums = self._squares(state.sums, e, seen)
+        lengths = np.where(seen[..., None], np.sqrt(squares), np.nan)
+        over = seen[..., None] & (np.where(seen[..., None], lengths, 0.0) > self.thresholds)
+        ends = seen[..., None] & (np.where(seen[..., None], lengths, np.inf) <= self.releases)
+        before = state.runs.alarm if self.names else state.runs.alarm[:, None]
+        alarms = np.stack([held(over[..., j], ends[..., j], before[:, j]) for j in range(over.shape[2])], axis=2)
+        exceeded = np.asarray(over.any(axis=2))
+        _, up, runs = run_alarm(exceeded, seen, replace(state.runs, alarm=before.any(axis=1)), 1, 1)
+        if seen.shape[1]:
+            last = alarms[:, -1].copy()
+            runs = replace(runs, alarm=last if self.names else last[:, 0]).without_down()
+        else:
+            runs = state.runs
+        alarm, nobody = np.asarray(alarms.any(axis=2)), np.zeros((*seen.shape, 0))
+        if not self.names:
+            tested = Tested(seen, lengths[..., 0], exceeded, alarm, up, q, nobody, nobody.astype(bool))
+        else:
+            statistic = np.max(lengths / self.thresholds, axis=2)
+            tested = Tested(seen, statistic, exceeded, alarm, up, q, lengths, alarms)
+        return StreamState(past, sums, runs), tested
+
+    def statistic(
+        self, sums: NDArray[np.float64], e: NDArray[np.float64], seen: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the length of the longest mean of any part, in units of its threshold where there are several."""
+        squares, sums = self._squares(sums, e, seen)
+        lengths = np.sqrt(squares)
+        return (np.max(lengths / self.thresholds, axis=2) if self.names else lengths[..., 0]), sums
+
+    def _squares(
+        self, sums: NDArray[np.float64], e: NDArray[np.float64], seen: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the square of the longest mean of each part, (plants, time, parts), and the means to go on with."""
+        plants, time, k = e.shape
+        largest = np.zeros((plants, time, len(self.sizes)))
+        entering = _clipped(e, self.columns, self.clips)
+        means, after = sums.reshape(plants, -1, k), []
+        for weight, scaling in zip(self.weights.tolist(), self.scaling, strict=True):
+            if weight == 1:
+                rows = ordered_product(e, scaling)
+                for j, part in enumerate(self.columns):
+                    largest[..., j] = np.maximum(largest[..., j], row_squares(rows[..., part]))
+                continue
+            squares, mean = self._of_scale(weight, scaling, means[:, len(after)], entering, seen)
+            largest = np.maximum(largest, squares)
+            after.append(mean)
+        return largest, np.concatenate(after, axis=1) if after else sums
+
+    def _of_scale(
+        self,
+        weight: float,
+        scaling: NDArray[np.float64],
+        mean: NDArray[np.float64],
+        entering: NDArray[np.float64],
+        seen: NDArray[np.bool_],
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the squares of one scale, and its mean to go on with; no mean grows beyond its full length."""
+        plants, time = entering.shape[:2]
+        squares = np.zeros((plants, time, len(self.sizes)))
+        full = self.fulls * self.fulls
+        mean = mean.copy()
+        for plant in range(plants):
+            at = np.flatnonzero(seen[plant])
+            begin = 0
+            if time > 1 and at.size:  # without a full mean the recursion is a filter
+                rows = _averaged(weight, mean[[plant]], entering[[plant]][:, at])[0][0]
+                found = self._lengths(rows, scaling)
+                capped = np.flatnonzero((found > full).any(axis=1))
+                begin = int(capped[0]) if capped.size else len(at)
+                squares[plant, at[:begin]] = found[:begin]
+                mean[plant] = rows[begin - 1] if begin else mean[plant]
+                if begin and not entering[plant, at[begin - 1]].any():
+                    mean[plant] = np.where(np.abs(mean[plant]) < SMALLEST, 0.0, mean[plant])
+            now = mean[plant]
+            for t in at[begin:]:
+                now = (1 - weight) * now + weight * entering[plant, t]
+                if not entering[plant, t].any():
+                    now = np.where(np.abs(now) < SMALLEST, 0.0, now)
+                square = self._lengths(now[None], scaling)[0]
+                for j, part in enumerate(self.columns):
+                    if square[j] > full[j]:
+                        now[part] = now[part] * (self.fulls[j] / np.sqrt(square[j]))
+                        square[j] = full[j]
+                squares[plant, t] = square
+            mean[plant] = now
+        return squares, mean
+
+    def _lengths(self, rows: NDArray[np.float64], scaling: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the squared lengths of scaled means, (time, parts)."""
+        scaled = ordered_product(rows[None], scaling)[0]
+        return np.stack([row_squares(scaled[:, part]) for part in self.columns], axis=1)
+
+    @property
+    def compiled(self) -> CompiledTest | None:
+        """The same in C."""
+        if type(self) is not MultiscaleEWMATest:
+            return None
+        numbers: dict[str, Any] = {"weights": self.weights, "scaling": self.scaling}
+        if self.names:
+            numbers |= {"sizes": self.sizes, "limits": self.thresholds}
+        return self.compiled_as("means", **numbers, lengths=(self.clips, self.fulls, self.releases))
+
+    # ----------------------------------------------- what the rest of a monitor asks for
+
+    @property
+    def title(self) -> str:
+        """What is tested."""
+        listed = ", ".join("1" if weight == 1 else f"1/{1 / weight:g}" for weight in self.weights)
+        return f"longest of the exponentially weighted means (weights {listed})"
+
+    @property
+    def samples(self) -> int:
+        """1: the shortest mean is the sample itself."""
+        return 1
+
+    @property
+    def part_names(self) -> tuple[str, ...]:
+        """The parts."""
+        return self.names
+
+    @property
+    def part_thresholds(self) -> NDArray[np.float64]:
+        """Those of the parts."""
+        return self.thresholds if self.names else np.zeros(0)
+
+    @property
+    def metric(self) -> NDArray[np.float64]:
+        """The whitening."""
+        return self.whitening
+
+    @property
+    def least_seen(self) -> float:
+        """The smallest constant mean whose longest average is at the threshold."""
+        longest = self.scaling[-1]
+        size = float(np.linalg.norm(longest, 2))
+        return float(np.min(self.thresholds)) / size if size > 0 else np.inf
+
+    @property
+    def per_threshold(self) -> NDArray[np.float64]:
+        """The whitening in units of the thresholds."""
+        if self.names:
+            return self.whitening / np.repeat(self.thresholds, self.sizes)
+        return self.whitening / self.threshold
+
+    @property
+    def guarded(self) -> NDArray[np.float64]:
+        """In deviations."""
+        return np.abs(self.whitening)
+
+    def bands(self) -> tuple[NDArray[np.float64], float]:
+        """Return the band of each residual alone."""
+        inverse = np.linalg.pinv(self.whitening)
+        return BAND_DEVIATIONS * np.sqrt(np.sum(inverse**2, axis=0)), BAND_SHARE
+
+    def fault_free_residuals(self, normal: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        """Return residuals that this test makes white; ``None`` of parts, which share residuals."""
+        return None if self.names else super().fault_free_residuals(normal)
+
+    def in_white_units(self, response: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        """Return the whitened response, less what its own past foretells."""
+        return None if self.names else super().in_white_units(response)
+
+    def words(self, step: float) -> dict[str, str]:
+        """Return in words what the threshold is, what is tested, and when an alarm begins and ends."""
+        said = super().words(step)
+        if not self.names:
+            return said
+        limits = ", ".join(f"{name} {limit:.4g}" for name, limit in zip(self.names, self.thresholds, strict=True))
+        return said | {
+            "threshold": f"{limits} ({self.basis})",
+            "test": f"{said['test']}, of each member; the statistic is the largest ratio to its threshold",
+            "alarm": "of a member: raised by a sample over its threshold, ended by one at or below "
+            f"{', '.join(number(one) for one in self.releases)}; of the bank: while any member is in alarm",
+        }
+
+    # --------------------------------------------------------------------------- files
+
+    def check(self, watched: Watched) -> None:
+        """Raise where a test from a file does not fit what it is to watch."""
+        n = watched.generator.n_residuals
+        parts = watched.parts
+        sizes = [n] if parts is None else [len(rows) for rows in parts.values()]
+        k, scales, count = sum(sizes), len(self.weights), len(sizes)
+        if self.sizes.tolist() != sizes or self.names != tuple(parts or ()):
+            raise FileFormatError(f"fitted: sizes and names must be those of {count} parts of {n} residuals")
+        shapes: dict[str, tuple[int, ...]] = {
+            "center": (n,),
+            "whitening": (n, k),
+            "rewhitening": (k, k),
+            "scaling": (scales, k, k),
+            **dict.fromkeys(("clips", "fulls", "thresholds", "releases"), (count,)),
+        }
+        for name, shape in shapes.items():
+            if getattr(self, name).shape != shape:
+                raise FileFormatError(f"fitted.{name} must have the shape {shape}")
+        if self.coefficients.ndim != 3 or self.coefficients.shape[1:] != (k, k):
+            raise FileFormatError(f"fitted.coefficients must be matrices for {k} residuals")
+        if self.knots.shape != (k, 0) or self.scores.size:
+            raise FileFormatError("fitted: a bank of means has no scores")
+        if not scales or self.weights[0] != 1 or not (np.diff(self.weights) < 0).all():
+            raise FileFormatError("fitted.weights must fall from 1")
+        if not ((self.releases >= 0) & (self.releases <= self.thresholds) & (self.thresholds < self.fulls)).all():
+            raise FileFormatError("fitted: releases must not lie above thresholds, nor these above fulls")
+        for part in self.columns:
+            check_invertible(self.whitening[:, part], of_some=parts is not None)
+
+
+@dataclass(frozen=True)
+class MultiscaleEWMA(TestSettings):
+    r"""Alarm where any of several exponentially weighted means of the residual is too long: the default test.
+
+    .. math::
+
+       s^{(i)}_k = (1 - \lambda_i) s^{(i)}_{k-1} + \lambda_i \hat e_k, \qquad
+       J_k = \max_i \frac{1}{g_i} \Big| \Sigma_i^{-1/2} s^{(i)}_k \Big| > h
+
+    with the whitened residual :math:`e`, less what its past foretells where it is coloured. The mean of weight 1 is the
+    sample itself and sees large faults at once; the longer ones see small faults that last. :math:`\hat e` is
+    :math:`e`, clipped at a length that one sample in a thousand has, so that an outlier does not stay in the long
+    means. An alarm is over when all of them are short again: at half the threshold, as normal scores.
+
+    A fit takes the covariance :math:`\Sigma_i` of each mean from the data, so that a slow wander of fault-free
+    residuals raises the bar of the long means alone, and simulates worlds of the fitted model, each fitted anew: these
+    give the factors :math:`g_i`, which make scales alike, and the one threshold :math:`h` for all of them, with the
+    errors of the fit in it. A fit to few rows turns the long means down and is not refused.
+
+    Guaranteed: residuals that are what the fitted model says are in alarm in the asked fraction of samples, on average
+    over fits.
+
+    Parameters
+    ----------
+    false_alarm_rate : float, optional
+        Intended fraction of fault-free samples in alarm, unless ``fit`` gets another one. When omitted, what the log
+        of a fit can carry; see :class:`residua.decide.NormThreshold`.
+    weights : sequence of float
+        :math:`\lambda_i`, falling from 1. A further 1/512 sees smaller faults, and its alarms outlive them by hundreds
+        of samples.
+    treatment : {"auto", "none"}
+        Whether a fit makes a coloured residual white by an autoregression.
+
+    See Also
+    --------
+    residua.decide.CUSUM : Nearly the fastest for a change of one known size.
+    residua.decide.NormThreshold : Single samples, or sums over one window.
+
+    Notes
+    -----
+    Assumes: fault-free residuals are as in the data of the fit. A wander slower than the recording is no part of these:
+    the notes of a fit and of a run say where they see one.
+
+    References
+    ----------
+    Lowry, Woodall, Champ and Rigdon (1992), Technometrics 34(1), 46-53, for one weight; Han, Tsung, Hu and Wang (2007),
+    Statistica Sinica 17, for several at once; Wilson and Hilferty (1931), PNAS 17(12), for the scores of lengths.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import residua as rs
+    >>> plant = rs.Plant([[0.9]], [[0.1]], [[1.0]], dt=1, inputs=["valve"], outputs=["level"])
+    >>> plant = plant.with_sensor_faults().with_noise(process=1e-4, measurement=1e-2)
+    >>> monitor = rs.Monitor(rs.design.kalman_filter(plant), test=rs.decide.MultiscaleEWMA())
+    >>> rng = np.random.default_rng(0)
+    >>> u, y = np.zeros((1000, 1)), 0.1 * rng.standard_normal((1000, 1))
+    >>> y[500:] += 0.1  # one deviation
+    >>> bool(monitor.run(u, y).alarms)
+    True
+    """
+
+    kind: ClassVar[str] = "multiscale ewma"
+    makes: ClassVar[type[ResidualTest]] = MultiscaleEWMATest
+    NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {"false_alarm_rate": PROBABILITY, "weights": PART}
+
+    false_alarm_rate: float | None = None
+    weights: tuple[float, ...] = (1.0, 1 / 8, 1 / 64)
+    treatment: str = "auto"
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        check_rate(self.false_alarm_rate)
+        rate = self.false_alarm_rate
+        object.__setattr__(self, "false_alarm_rate", None if rate is None else float(rate))
+        weights = tuple(self.weights) if isinstance(self.weights, (Sequence, np.ndarray)) else ()
+        if not weights or not all(is_number(one) and 0 < one <= 1 for one in weights) or weights[0] != 1:
+            raise SettingError(f"weights must be numbers that fall from 1, such as (1, 1/8), got {echo(self.weights)}")
+        if any(one <= other for one, other in pairwise(weights)):
+            raise SettingError(f"weights must fall from 1, got {echo(self.weights)}")
+        object.__setattr__(self, "weights", tuple(float(one) for one in weights))
+        if self.treatment not in ("auto", "none"):
+            raise SettingError(f"treatment must be one of auto, none, got {echo(self.treatment)}")
+
+    # -------------------------------------------------------------------------- thresholds
+
+    def from_model(self, watched: Watched) -> MultiscaleEWMATest | None:
+        """Return the test by the noise model of the plant, as if that were known exactly."""
+        generator, rows = watched.generator, _rows_of(watched)
+        covariance = generator.covariance_of_sums(1)
+        if covariance is None:
+            return None
+        blocks = [covariance[np.ix_(one, one)] for one in rows]
+        parts = _side_by_side(
+            [plain(np.zeros(len(one)), whitening_matrix(block)) for one, block in zip(rows, blocks, strict=True)],
+            rows,
+            generator.n_residuals,
+        )
+        W, scaling = parts["whitening"], []
+        for weight in self.weights:
+            sums = generator.covariance_of_sums(round(2 / weight - 1))  # as many samples as the mean is worth
+            assert sums is not None  # as for one sample
+            scaling.append(_scaled(W.T @ sums @ W * _variance(weight), _columns(rows), weight))
+        moving = [moving_directions(block) for block in blocks]
+        rate = rate_aimed_at(self.false_alarm_rate)
+        score = float(-ndtri(rate / (_AS_MANY * len(rows))))
+        basis = f"{_in_words(rate)} where residuals are as the noise model of the plant says"
+        return self._test(watched, parts, np.array(scaling), moving, score, basis)
+
+    def fitted(self, watched: Watched, run: FaultFreeRun, rate: float) -> MultiscaleEWMATest:
+        """Return the test fitted to fault-free data, for a rate of false alarms."""
+        rows, count = _rows_of(watched), int(run.usable.sum())
+        check_enough(count, run.residuals.shape[1], 1)
+        fit = _fit(self, rows, run)
+        worlds = simulated_worlds(fit.model)
+        scaling = [
+            _scaled_anew(_means(weight, [worlds.fitted], fit)[0], fit.columns, weight, worlds.shrink)
+            for weight in self.weights
+        ]
+        means = [
+            _means(weight, [worlds.new], fit)[0][:, SETTLING:] @ M
+            for weight, M in zip(self.weights, scaling, strict=True)
+        ]
+        factors = np.array(
+            [_factors(mean, fit, weight, rate) for weight, mean in zip(self.weights, means, strict=True)]
+        )
+        levels = levels_of(_scores([mean / g for mean, g in zip(means, factors, strict=True)], fit), _FALLS_TO)
+        score = float(np.quantile(levels, 1 - rate))
+        more = allowance(_held_out_levels(self, rows, run, factors), levels, rate)
+        basis = "; ".join([f"{_in_words(rate)}, simulated for a fit to {count} fault-free samples", *fit.notes])
+        if more > 1:
+            basis += f"; raised by {number(100 * (more - 1), 2)} % for what the data show beyond their model"
+        made = self._test(watched, fit.parts, fit.scaling / factors[:, None], fit.moving, more * score, basis)
+        return replace(made, promised=float(rate))
+
+    def _test(
+        self,
+        watched: Watched,
+        parts: Mapping[str, Any],
+        scaling: NDArray[np.float64],
+        moving: Sequence[int],
+        score: float,
+        basis: str,
+    ) -> MultiscaleEWMATest:
+        """Return what runs, with a threshold on the normal score of the longest mean."""
+        names, rows = tuple(watched.parts or ()), _rows_of(watched)
+        thresholds, releases = (_lengths_at(value, moving) for value in (score, _FALLS_TO * score))
+        return MultiscaleEWMATest(
+            **parts,
+            threshold=1.0 if names else float(thresholds[0]),
+            release=0.0 if names else float(releases[0]),
+            basis=basis,
+            weights=np.array(self.weights),
+            scaling=scaling,
+            sizes=np.array([len(one) for one in rows], dtype=np.int64),
+            clips=_lengths_at(_CLIP, moving),
+            fulls=_lengths_at(max(_FULL, 2 * score), moving),
+            thresholds=thresholds,
+            releases=releases,
+            names=names,
+        )
+
+
+# ---------------------------------------------------------------------------- what a fit makes of data
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """Residuals as a fit takes them to be, and their means, before there is a threshold."""
+
+    parts: dict[str, Any]
+    scaling: NDArray[np.float64]
+    columns: list[slice]
+    moving: list[int]
+    model: ResidualModel
+    notes: list[str]
+
+
+def _fit(settings: MultiscaleEWMA, rows: Sequence[Sequence[int]], run: FaultFreeRun) -> _Fit:
+    """Fit what makes residuals white, and the covariance of their means, to the usable samples of a run."""
+    columns, made = _columns(rows), [_treated(settings, run, one) for one in rows]
+    parts = _side_by_side([one.parts for one in made], rows, run.residuals.shape[1])
+    series = _white(parts, run)
+    e = np.concatenate(series)
+    covariance = e.T @ e / max(1, len(e))
+    for part in columns:  # each is white by itself; what never moves is left out
+        covariance[part, part] = np.diag((np.diag(covariance[part, part]) > _ROUNDING).astype(float))
+    radii = tuple(
+        np.sort(np.sqrt(row_squares(e[:, part]))) if one.is_heavy else None
+        for part, one in zip(columns, made, strict=True)
+    )
+    model = ResidualModel(
+        parts["coefficients"], parts["rewhitening"], covariance, tuple(columns), radii, int(run.usable.sum())
+    )
+    notes = list(dict.fromkeys(note for one in made for note in one.notes))
+    fit = _Fit(parts, np.zeros(0), columns, [max(one.moving, 1) for one in made], model, notes)
+    scaling = [_scaled_anew(_means(weight, series, fit), columns, weight, 1.0) for weight in settings.weights]
+    return replace(fit, scaling=np.concatenate(scaling))
+
+
+def _treated(settings: MultiscaleEWMA, run: FaultFreeRun, rows: Sequence[int]) -> Treated:
+    """Return what makes some residuals white; those without noise are measured by the largest that they are."""
+    data = FaultFree(run.residuals[:, list(rows)], run.usable, 1, run.seams)
+    rounding = SIGNAL_ROUNDING * run.signal_size(rows)
+    if data.spread > rounding:
+        return treated(data, settings.treatment, _HARMLESS, scores=False)
+    size = max(float(np.abs(data.deviations).max(initial=0.0)), rounding, float(np.finfo(float).tiny))
+    parts = plain(data.middle, np.eye(len(rows)) / size)
+    return Treated(parts, len(rows), ["no noise in these data: the threshold is at rounding level"], False)
+
+
+def _white(parts: Mapping[str, Any], run: FaultFreeRun) -> list[NDArray[np.float64]]:
+    """Return the white residuals of each recording, where they are known."""
+    A, out = parts["coefficients"], []
+    for part in FaultFree(run.residuals, run.usable, 1, run.seams).parts:
+        q, usable = whitened_residuals(
+            parts["center"], parts["whitening"], Block(run.residuals[None, part], run.usable[None, part])
+        )
+        e, seen, _ = unforetold(A, Past.empty(1, A), q, usable)
+        out.append((e[0] @ parts["rewhitening"] if A.size else e[0])[seen[0]])
+    return out
+
+
+def _means(weight: float, series: Sequence[NDArray[np.float64]], fit: _Fit) -> list[NDArray[np.float64]]:
+    """Return the means of white residuals, of one or several series (..., time, k), each from a start of its own."""
+    if weight == 1:
+        return list(series)
+    out = []
+    for e in series:
+        clipped = _clipped(e, fit.columns, _lengths_at(_CLIP, fit.moving))
+        rows = clipped.reshape(-1, *clipped.shape[-2:])
+        out.append(_averaged(weight, np.zeros((len(rows), e.shape[-1])), rows)[0].reshape(e.shape))
+    return out
+
+
+def _scaled_anew(
+    means: NDArray[np.float64] | Sequence[NDArray[np.float64]], columns: Sequence[slice], weight: float, shrink: float
+) -> NDArray[np.float64]:
+    """Return what makes means as long as standard normal vectors, by their own covariance; shape (fits, k, k).
+
+    Of one fit to several recordings, or of many fits to one each. What a mean takes to start is left out. Of few rows,
+    the covariance is drawn towards that of the mean of white residuals.
+    """
+    several = list(means) if isinstance(means, (list, tuple)) else [means]
+    k, total, rows = several[0].shape[-1], 0.0, 0
+    for one in several:
+        settled = one[..., min(int(_STARTING / weight), int(_MOST_STARTING * one.shape[-2])) :, :]
+        total = total + np.swapaxes(settled, -1, -2) @ settled
+        rows += settled.shape[-2]
+    if weight == 1:
+        return np.broadcast_to(np.eye(k), (*np.shape(total)[:-2], k, k)).reshape(-1, k, k)
+    own = np.asarray(total).reshape(-1, k, k) / max(rows, 1)
+    own = own.mean(axis=0) + shrink * (own - own.mean(axis=0))
+    worth, prior = rows * weight / shrink**2, k + 2
+    return _scaled((worth * own + prior * _variance(weight) * np.eye(k)) / (worth + prior), columns, weight)
+
+
+def _scaled(covariances: NDArray[np.float64], columns: Sequence[slice], weight: float) -> NDArray[np.float64]:
+    """Return the inverse roots of the covariances of a mean, of each part by itself; what never moves as white."""
+    out = np.zeros_like(covariances)
+    for part in columns:
+        values, vectors = np.linalg.eigh(covariances[..., part, part])
+        values = np.where(values > _ROUNDING * _variance(weight), values, _variance(weight))
+        out[..., part, part] = vectors / np.sqrt(values)[..., None, :] @ np.swapaxes(vectors, -1, -2)
+    return out
+
+
+def _factors(mean: NDArray[np.float64], fit: _Fit, weight: float, rate: float) -> NDArray[np.float64]:
+    """Return for each column how much longer the means of worlds are than a standard normal vector, at a rate.
+
+    At the rate asked for, or at the rarest that twenty independent exceedances show.
+    """
+    shown = max(rate, _EXCEEDANCES * (2 / weight - 1) / mean[..., 0].size)
+    out = np.ones(mean.shape[-1])
+    for part, k in zip(fit.columns, fit.moving, strict=True):
+        square = float(np.quantile(row_squares(mean[..., part]), 1 - shown))
+        out[part] = max(1.0, np.sqrt(square / float(chdtri(k, shown))))
+    return out
+
+
+def _scores(means: Sequence[NDArray[np.float64]], fit: _Fit) -> NDArray[np.float64]:
+    """Return the normal score of the longest mean of any part."""
+    scores = []
+    for part, k in zip(fit.columns, fit.moving, strict=True):
+        square = np.max([row_squares(mean[..., part]) for mean in means], axis=0)
+        scores.append((np.cbrt(square / k) - (1 - 2 / (9 * k))) / np.sqrt(2 / (9 * k)))
+    return np.max(scores, axis=0)
+
+
+def _held_out_levels(
+    settings: MultiscaleEWMA, rows: Sequence[Sequence[int]], run: FaultFreeRun, factors: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the levels that each quarter of the samples has by a fit to the others; none where they are too few."""
+    count = np.cumsum(run.usable)
+    edges = np.searchsorted(count, np.arange(_FOLDS + 1) * count[-1] / _FOLDS)
+    out = []
+    for start, stop in pairwise([0, *edges[1:-1].tolist(), len(count)]):
+        others = run.usable.copy()
+        others[start:stop] = False
+        mine = replace(run, usable=run.usable & ~others)
+        try:
+            fit = _fit(settings, rows, replace(run, usable=others))
+        except DataError:  # what is left is too little for a fit
+            return np.zeros(0)
+        for e in _white(fit.parts, mine):
+            if len(e):
+                means = [
+                    _means(weight, [e], fit)[0] @ (M / g)
+                    for weight, M, g in zip(settings.weights, fit.scaling, factors, strict=True)
+                ]
+                out.append(levels_of(_scores(means, fit)[None], _FALLS_TO)[0])
+    return np.concatenate(out) if out else np.zeros(0)
+
+
+def _rows_of(watched: Watched) -> list[list[int]]:
+    """Return the residuals of each part, or all of them."""
+    if watched.parts is None:
+        return [list(range(watched.generator.n_residuals))]
+    return [list(rows) for rows in watched.parts.values()]
+
+
+def _columns(rows: Sequence[Sequence[int]]) -> list[slice]:
+    """Return which whitened residuals are those of each part."""
+    ends = np.cumsum([len(one) for one in rows]).tolist()
+    return [slice(a, b) for a, b in zip([0, *ends[:-1]], ends, strict=True)]
+
+
+def _side_by_side(made: Sequence[Mapping[str, Any]], rows: Sequence[Sequence[int]], n: int) -> dict[str, Any]:
+    """Return what makes the residuals of each part white as one."""
+    columns = _columns(rows)
+    k, order = columns[-1].stop, max(len(one["coefficients"]) for one in made)
+    parts = {**plain(np.zeros(n), np.zeros((n, k))), "coefficients": np.zeros((order, k, k)), "rewhitening": np.eye(k)}
+    parts["knots"] = np.zeros((k, 0))
+    for one, mine, part in zip(made, rows, columns, strict=True):
+        parts["center"][mine] = one["center"]
+        parts["whitening"][mine, part] = one["whitening"]
+        parts["coefficients"][: len(one["coefficients"]), part, part] = one["coefficients"]
+        parts["rewhitening"][part, part] = one["rewhitening"]
+    return parts
+
+
+def _clipped(e: NDArray[np.float64], columns: Sequence[slice], clips: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return samples no longer than the clips of their parts."""
+    out = np.empty_like(e)
+    for part, clip in zip(columns, clips.tolist(), strict=True):
+        square = row_squares(e[..., part])
+        factor = np.where(square > clip * clip, clip / np.sqrt(np.where(square > 0, square, 1.0)), 1.0)
+        out[..., part] = e[..., part] * factor[..., None]
+    return out
+
+
+def _averaged(
+    weight: float, mean: NDArray[np.float64], rows: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the mean after each of some rows, (series, time, k), and after the last."""
+    one = np.eye(mean.shape[1])
+    last, means = run_filter((1 - weight) * one, weight * one, (1 - weight) * one, weight * one, mean, rows)
+    return means, last
+
+
+def _variance(weight: float) -> float:
+    """Return the variance of the mean of white residuals, once it has forgotten its start."""
+    return weight / (2 - weight)
+
+
+def _lengths_at(score: float, moving: Sequence[int]) -> NDArray[np.float64]:
+    """Return the lengths of standard normal vectors that have a normal score (Wilson and Hilferty)."""
+    k = np.asarray(moving, dtype=float)
+    return np.sqrt(k * np.maximum(1 - 2 / (9 * k) + score * np.sqrt(2 / (9 * k)), 0.0) ** 3)
+
+
+def _in_words(rate: float) -> str:
+    return f"{one_in(rate)} samples in alarm"
+
+
+__all__ = ["MultiscaleEWMA", "MultiscaleEWMATest"]
