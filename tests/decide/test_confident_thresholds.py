@@ -58,7 +58,7 @@ def test_the_statement_of_the_issue() -> None:
     test = rs.decide.NormThreshold(persistence=1, source="quantile", false_alarm_rate=1e-4)
     residuals = np.random.default_rng(1).standard_normal((8000, 1))
     monitor = rs.Monitor(given(), test=test, isolate=None).fit(None, residuals, held_out=0)
-    assert "with 8000 samples no rate below 0.00037 can be promised at 95 %; 0.0001 takes 29956 samples" in str(
+    assert "with 8000 samples no fewer than 1 in 2,700 can be promised at 95 %; 1 in 10,000 takes 29956 samples" in str(
         monitor.norm_test.basis
     )
     assert monitor.norm_test.promised == pytest.approx(least_rate(8000), rel=0.02)
@@ -181,7 +181,7 @@ def test_correlated_samples_count_for_fewer() -> None:
     assert white.worth > 0.9 * 5000
     assert coloured.worth < 0.4 * 5000
     assert coloured.promised > 2 * white.promised
-    assert "independent ones) no rate below" in str(coloured)
+    assert "independent ones) no fewer than" in str(coloured)
     assert "takes about" in str(coloured)
 
 

@@ -13,9 +13,11 @@ import scipy.io
 
 import residua as rs
 from residua.decide import NormThreshold, PeakThreshold
+from residua.decide.held_out import HeldOut
 from residua.decide.stationarity import Change
 from residua.errors import DataError, FileFormatError, SettingError
 from residua.json_files import dumps, loads
+from residua.monitor.fit_check import FitCheck
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 DATA = Path(os.environ.get("RESIDUA_SHARED_DATA", REPOSITORY.parent / "shared" / "data"))
@@ -51,9 +53,7 @@ def test_the_rate_on_what_was_held_out_is_that_of_a_run() -> None:
     assert check.held_out is not None
     assert check.held_out.samples == 1000
     assert check.held_out.alarmed == int(watch.run(None, data).alarm[-1000:].sum())
-    assert (
-        f"of the last 1000 samples, which were held out of the fit, {check.held_out.rate:.2g}" in watch.norm_test.basis
-    )
+    assert f"{check.held_out.alarmed} of 1,000 held-out samples in alarm" in watch.norm_test.basis
     assert check.notes == ()
 
 
@@ -66,11 +66,12 @@ def test_a_last_part_that_is_unlike_is_said_with_what_to_do(tmp_path: Path) -> N
     assert held is not None
     assert held.is_over
     notes = watch.run(None, white(4, 100)).notes
-    assert any("samples that were held out are in alarm, 0.01 was asked for" in note for note in notes)
+    said = f"{held.alarmed} of 600 held-out samples in alarm"
+    assert any(said in note and "too many for 1 in 100: " in note for note in notes)
     watch.run(None, white(4, 100)).to_html(tmp_path / "page.html")
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
-    assert "held out of the fit" in page
-    assert "samples that were held out are in alarm" in page
+    assert "False alarms: 1 in 100 samples promised, " in page
+    assert f"the fit: {said}" in page
     assert monitor().fit(None, white(3, 3000)).fit_check.notes == ()  # pyright: ignore
 
 
@@ -152,6 +153,58 @@ def test_the_check_is_saved(tmp_path: Path) -> None:
     (tmp_path / "wrong.json").write_text(dumps(content), encoding="utf-8")
     with pytest.raises(FileFormatError, match=r"fit_check\.left_out"):
         rs.Monitor.load(tmp_path / "wrong.json")
+
+
+@pytest.mark.parametrize(("rows", "rate"), [(400, 1e-2), (2000, 1 / 400), (100_000, 1e-4)])
+def test_without_a_wish_a_fit_aims_at_what_its_rows_can_carry(rows: int, rate: float, tmp_path: Path) -> None:
+    watch = rs.Monitor(rs.identify.given_residuals(1), test=NormThreshold(persistence=1), isolate=None)
+    assert watch.false_alarm_rate == 1e-4
+    watch.fit(None, white(21, rows, 1), held_out=0.0)
+    assert watch.false_alarm_rate == pytest.approx(rate, rel=1e-9)
+    watch.save(tmp_path / "monitor.json")
+    content = loads((tmp_path / "monitor.json").read_bytes(), "monitor.json")
+    assert content["test"]["false_alarm_rate"] is None
+    assert rs.Monitor.load(tmp_path / "monitor.json").false_alarm_rate == watch.false_alarm_rate
+    assert watch.fit(None, white(21, rows, 1), false_alarm_rate=0.02).false_alarm_rate == 0.02
+
+
+def test_rows_that_are_held_out_carry_nothing() -> None:
+    watch = rs.Monitor(rs.identify.given_residuals(1), test=NormThreshold(persistence=1), isolate=None)
+    check = watch.fit(None, white(22, 5000, 1)).fit_check
+    assert check is not None
+    assert (check.rows, check.aimed) == (4000, 5 / 4000)
+
+
+@pytest.mark.parametrize(
+    ("check", "line"),
+    [
+        (
+            FitCheck(HeldOut(8000, 0, 8e3, 5e-4), aimed=5e-4, promised=7e-4),
+            "promised, 0 of 8,000 held-out samples in alarm",
+        ),
+        (FitCheck(None, aimed=5e-4, promised=5e-4), "promised, no samples held out"),
+        (FitCheck(HeldOut(800, 1, 800.0, 5e-4), aimed=5e-4), "aimed at, 1 of 800 held-out samples in alarm (1 in 800)"),
+        (
+            FitCheck(None, rows=1234, aimed=5e-4, promised=2e-3),
+            "aimed at, 1 in 500 promised as far as 1,234 samples can show, no samples held out",
+        ),
+        (
+            FitCheck(None, rows=60, aimed=5e-4, promised=1.0),
+            "aimed at, which 60 samples are too few to promise, no samples held out",
+        ),
+    ],
+)
+def test_false_alarms_are_said_in_one_line(check: FitCheck, line: str) -> None:
+    assert check.false_alarms == f"false alarms: 1 in 2,000 samples {line}"
+    assert str(check) == check.false_alarms
+
+
+def test_only_a_held_out_part_that_contradicts_warns() -> None:
+    """More alarms than were aimed at, as chance has them, are no contradiction; nor is a rate out of reach."""
+    chance, too_many = HeldOut(1000, 3, 1000.0, 2e-3), HeldOut(1000, 9, 1000.0, 2e-3)
+    assert FitCheck(chance, rows=100, aimed=2e-3, promised=1.0).notes == ()
+    (note,) = FitCheck(too_many, aimed=2e-3, promised=2e-3).notes
+    assert note.startswith("the fit: 9 of 1,000 held-out samples in alarm (1 in 110), too many for 1 in 500: ")
 
 
 @pytest.mark.parametrize("options", [{"held_out": 0.9}, {"held_out": -0.1}, {"transient": -1}, {"transient": "some"}])
