@@ -157,6 +157,9 @@ class ResidualTest(Record, ABC):
     basis: str
     #: Samples from a start to a false alarm, on average, or fewer; ``None`` where that is not known.
     mean_time: float | None = None
+    #: Fraction of fault-free samples in alarm that the data of a fit promise not to be exceeded on other data, with
+    #: 95 % confidence; ``None`` where nothing is known of it.
+    promised: float | None = None
 
     @abstractmethod
     def start(self, plants: int) -> Any:

@@ -126,8 +126,7 @@ def _fitted(
             raise
         return _fitted(settings, watched, run, None, rate)
     out = None if held is None else alarms_held_out(test, run, held, aimed)
-    promised = getattr(test, "promised", None)  # a test of a user's own need not promise anything
-    return test, FitCheck(out, rows=rows, aimed=aimed, promised=promised)
+    return test, FitCheck(out, rows=rows, aimed=aimed, promised=test.promised)
 
 
 def _checked(check: FitCheck, share: float, samples: int) -> str:

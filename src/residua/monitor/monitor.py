@@ -222,11 +222,7 @@ class Monitor:
 
     @property
     def false_alarm_rate(self) -> float:
-        """The fraction of fault-free samples in alarm that is aimed at: by the last fit, before one by the test.
-
-        A test without a wish aims at 1e-4 before a fit, and a fit at 5 / rows, of the usable rows that it uses,
-        between 1e-4 and 1e-2.
-        """
+        """The fraction of fault-free samples in alarm aimed at: by the last fit; before one by the test, or 1e-4."""
         if self._check is not None and self._check.aimed is not None:
             return self._check.aimed
         return self._settings.asked(self._watched(self.generator))
@@ -267,10 +263,9 @@ class Monitor:
         """Fit mean, covariance and threshold to one or several fault-free recordings.
 
         The last fifth of every recording is held out: used neither for the covariance nor for the threshold.
-        ``print(monitor.fit_check)`` says in one line how rare false alarms are by the fit, and how many of these
-        samples are in alarm. Where that contradicts the rate aimed at with 97.5 % confidence, or the residuals change
-        within a recording (a step or a drift in what was taken for fault-free), the notes of every diagnosis say so,
-        with what to do.
+        ``print(monitor.fit_check)`` says how rare false alarms are, and how many of these samples are in alarm. Where
+        that contradicts the rate aimed at, with 97.5 % confidence, or the residuals change within a recording (a step
+        or a drift in what was taken for fault-free), the notes of every diagnosis say so, with what to do.
 
         Several (flights, days, batches) each have a start of their own, over which the filter settles, and nothing is
         summed or counted from one to the next. A finite-horizon test has thresholds alone, and a fit
@@ -291,8 +286,7 @@ class Monitor:
         dt : float, optional
             Step, for a continuous generator without ``time``.
         false_alarm_rate : float, optional
-            Fraction of fault-free samples in alarm that is aimed at. When omitted, that of the test, which without one
-            aims at what the recordings can carry: 5 / rows, between 1e-4 and 1e-2.
+            Fraction of fault-free samples in alarm aimed at; when omitted that of the test, or 5 / rows, 1e-4 to 1e-2.
         held_out : float
             Part of the usable samples of each recording, the last ones, that only checks the fit; 0: none. Where that
             would be under thirty samples, or under two windows of the test, none are, and the basis says so; nor for
@@ -505,8 +499,7 @@ class Monitor:
         whole = []
         for p in range(len(data)):
             recorded = Recorded(clock, data[p], measured.source, measured.origin, compared, own)
-            told = (*notes, *unlike_the_fit(check, plant, data[p], decisions.aside[p]))
-            known = told, self._bounds, check
+            known = (*notes, *unlike_the_fit(check, plant, data[p], decisions.aside[p])), self._bounds, check
             whole.append(diagnosis_from(decisions.of(p), recorded, spec, generator, state.filter, p, *known))
         return whole if np.ndim(measured.y) == 3 else whole[0]
 
