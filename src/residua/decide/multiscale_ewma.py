@@ -441,11 +441,11 @@ class MultiscaleEWMA(TestSettings):
         )
         levels = levels_of(_scores([mean / g for mean, g in zip(means, factors, strict=True)], fit), _FALLS_TO)
         score = float(np.quantile(levels, 1 - rate))
-        more = allowance(_held_out_levels(self, rows, run, factors), levels, rate)
+        few, more = allowance(_held_out_levels(self, rows, run, factors), levels, rate, count)
         basis = "; ".join([f"{_in_words(rate)}, simulated for a fit to {count} fault-free samples", *fit.notes])
         if more > 1:
             basis += f"; raised by {number(100 * (more - 1), 2)} % for what the data show beyond their model"
-        made = self._test(watched, fit.parts, fit.scaling / factors[:, None], fit.moving, more * score, basis)
+        made = self._test(watched, fit.parts, fit.scaling / factors[:, None], fit.moving, few * more * score, basis)
         return replace(made, promised=float(rate))
 
     def _test(
