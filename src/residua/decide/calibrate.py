@@ -24,6 +24,9 @@ _TAIL, _LEAST_IN_TAIL = 0.02, 20
 _RATES, _SHOWN, _SURE = (0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001, 5e-4, 2e-4, 1e-4), 6, 0.95
 #: Growth of the allowance over each decade of rarer alarms, at most.
 _GROWTH = 0.3
+#: Standard errors by which memory is taken longer than it seems, and what is added to a threshold for what so few rows
+#: do not show of their model, in units of one by the root of their number: chosen on 20 fits a kind of 1,000 rows.
+_LONGER, _UNSEEN = 2.0, 2.0
 #: Poles of a corrected autoregression, and parts of its variance below which a direction is none.
 _MOST_POLE, _NO_VARIANCE = 0.9995, 1e-8
 
@@ -135,8 +138,11 @@ def levels_of(statistic: NDArray[np.float64], falls_to: float) -> NDArray[np.flo
     return out.T
 
 
-def allowance(levels: NDArray[np.float64], worlds: NDArray[np.float64], rate: float) -> float:
-    """Return the factor by which levels of the data lie above those of worlds, at a rate: 1 where chance explains it.
+def allowance(levels: NDArray[np.float64], worlds: NDArray[np.float64], rate: float, rows: int) -> tuple[float, float]:
+    """Return by how much a threshold is raised: for few rows, and for what the data show beyond their model.
+
+    The second is the factor by which levels of the data lie above those of worlds, at a rate: 1 where chance explains
+    it.
 
     Levels of the data are those that each stretch of time has by a fit to the others. They are compared at rates that
     the data show, by six alarms at least; the factor goes on growing towards rarer alarms as it grew, by at most 0.3 a
@@ -147,7 +153,10 @@ def allowance(levels: NDArray[np.float64], worlds: NDArray[np.float64], rate: fl
     levels : ndarray, shape (time,)
     worlds : ndarray, shape (worlds, time)
     rate : float
+    rows : int
+        Of the fit.
     """
+    few = 1 + _UNSEEN / rows**0.5
     found: list[tuple[float, float]] = []
     passes = False
     own = worlds[:, : min(len(levels), worlds.shape[1])]
@@ -161,19 +170,20 @@ def allowance(levels: NDArray[np.float64], worlds: NDArray[np.float64], rate: fl
         if one <= rate:
             break
     if not passes:
-        return 1.0
+        return few, 1.0
     (first, least), (last, most) = found[0], found[-1]
     growth = min(max((most - least) / np.log10(first / last), 0.0), _GROWTH) if first > last else 0.0
-    return max(1.0, most) + growth * max(0.0, float(np.log10(last / rate)))
+    return few, max(1.0, most) + growth * max(0.0, float(np.log10(last / rate)))
 
 
 def _as_long_as_it_may_be(A: NDArray[np.float64], found: NDArray[np.float64], shrink: float) -> NDArray[np.float64]:
-    """Return the memory that worlds have: corrected for what fits to few rows lose of it, and a standard error longer.
+    """Return the memory that worlds have: corrected for what fits to few rows lose of it, and two standard errors
+    longer.
 
     ``found`` are fits to worlds with the memory ``A``. The longer the memory, the more wrong is a mean.
     """
     whole, kept = np.trace(A.sum(axis=0)), np.trace(found.sum(axis=1), axis1=1, axis2=2)
-    longer = 1 + shrink * kept.std() / abs(whole) if whole > 0 else 1.0
+    longer = 1 + _LONGER * shrink * kept.std() / abs(whole) if whole > 0 else 1.0
     for wanted in (longer * (2 * A - found.mean(axis=0)), 2 * A - found.mean(axis=0), A):
         if _largest_pole(wanted) < _MOST_POLE:
             return wanted

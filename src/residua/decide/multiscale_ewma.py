@@ -28,7 +28,7 @@ from residua.linear.systems.recursion import SMALLEST, ordered_product, run_filt
 from residua.number_kinds import ENTRY, PART, POSITIVE, PROBABILITY, NumberKind
 from residua.tolerances import SIGNAL_ROUNDING
 from residua.visible import echo
-from residua.words import number, one_in
+from residua.words import counted, number, one_in
 
 #: Normal scores of the lengths at which what enters the long means is clipped, and to which a mean grows at least.
 _CLIP, _FULL = 3.0, 9.0
@@ -44,6 +44,9 @@ _ROUNDING = 1e-4
 _EXCEEDANCES = 20
 #: Stretches of the data that are judged by the others.
 _FOLDS = 4
+#: Multiples of the threshold below which an alarm is slight, and how many long and slight ones, or which part of the
+#: time, are worth a word.
+_SLIGHT, _OFTEN, _MUCH = 2.0, 2, 0.02
 #: Independent samples that the three means are worth, where an alarm is as rare as that (benchmarks/false_alarms.py).
 _AS_MANY = 11.0
 
@@ -284,6 +287,22 @@ class MultiscaleEWMATest(StreamTest):
             f"{', '.join(number(one) for one in self.releases)}; of the bank: while any member is in alarm",
         }
 
+    def cautions(self, tested: Tested) -> tuple[str, ...]:
+        """Return that alarms are long and slight again and again: of a small fault, or of a slow wander."""
+        memory, slight = round(1 / self.weights[-1]), _SLIGHT * (1.0 if self.names else self.threshold)
+        edges = np.flatnonzero(np.diff(tested.alarm.astype(np.int8), prepend=0, append=0)).reshape(-1, 2).tolist()
+        long = [(start, stop) for start, stop in edges if stop - start >= memory > 1]
+        alone = [stop - start for start, stop in long if np.nanmax(tested.statistic[start:stop]) < slight]
+        share = sum(alone) / max(1, int(tested.usable.sum()))
+        if len(alone) < _OFTEN and share < _MUCH:
+            return ()
+        memory = round(1 / self.weights[-1])
+        return (
+            f"{counted(len(alone), 'alarm')} ({100 * share:.2g} % of the time) by means over about {memory} samples, "
+            "none of them large: small differences that last, as of a small fault, or of a wander of the plant that is "
+            "slower than the recordings of the fit; fit to longer ones, or to several, to tell these apart",
+        )
+
     # --------------------------------------------------------------------------- files
 
     def check(self, watched: Watched) -> None:
@@ -444,11 +463,11 @@ class MultiscaleEWMA(TestSettings):
         )
         levels = levels_of(_scores([mean / g for mean, g in zip(means, factors, strict=True)], fit), _FALLS_TO)
         score = float(np.quantile(levels, 1 - rate))
-        more = allowance(_held_out_levels(self, rows, run, factors), levels, rate)
+        few, more = allowance(_held_out_levels(self, rows, run, factors), levels, rate, count)
         basis = "; ".join([f"{_in_words(rate)}, simulated for a fit to {count} fault-free samples", *fit.notes])
         if more > 1:
             basis += f"; raised by {number(100 * (more - 1), 2)} % for what the data show beyond their model"
-        made = self._test(watched, fit.parts, fit.scaling / factors[:, None], fit.moving, more * score, basis)
+        made = self._test(watched, fit.parts, fit.scaling / factors[:, None], fit.moving, few * more * score, basis)
         return replace(made, promised=float(rate))
 
     def _test(

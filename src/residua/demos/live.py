@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.decide import NormThreshold
 from residua.design import kalman_filter
 from residua.errors import DataError
 from residua.library import simulate_three_tank, three_tank, three_tank_fault
@@ -67,7 +66,7 @@ def write(folder: Path) -> Path:
     if not mine and any(folder.iterdir()):
         raise DataError(f"{folder} has files in it that the demo might replace: name a new folder")
     plant = three_tank()
-    monitor = Monitor(kalman_filter(plant), test=NormThreshold(persistence=5, window=10, false_alarm_rate=0.005))
+    monitor = Monitor(kalman_filter(plant))
     normal = simulate_three_tank(_NORMAL, seed=1)
     monitor.fit(normal.u, normal.y, time=normal.time)
     monitor.save(folder / "tank.json")

@@ -7,7 +7,6 @@ from pathlib import Path
 from numpy.typing import NDArray
 
 from residua.analysis import diagnosability
-from residua.decide import NormThreshold
 from residua.demos.outcome import Outcome
 from residua.design import kalman_filter
 from residua.library import SimulatedRecording, simulate_three_tank, three_tank as library_tank, three_tank_fault
@@ -20,10 +19,6 @@ from residua.report.tables import Table
 #: Fault 9 of the benchmark: a hole at the bottom of tank 3 that grows from 200 s on.
 NUMBER, ONSET = 9, 200.0
 NORMAL_STEPS, STEPS = 40_000, 2001
-#: Samples that are summed, for the leak grows slowly, and how many in a row over the threshold raise an alarm.
-AVERAGE, PERSISTENCE = 10, 5
-#: Fraction of fault-free samples in alarm: what so many normal ones can show.
-RATE = 0.005
 SEEDS = {"normal": 1, "healthy": 2, "leak": 3}
 
 
@@ -49,7 +44,7 @@ def run(folder: Path) -> Outcome:
     }
     for name, recording in recordings.items():
         write_table(folder / f"{name}.csv", _columns(recording, plant))
-    monitor = Monitor(kalman_filter(plant), test=_test())
+    monitor = Monitor(kalman_filter(plant))
     normal = recordings["normal"]
     monitor.fit(normal.u, normal.y, time=normal.time)
     monitor.save(folder / "tank.json")
@@ -69,10 +64,6 @@ def run(folder: Path) -> Outcome:
     )
     groups = diagnosability(plant).groups
     return Outcome(lines, (table,), page, surprises(healthy, leak, actual, groups))
-
-
-def _test() -> NormThreshold:
-    return NormThreshold(persistence=PERSISTENCE, window=AVERAGE, false_alarm_rate=RATE)
 
 
 def surprises(healthy: Diagnosis, leak: Diagnosis, actual: str, groups: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
@@ -133,8 +124,6 @@ def _lines(monitor: Monitor, healthy: Diagnosis, leak: Diagnosis, actual: str) -
 
 def _commands(folder: Path) -> tuple[str, ...]:
     return (
-        f"The same by hand, in {folder}: "
-        f"residua design three_tank.toml -o tank.json --persistence {PERSISTENCE} --average {AVERAGE} "
-        f"--false-alarm-rate {RATE:g}; "
+        f"The same by hand, in {folder}: residua design three_tank.toml -o tank.json; "
         "residua fit tank.json normal.csv -o tank.json; residua run tank.json leak.csv --report leak.html",
     )
