@@ -441,7 +441,7 @@ class MultiscaleEWMA(TestSettings):
         moving = [moving_directions(block) for block in blocks]
         rate = rate_aimed_at(self.false_alarm_rate)
         score = float(-ndtri(rate / (_AS_MANY * len(rows))))
-        basis = f"{_in_words(rate)} where residuals are as the noise model of the plant says"
+        basis = f"{one_in(rate)} samples in alarm where residuals are as the noise model of the plant says"
         return self._test(watched, parts, np.array(scaling), moving, score, basis)
 
     def fitted(self, watched: Watched, run: FaultFreeRun, rate: float) -> MultiscaleEWMATest:
@@ -464,7 +464,9 @@ class MultiscaleEWMA(TestSettings):
         levels = levels_of(_scores([mean / g for mean, g in zip(means, factors, strict=True)], fit), _FALLS_TO)
         score = float(np.quantile(levels, 1 - rate))
         few, more = allowance(_held_out_levels(self, rows, run, factors), levels, rate, count)
-        basis = "; ".join([f"{_in_words(rate)}, simulated for a fit to {count} fault-free samples", *fit.notes])
+        basis = "; ".join(
+            [f"{one_in(rate)} samples in alarm, simulated for a fit to {count} fault-free samples", *fit.notes]
+        )
         if more > 1:
             basis += f"; raised by {number(100 * (more - 1), 2)} % for what the data show beyond their model"
         made = self._test(watched, fit.parts, fit.scaling / factors[:, None], fit.moving, few * more * score, basis)
@@ -704,10 +706,6 @@ def _lengths_at(score: float, moving: Sequence[int]) -> NDArray[np.float64]:
     """Return the lengths of standard normal vectors that have a normal score (Wilson and Hilferty)."""
     k = np.asarray(moving, dtype=float)
     return np.sqrt(k * np.maximum(1 - 2 / (9 * k) + score * np.sqrt(2 / (9 * k)), 0.0) ** 3)
-
-
-def _in_words(rate: float) -> str:
-    return f"{one_in(rate)} samples in alarm"
 
 
 __all__ = ["MultiscaleEWMA", "MultiscaleEWMATest"]
