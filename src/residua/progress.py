@@ -77,7 +77,7 @@ def time_limit(seconds: float) -> Iterator[None]:
 
 
 def check_time() -> None:
-    """Raise where the time is used up; asked at each decision of a rank and by each generator that is made."""
+    """Raise where the time is used up: asked wherever a design decides a rank, keeps a result or makes a generator."""
     end = _end.get()
     if time.monotonic() >= end:
         raise TimeUsedUpError

@@ -21,7 +21,7 @@ from residua.words import listing
 #: and how many times smaller sizes must be for another design than the Kalman filter to come first.
 SLOW, UNSEEN, SMALLER = 500, 100.0, 1.25
 #: The designs that come first as long as no other is clearly better, and the one whose names were never wrong.
-_FIRST, _SECOND = ("kalman_filter", "decoupled_residual"), "structured_bank"
+FIRST, _SECOND = ("kalman_filter", "decoupled_residual"), "structured_bank"
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +53,12 @@ class Entry:
         Why it works and cannot come first all the same; empty if it can.
     options : mapping of str to value
         Those of the call.
+    foretold : LastingFaults or None
+        What it sees; ``None`` where nothing is foretold.
+    reached_by : tuple of str
+        The disturbances that move its residual.
+    blind : str
+        Why it has no residual; empty if it has one.
     """
 
     call: str
@@ -68,6 +74,7 @@ class Entry:
     options: Mapping[str, Any] = field(default_factory=dict, repr=False)
     foretold: LastingFaults | None = field(default=None, repr=False)
     reached_by: tuple[str, ...] = field(default=(), repr=False)
+    blind: str = field(default="", repr=False)
 
     @property
     def label(self) -> str:
@@ -173,7 +180,7 @@ def by_faults(entries: list[Entry], deviations: Mapping[str, float], want: str) 
 
 def _with_the_first(left: list[Entry], score: Callable[..., float]) -> list[Entry]:
     """Return designs by their scores, before them the Kalman filter, or what is clearly better than that."""
-    usual = [one for name in _FIRST for one in left if one.method.name == name][:1]
+    usual = [one for name in FIRST for one in left if one.method.name == name][:1]
     for one in left:
         better = (
             usual and score(one) * SMALLER <= score(usual[0]) and score(one, named=True) <= score(usual[0], named=True)

@@ -13,13 +13,13 @@ from residua.analysis.unknown_input import is_singular
 from residua.design.banks.bank import Bank
 from residua.design.banks.matched_filters import MatchedFilters
 from residua.design.catalogue import methods
-from residua.design.core.brought import PartialDesign, as_generator, brings_a_generator, for_monitor
+from residua.design.core.brought import PartialDesign, as_generator, for_monitor
 from residua.design.core.generator import ResidualGenerator
 from residua.design.core.internal_form import leakage_of_inputs
 from residua.design.core.lasting_faults import LastingFaults, lasting_faults
 from residua.design.core.method import Chosen, Method, check_design
 from residua.design.estimation.fault_estimator import FaultEstimator
-from residua.design.ranking import UNSEEN, Entry, by_faults, by_state, few, gives, never_first, typed
+from residua.design.ranking import FIRST, UNSEEN, Entry, by_faults, by_state, few, gives, never_first, typed
 from residua.errors import AccuracyError, DesignError, ModelError, SettingError
 from residua.plant import Identification, InputOutputModel, Plant
 from residua.plant.assumed_noise import MEASUREMENT, PROCESS, lasting_gains, sensible_step
@@ -378,11 +378,12 @@ def _told(entry: Entry, made: Any, plant: Plant, want: str) -> Entry:
         missing = f"; none for {few(tuple(left_out))}" if left_out else ""
         reason = f"{record.state}: {few(tuple(made)) if made else 'none'}{missing}"
         return replace(entry, reason=reason, order=sum(_order(part) for part in made.values()))
+    blind = ""
     try:
         generator = as_generator(for_monitor(made))
-    except (DesignError, AccuracyError, ModelError):
-        generator = None
-    entry = replace(entry, order=_order(generator or made))
+    except (DesignError, AccuracyError, ModelError) as error:
+        generator, blind = None, f"no residual: {error}"
+    entry = replace(entry, order=_order(generator or made), blind=blind)
     if generator is not None:
         if plant.disturbances:
             leaks = leakage_of_inputs(generator.system, generator.plant)[len(plant.inputs) :]
@@ -401,7 +402,7 @@ def _told(entry: Entry, made: Any, plant: Plant, want: str) -> Entry:
     elif plant.faults and generator is not None and want != "state":
         parts.append("names no fault")
     if generator is None:
-        parts.append("no residual: it uses all measurements" if brings_a_generator(type(made)) else "no residual")
+        parts.append(blind)
     parts.append(f"order {entry.order}")
     reason = "; ".join(part for part in (entry.reason, *parts) if part)
     return replace(entry, reason=reason, names=names, estimates=estimates)
@@ -437,7 +438,7 @@ def _rank_of_trial(record: Method, want: str) -> tuple[bool, ...]:
         return not record.state, record.many
     if want == "size":
         return not record.size, record.many
-    return never_first(record), record.many, record.noise == "moving average"
+    return never_first(record), record.name not in FIRST, record.many, record.noise == "moving average"
 
 
 # ------------------------------------------------------------------------- telling
@@ -502,13 +503,13 @@ def _about_identification(plant: Plant, made: Identification) -> Iterator[str]:
 def _about_disturbances(plant: Plant, entries: list[Entry]) -> Iterator[str]:
     names = ", ".join(plant.disturbances)
     decoupling = [entry for entry in entries if entry.method.decouples and not entry.estimates]
-    working = {entry.method.name for entry in decoupling if entry.works}
+    working = {entry.method.name for entry in decoupling if entry.works and not (entry.reached_by or entry.blind)}
     if working == {"perfect_observer"}:
         yield f"disturbances ({names}): only perfect_observer decouples them, by differentiating the measurements"
-    tried = [entry for entry in decoupling if entry.works is False]
-    if tried and not working:
+    refusals = [entry.blind or entry.reason for entry in decoupling if entry.works is False or entry.blind]
+    if refusals and not working:
         yield (
-            f"the disturbances ({names}) cannot be decoupled: {_shortened(tried[0].reason, 200)}; what is left is to "
+            f"the disturbances ({names}) cannot be decoupled: {_shortened(refusals[0], 200)}; what is left is to "
             "give them as process noise: plant.without_disturbances().with_noise(...)"
         )
 
