@@ -13,6 +13,7 @@ import pytest
 import residua as rs
 from effort import cases
 from generated import random_plant, singular_plant
+from guards import trips
 from refusals import Refused
 from residua.design import catalogue, ranking, suggestion
 from residua.design.core.brought import as_generator, brings_a_generator, for_monitor
@@ -390,6 +391,7 @@ def test_errors_that_are_not_the_packages_pass() -> None:
         catalogue.forget("breaks")
 
 
+@trips("linear.poles.riccati:_gain")
 def test_a_random_walk_that_hides_the_noise_of_the_outputs_is_refused() -> None:
     """Its innovations have a covariance that is singular to working precision: that was a LinAlgError."""
     A = [[2.3435e-02, 1.2563e08, 0], [-4.7907e-09, 0, 6.9044e-04], [0, 0, 1]]

@@ -114,7 +114,9 @@ def design(
     if isinstance(made, MatchedFilters) and average != 1:
         raise SettingError("matched filters sum over their --window by themselves: leave out --average")
     isolate = _isolation(made, window)
-    test = NormThreshold(persistence=persistence, window=average, false_alarm_rate=false_alarm_rate)
+    # of noise that is assumed there is no threshold before a fit
+    whiten = "data" if "with_assumed_noise" in call.subject else "auto"
+    test = NormThreshold(whiten=whiten, persistence=persistence, window=average, false_alarm_rate=false_alarm_rate)
     monitor = Monitor(made, test=test, isolate=isolate, dt=sample_time)
     monitor.save(output)
     screen.say(chosen, in_cli_words(str(_evidence(monitor))))

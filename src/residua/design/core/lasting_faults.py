@@ -12,7 +12,7 @@ from scipy.special import chndtrinc, ndtri
 from scipy.stats import chi2, ncx2
 
 from residua.design.core.generator import ResidualGenerator
-from residua.errors import AccuracyError
+from residua.errors import DesignError
 from residua.tolerances import IDENTITY, RANK
 
 #: The test that is foretold: the whitened norm of sums of so many samples, with this rate of false alarms.
@@ -141,7 +141,7 @@ def lasting_faults(generator: ResidualGenerator, dt: float, *, rate: float = RAT
 
     Raises
     ------
-    AccuracyError
+    DesignError
         If the residual has no stationary covariance.
 
     Examples
@@ -156,7 +156,7 @@ def lasting_faults(generator: ResidualGenerator, dt: float, *, rate: float = RAT
     sampled = generator if generator.system.is_discrete else generator.discretize(dt)
     S = sampled.covariance_of_sums(WINDOW)
     if S is None:
-        raise AccuracyError("the residual has no stationary covariance")
+        raise DesignError("the residual has no stationary covariance")
     parts: Sequence[tuple[int, ...]] = [tuple(range(sampled.n_residuals))]
     if sampled.codes is not None:
         parts = [member.residuals for member in sampled.members]
