@@ -1,10 +1,12 @@
-"""Progress of long computations: one line on a terminal, nothing anywhere else."""
+"""Progress of long computations, one line on a terminal and nothing anywhere else; and the time that they may take."""
 
 from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 
 #: Told of what is under way: its name, how much is done, of how much.
 Progress = Callable[[str, int, int], None]
@@ -55,3 +57,27 @@ def progress_of(wanted: Progress | bool | None) -> tuple[Progress, Callable[[], 
         return lambda stage, done, total: None, lambda: None
     line = ProgressLine(always=bool(wanted))
     return line, line.close
+
+
+class TimeUsedUpError(Exception):
+    """Work was stopped by :func:`time_limit`: an answer about the clock, which no cache of refusals keeps."""
+
+
+_end: ContextVar[float] = ContextVar("end of the time", default=float("inf"))
+
+
+@contextmanager
+def time_limit(seconds: float) -> Iterator[None]:
+    """Within this, :func:`check_time` raises once so many seconds have passed, or those of a limit around it."""
+    token = _end.set(min(time.monotonic() + seconds, _end.get()))
+    try:
+        yield
+    finally:
+        _end.reset(token)
+
+
+def check_time() -> None:
+    """Raise where the time is used up: asked wherever a design decides a rank, keeps a result or makes a generator."""
+    end = _end.get()
+    if time.monotonic() >= end:
+        raise TimeUsedUpError

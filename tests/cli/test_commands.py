@@ -14,6 +14,7 @@ import residua as rs
 from cli_examples import DISTURBED, PLANT, Residua, assert_error, simulate, write_csv
 from residua.cli.guard import in_cli_words
 from residua.cli.option_types import parse_poles
+from residua.design.core.brought import for_monitor
 from residua.design.core.evidence import format_pole
 
 # ------------------------------------------------------------------ the whole way
@@ -254,14 +255,34 @@ def design(made: Path, tmp_path: Path, residua: Residua, plant: str, *options: s
 
 def test_design_auto_says_what_and_why(made: Path, tmp_path: Path, residua: Residua) -> None:
     _, out, _ = design(made, tmp_path, residua, "plant.toml")
-    assert "method: kalman-filter, because the plant has noise" in out
+    assert "method: kalman-filter, because of a fault that lasts it sees (in brackets, by dev" in " ".join(out.split())
     _, out, _ = design(made, tmp_path, residua, "disturbed.toml")
-    assert "method: robust-detection-filter, because the plant has disturbances to be decoupled: inflow" in out
+    assert "method: decoupled-residual, because of a fault that lasts it sees" in out
     bare = PLANT.replace("[noise]\nprocess = 1e-4\nmeasurement = 1e-3\n", "")
     (tmp_path / "bare.toml").write_text(bare)
     _, out, _ = residua("design", tmp_path / "bare.toml", "-o", tmp_path / "out.json")
-    assert "method: detection-filter, because" in out
+    assert "method: kalman-filter, because" in out
+    assert "no noise is given" in out
     assert "no threshold yet: residua fit" in out
+
+
+def test_design_auto_is_what_suggest_puts_first(made: Path, tmp_path: Path, residua: Residua) -> None:
+    (tmp_path / "bare.toml").write_text(PLANT.replace("[noise]\nprocess = 1e-4\nmeasurement = 1e-3\n", ""))
+    for path in (made / "plant.toml", made / "disturbed.toml", tmp_path / "bare.toml"):
+        assert residua("design", path, "-o", tmp_path / "out.json")[0] == 0
+        best = rs.suggest(rs.Plant.from_toml(path)).best
+        assert best is not None
+        assert f"call: {best.call}" in " ".join(residua("design", path, "--show-call")[1].split())
+        saved = rs.Monitor.load(tmp_path / "out.json").design.system
+        assert all((getattr(saved, k) == getattr(for_monitor(best.made).system, k)).all() for k in "ABCD")
+
+
+def test_design_auto_samples_a_continuous_plant_first(tmp_path: Path, residua: Residua) -> None:
+    continuous = PLANT.replace("dt = 1.0", "").replace("[[0.9, 0.05], [0.05, 0.8]]", "[[-1.0, 0.1], [0.1, -2.0]]")
+    (tmp_path / "c.toml").write_text(continuous)
+    status, out, _ = residua("design", tmp_path / "c.toml", "--sample-time", "0.1", "--show-call")
+    assert status == 0
+    assert "(plant.discretize(0.1))" in out
 
 
 @pytest.mark.parametrize(
@@ -356,8 +377,9 @@ def test_design_reaches_the_poles_it_was_given(made: Path, tmp_path: Path, resid
 def test_design_that_does_not_exist_says_what_does(tmp_path: Path, residua: Residua) -> None:
     hidden = PLANT.replace("C = [[1.0, 0.0], [0.0, 1.0]]", "C = [[1.0, 0.0], [2.0, 0.0]]") + DISTURBED
     (tmp_path / "hidden.toml").write_text(hidden)
-    outcome = residua("design", tmp_path / "hidden.toml", "-o", tmp_path / "out.json")
-    assert_error(outcome, "robust-detection-filter (chosen because", "rank(CE)=0 < rank(E)=1", "--method kalman-filter")
+    command = ("design", tmp_path / "hidden.toml", "-o", tmp_path / "out.json")
+    outcome = residua(*command, "--method", "robust-detection-filter")
+    assert_error(outcome, "robust-detection-filter: ", "rank(CE)=0 < rank(E)=1", "--method kalman-filter")
     assert not (tmp_path / "out.json").exists()
 
 

@@ -185,13 +185,18 @@ def returns_text(plant: rs.Plant) -> rs.design.ResidualGenerator:
         (returns_text, "returns_text returned str, which is no design"),
     ],
 )
-def test_a_method_that_breaks_takes_no_other_with_it(
+def test_what_is_no_design_takes_no_other_with_it(
     function: Any, reason: str, plant: rs.Plant, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     whole = [one.call for one in rs.suggest(plant).entries if one.works]
     method(exists_when="never", order="n", source="this test", state="estimate")(function)
+    answer = None
     try:
-        answer = rs.suggest(plant)
+        if function is breaks:
+            with pytest.raises(KeyError):
+                rs.suggest(plant)
+        else:
+            answer = rs.suggest(plant)
         plant.to_toml(tmp_path / "plant.toml")
         command = ["design", str(tmp_path / "plant.toml"), "-o", str(tmp_path / "m.json"), "--method"]
         assert main([*command, function.__name__]) == 2
@@ -200,10 +205,11 @@ def test_a_method_that_breaks_takes_no_other_with_it(
         beside = capsys.readouterr().err
     finally:
         catalogue.forget(function.__name__)
-    entry = next(one for one in answer.entries if one.method.function is function)
-    assert entry.works is False
-    assert entry.reason.startswith(reason)
-    assert [one.call for one in answer.entries if one.works] == whole
+    if answer is not None:
+        entry = next(one for one in answer.entries if one.method.function is function)
+        assert entry.works is False
+        assert entry.reason.startswith(reason)
+        assert [one.call for one in answer.entries if one.works] == whole
     assert alone.startswith(f"error: {reason}")
     assert "--method luenberger-observer" in beside
     assert function.__name__.replace("_", "-") not in beside
@@ -285,27 +291,23 @@ def raises(plant: rs.Plant, known: Any) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("asked", "reason"),
+    ("asked", "error"),
     [
-        ({"calls": raises}, "gain_of_three raised KeyError: 'gain' (a defect of the method)"),
-        ({"needs": [Need("luck", raises)]}, "gain_of_three raised KeyError: 'gain' (a defect of the method)"),
-        ({"calls": lambda plant, known: [3.0]}, "gain_of_three raised TypeError: 'float' object is not iterable"),
+        ({"calls": raises}, KeyError),
+        ({"needs": [Need("luck", raises)]}, KeyError),
+        ({"calls": lambda plant, known: [3.0]}, TypeError),
     ],
     ids=["calls", "needs", "no options"],
 )
-def test_a_method_that_breaks_when_it_is_asked_takes_no_other_with_it(
-    asked: dict[str, Any], reason: str, plant: rs.Plant
+def test_what_a_method_raises_when_it_is_asked_passes(
+    asked: dict[str, Any], error: type[Exception], plant: rs.Plant
 ) -> None:
-    whole = [one.call for one in rs.suggest(plant).entries if one.works]
     method(exists_when="never", order="n", source="this test", state="estimate", **asked)(gain_of_three)
     try:
-        answer = rs.suggest(plant)
+        with pytest.raises(error):
+            rs.suggest(plant)
     finally:
         catalogue.forget("gain_of_three")
-    entry = next(one for one in answer.entries if one.method.function is gain_of_three)
-    assert entry.works is False
-    assert entry.reason.startswith(reason)
-    assert [one.call for one in answer.entries if one.works] == whole
 
 
 def takes_more(plant: rs.Plant, *more: float, margin: float = 0.1, **others: float) -> rs.design.Observer:

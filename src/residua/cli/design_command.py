@@ -55,7 +55,7 @@ def design(
     output: Annotated[Path | None, typer.Option("--output", "-o", metavar="OUT.json", help="Monitor to write.")] = None,
     method: Annotated[
         str,
-        typer.Option(callback=_method, metavar="NAME", help="auto: by disturbances and noise of the plant."),
+        typer.Option(callback=_method, metavar="NAME", help="auto: what 'residua suggest' puts first."),
     ] = methods.AUTO,
     list_methods: Annotated[
         bool,
@@ -92,11 +92,17 @@ def design(
     check_outputs([output], [plant])
     model = load_plant(plant)
     check_sample_time(sample_time, model.dt)
-    name, why = (method, "") if method != methods.AUTO else methods.choose(model)
+    name, why, given = method, "", _given(asked)
+    first = None
+    if method == methods.AUTO:
+        with screen.patience(f"looking for the design that sees most of {model.name}"):
+            model, name, first, why = methods.choose(model, sample_time)
     try:
-        call = methods.call_of(name, _given(asked), {"window": window}, sample_time)
+        call = methods.call_of(name, given, {"window": window}, sample_time)
     except methods.OptionError as error:
         raise typer.BadParameter(error.why, param_hint=error.option) from None
+    if first is not None:
+        call = replace(first, values={**first.values, **call.values}, settings=call.settings)
     chosen = f"method: {name}" + (f", because {why}" if why else "")
     if output is None:
         screen.say(chosen, f"call: {call.code(model)}")
@@ -105,7 +111,9 @@ def design(
     if isinstance(made, MatchedFilters) and average != 1:
         raise SettingError("matched filters sum over their --window by themselves: leave out --average")
     isolate = _isolation(made, window)
-    test = NormThreshold(persistence=persistence, window=average, false_alarm_rate=false_alarm_rate)
+    # of noise that is assumed there is no threshold before a fit
+    whiten = "data" if "with_assumed_noise" in call.subject else "auto"
+    test = NormThreshold(whiten=whiten, persistence=persistence, window=average, false_alarm_rate=false_alarm_rate)
     monitor = Monitor(made, test=test, isolate=isolate, dt=sample_time)
     monitor.save(output)
     screen.say(chosen, in_cli_words(str(_evidence(monitor))))

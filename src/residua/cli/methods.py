@@ -16,6 +16,7 @@ from residua.design.core.brought import brings_a_generator, for_monitor
 from residua.design.core.method import Chosen, Method, check_design, defect
 from residua.design.core.needs import NOISE, ROWS, SAMPLED
 from residua.design.core.options import Option
+from residua.design.suggestion import first_design
 from residua.errors import AccuracyError, DesignError, ModelError, ResiduaError, SettingError
 from residua.plant import Plant
 from residua.words import listing
@@ -143,6 +144,8 @@ class Call:
         Of the recordings.
     settings : mapping of str to value
         Of the monitor: a method takes those that it has an option for.
+    subject : str
+        What it is made for, as a line of Python.
     made : dict
         Arguments that were made from the plant, which other calls share.
     """
@@ -151,6 +154,7 @@ class Call:
     values: Mapping[str, Any]
     sample_time: float | None = None
     settings: Mapping[str, Any] = field(default_factory=dict)
+    subject: str = "plant"
     made: dict[Chosen, Any] = field(default_factory=dict, repr=False)
 
     @property
@@ -192,7 +196,7 @@ class Call:
 
     def code(self, plant: Plant) -> str:
         """Return the same in Python, for a plant called ``plant``."""
-        sampled = f"plant.discretize({self.sample_time!r})" if self._sampled(plant) else "plant"
+        sampled = f"plant.discretize({self.sample_time!r})" if self._sampled(plant) else self.subject
         made = [
             f"{name}={one.limited.format(seconds=CHOICE_TIME)}"
             for name, one in self.method.chosen.items()
@@ -211,23 +215,37 @@ def _with_real_numbers(value: Any) -> Any:
     return value.real if isinstance(value, complex) and not value.imag else value
 
 
-def choose(plant: Plant) -> tuple[str, str]:
-    """Return the method that fits what is known about a plant, and why.
+def choose(plant: Plant, sample_time: float | None) -> tuple[Plant, str, Call, str]:
+    """Return the plant to design for, the method that :func:`residua.suggest` puts first, its call, and why.
 
     Parameters
     ----------
     plant : Plant
+    sample_time : float or None
+        Of the recordings: a continuous plant is sampled with it first.
 
-    Returns
-    -------
-    tuple of str
+    Raises
+    ------
+    DesignError
+        If nothing can come first.
     """
-    if plant.disturbances:
-        names = ", ".join(plant.disturbances)
-        return "robust-detection-filter", f"the plant has disturbances to be decoupled: {names}"
-    if plant.Bw.shape[1]:
-        return "kalman-filter", "the plant has noise and no disturbances"
-    return "detection-filter", "the plant has neither disturbances nor noise"
+    subject = "plant"
+    if sample_time is not None and not plant.is_discrete:
+        plant, subject = plant.discretize(sample_time), f"plant.discretize({sample_time!r})"
+    found = first_design(plant)
+    best = found.best
+    if best is None:
+        tried = [f"{one.method.name}: {one.left_out or one.reason}" for one in found.entries if one.works is not None]
+        raise DesignError(
+            f"no design sees the faults of this plant whatever it does: {'; '.join([*found.notes, *tried])}"
+        )
+    why = "it serves the state; the plant has no faults"
+    if best.sizes:
+        why = f"of a fault that lasts it sees (in brackets, by deviations of the noise) {found.seen_by(best)}"
+    if ".with_assumed_noise()" in best.call:
+        plant, subject = plant.with_assumed_noise(), f"{subject}.with_assumed_noise()"
+        why += "; no noise is given, and what is assumed is a guess: fit the monitor on fault-free data"
+    return plant, method_name(best.method), Call(best.method, best.options, None, subject=subject), why
 
 
 def call_of(name: str, asked: Mapping[str, Any], settings: Mapping[str, Any], sample_time: float | None) -> Call:
@@ -326,7 +344,7 @@ def _remedy(plant: Plant, name: str, call: Call) -> str:
 def _without_options(call: Call, method: Method, kept: Iterable[str] = ()) -> Call:
     """Return a call of a method with the defaults of its options, but for those that are kept."""
     values = {name: value for name, value in call.values.items() if name in kept}
-    return Call(method, values, call.sample_time, call.settings, call.made)
+    return Call(method, values, call.sample_time, call.settings, call.subject, call.made)
 
 
 def _alternatives(plant: Plant, failed: str, call: Call) -> str:

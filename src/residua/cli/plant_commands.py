@@ -97,6 +97,9 @@ def suggest(
         str | None, typer.Option(metavar="name|size|state", help="What to know; by what the plant has when omitted.")
     ] = None,
 ) -> None:
-    """Try every design function on a plant, and tell which apply and which to prefer."""
+    """Tell which design function to call for a plant, by the faults that each design sees in its noise."""
     check_input(plant, "a plant file")
-    screen.say(str(suggestion(load_plant(plant), want=want)))
+    model = load_plant(plant)
+    with screen.patience(f"trying designs for {model.name}"):
+        found = suggestion(model, want=want)
+    screen.say(str(found))

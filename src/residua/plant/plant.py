@@ -466,6 +466,35 @@ class Plant(FaultFacts):
         Bw, Dw = joint_factors(W, V, S, self.states, self.outputs)
         return self._with(Bw=frozen(Bw), Dw=frozen(Dw))
 
+    def with_assumed_noise(self) -> Plant:
+        """Return the plant with noise where none is known, as large as its signals suggest.
+
+        The standard deviation of a measurement is a tenth of what inputs of size one make of that output in the end,
+        and that of the noise of a state 0.3 % of what they make of it. What no control input moves is measured by
+        disturbances, then by faults; a plant that integrates, by a hundred samples. A continuous plant is taken to be
+        sampled ten times in the time constant of its mean rate.
+
+        Returns
+        -------
+        Plant
+            Thresholds that rest on this noise are guesses: fit a monitor on fault-free recordings.
+
+        Raises
+        ------
+        ModelError
+            If it has noise already, or its equations do not say what an input does in the end.
+
+        Examples
+        --------
+        >>> import residua as rs
+        >>> tank = rs.Plant([[0.9]], [[2.0]], [[1.0]], dt=1).with_assumed_noise()
+        >>> tank.measurement_noise.round(6), tank.process_noise.round(6)
+        (array([[4.]]), array([[0.0036]]))
+        """
+        from residua.plant.assumed_noise import with_assumed_noise
+
+        return with_assumed_noise(self)
+
     def with_noise_input(self, Bw: ArrayLike | None = None, Dw: ArrayLike | None = None) -> Plant:
         """Return the plant driven by white noise of unit covariance, replacing what noise it had.
 

@@ -28,6 +28,7 @@ from residua.errors import AccuracyError
 from residua.linear import RankDecision, StateSpace, decide_rank
 from residua.linear.systems.response_terms import in_even_units
 from residua.plant import Plant
+from residua.progress import check_time
 from residua.tolerances import POLYNOMIAL_LEAKAGE
 
 if TYPE_CHECKING:
@@ -477,6 +478,7 @@ def make_generator(
     are no linear function of the plant's brings its internal form, ``known_form``; an approximate one need not. Of
     such ``state_units`` are those of its states, powers of two, if it was written in other ones.
     """
+    check_time()
     if not system.is_stable():
         raise AccuracyError(f"the filter is not stable: poles {', '.join(map(format_pole, system.poles()))}")
     if state_map is None and known_form is None and not isinstance(decouples, Approximate):

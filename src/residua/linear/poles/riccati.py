@@ -23,6 +23,11 @@ from residua.tolerances import RESIDUE
 Matrix = NDArray[np.float64]
 #: Largest relative residual of an equation that counts as solved.
 _RESIDUAL_LIMIT = 1e-6
+#: What is in the way of a solution, and what helps.
+_HARDLY = (
+    "a mode near the stability boundary is hardly seen by the outputs, or hardly disturbed; add a sensor, or process "
+    "noise on it"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,10 +227,7 @@ def _solve(A: Matrix, C: Matrix, Q: Matrix, R: Matrix, S: Matrix, dt: float) -> 
             warnings.simplefilter("ignore")  # the outcome is checked here
             P = filter_covariance(A, C, Q, R, cross, dt=dt, rough=True)
     except (np.linalg.LinAlgError, ValueError) as error:
-        raise AccuracyError(
-            f"the Riccati equation could not be solved ({error}): a mode near the stability boundary is hardly seen by "
-            "the outputs, or hardly disturbed; add a sensor, or process noise on it"
-        ) from error
+        raise AccuracyError(f"the Riccati equation could not be solved ({error}): {_HARDLY}") from error
     return (P + P.T) / 2
 
 
@@ -238,7 +240,12 @@ def _gain(A: Matrix, C: Matrix, Q: Matrix, R: Matrix, S: Matrix, P: Matrix, dt: 
     else:
         innovation, cross = R, P @ C.T + S
         first, left = A @ P + P @ A.T, np.zeros_like(P)
-    K: Matrix = np.asarray(np.linalg.solve(innovation, cross.T).T, dtype=np.float64)
+    try:
+        K: Matrix = np.asarray(np.linalg.solve(innovation, cross.T).T, dtype=np.float64)
+    except np.linalg.LinAlgError as error:  # a mode that is hardly seen, as a random walk, hides the noise of outputs
+        raise AccuracyError(
+            f"the measurement noise is rounding of what the outputs cannot foretell: {_HARDLY}"
+        ) from error
     last = K @ cross.T
     size = sum(float(np.linalg.norm(M)) for M in (first, left, Q, last))
     residual = float(np.linalg.norm(first - left + Q - last)) / size if size else 0.0
@@ -269,7 +276,10 @@ def _refine(
         except (np.linalg.LinAlgError, ValueError):
             break
         better = np.where(together, (better + better.T) / 2, 0.0)
-        new_K, new_innovation, new_residual = _gain(*terms, better, dt)
+        try:
+            new_K, new_innovation, new_residual = _gain(*terms, better, dt)
+        except AccuracyError:
+            break
         if not new_residual < residual:
             break
         P, K, innovation, residual = better, new_K, new_innovation, new_residual

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import SettingError
+from residua.progress import check_time
 from residua.tolerances import RANK, RESIDUE
 
 #: Singular values below this fraction of the scale count as zero, unless the caller says otherwise. The
@@ -129,6 +130,7 @@ def decide_rank(M: ArrayLike, *, rtol: float = DEFAULT_RTOL, scale: float | None
     >>> print(decide_rank([[1, 2], [2, 4]]))
     rank 1 (smallest kept 5, largest dropped ...)
     """
+    check_time()
     check_rtol(rtol)
     M = np.atleast_2d(np.asarray(M))
     s = np.linalg.svd(M, compute_uv=False) if M.size else np.zeros(0)

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from residua.errors import ResiduaError
 from residua.forks import forkable_lock
+from residua.progress import check_time
 from residua.words import rates_in
 
 R = TypeVar("R")
@@ -115,6 +116,7 @@ class Latest(Generic[R]):
 
     def of(self, key: Hashable, compute: Callable[[], R]) -> R:
         """Return the result kept under a key, or compute it; an error is not kept, nor is what is too large."""
+        check_time()
         known = self._kept_under(key)
         return self._keep(key, compute()) if known is None else known.result
 
@@ -124,6 +126,7 @@ class Latest(Generic[R]):
         Where it asked for that unit the result is kept by it too; elsewhere it is the same in all units. A refusal is
         an answer, and is kept.
         """
+        check_time()
         known = self._kept_under(key)
         if known is not None:
             return _answer(known.result)

@@ -11,6 +11,7 @@ from residua.linear.systems.array_cache import Latest, entries
 from residua.linear.systems.resolvent import independent_parts, solutions, solver
 from residua.linear.systems.state_space import StateSpace
 from residua.linear.systems.units import pencil_units, system_units
+from residua.progress import check_time
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -222,6 +223,7 @@ def _product_added(M: Real, X: Complex, high: Complex, low: Complex) -> tuple[Co
     first, second = _split(M)
     step = max(_NEAR // max(total[0].size, 1), 1) if len(total) else 1
     for start in range(0, len(total), step):
+        check_time()
         at = slice(start, start + step)
         _columns_added(M.T[used], first.T[used], second.T[used], x[at][:, used], total[at], rest[at])
     return total.view(complex), rest.view(complex)
