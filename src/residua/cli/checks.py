@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from residua.decide import MultiscaleEWMA, NormThreshold, TestSettings
 from residua.errors import DataError, SettingError
 from residua.files import check_input, check_output, real, special
 from residua.tolerances import SAME
@@ -29,6 +30,38 @@ FalseAlarmRate = Annotated[
         "1e-2.",
     ),
 ]
+
+Persistence = Annotated[
+    int | None,
+    typer.Option(
+        min=1,
+        metavar="N",
+        help="Instead of the bank of means: samples in a row over a threshold on the norm that raise an alarm; 3 with "
+        "--average alone.",
+    ),
+]
+Average = Annotated[
+    int | None,
+    typer.Option(
+        min=1,
+        metavar="N",
+        help="Instead of the bank of means: samples over which the residual is summed before its norm is tested; 1 "
+        "with --persistence alone.",
+    ),
+]
+
+
+def settings_of_test(
+    persistence: int | None, average: int | None, rate: float | None, *, needs_data: bool = False
+) -> TestSettings:
+    """Return the test that options ask for: a norm where one of its own is given, else the bank of means.
+
+    ``needs_data``: whether only a fit gives it a threshold.
+    """
+    if persistence is None and average is None:
+        return MultiscaleEWMA(false_alarm_rate=rate, source="data" if needs_data else "auto")
+    whiten = "data" if needs_data else "auto"
+    return NormThreshold(whiten=whiten, persistence=persistence or 3, window=average or 1, false_alarm_rate=rate)
 
 
 def checked_positive(value: float | None) -> float | None:

@@ -12,10 +12,18 @@ from typing import Annotated, Any
 import typer
 
 from residua.cli import methods, screen
-from residua.cli.checks import FalseAlarmRate, check_outputs, check_sample_time, checked_positive
+from residua.cli.checks import (
+    Average,
+    FalseAlarmRate,
+    Persistence,
+    check_outputs,
+    check_sample_time,
+    checked_positive,
+    settings_of_test,
+)
 from residua.cli.guard import GuardedGroup, in_cli_words, note
 from residua.cli.plant_commands import PlantFile
-from residua.decide import Directional, Matched, NormThreshold, Structured
+from residua.decide import Directional, Matched, Structured
 from residua.decide.isolation import IsolationSettings
 from residua.design import MatchedFilters
 from residua.design.core.brought import as_generator
@@ -69,12 +77,8 @@ def design(
         typer.Option(callback=checked_positive, metavar="S", help="Step of the recordings, for a continuous plant."),
     ] = None,
     false_alarm_rate: FalseAlarmRate = None,
-    persistence: Annotated[
-        int, typer.Option(min=1, metavar="N", help="Samples in a row over the threshold that raise an alarm.")
-    ] = 3,
-    average: Annotated[
-        int, typer.Option(min=1, metavar="N", help="Samples over which the residual is summed before its test.")
-    ] = 1,
+    persistence: Persistence = None,
+    average: Average = None,
     window: Annotated[
         int,
         typer.Option(
@@ -108,12 +112,13 @@ def design(
         screen.say(chosen, f"call: {call.code(model)}")
         return
     made = methods.make(model, name, call, why=why)
-    if isinstance(made, MatchedFilters) and average != 1:
+    matched = isinstance(made, MatchedFilters)
+    if matched and average not in (None, 1):
         raise SettingError("matched filters sum over their --window by themselves: leave out --average")
     isolate = _isolation(made, window)
     # of noise that is assumed there is no threshold before a fit
-    whiten = "data" if "with_assumed_noise" in call.subject else "auto"
-    test = NormThreshold(whiten=whiten, persistence=persistence, window=average, false_alarm_rate=false_alarm_rate)
+    assumed = "with_assumed_noise" in call.subject
+    test = settings_of_test(persistence or (3 if matched else None), average, false_alarm_rate, needs_data=assumed)
     monitor = Monitor(made, test=test, isolate=isolate, dt=sample_time)
     monitor.save(output)
     screen.say(chosen, in_cli_words(str(_evidence(monitor))))

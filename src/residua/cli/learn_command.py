@@ -10,7 +10,7 @@ import numpy as np
 import typer
 
 from residua.cli import screen
-from residua.cli.checks import FalseAlarmRate, check_outputs, check_recordings
+from residua.cli.checks import Average, FalseAlarmRate, Persistence, check_outputs, check_recordings, settings_of_test
 from residua.cli.design_command import thresholds
 from residua.cli.guard import in_cli_words, warn
 from residua.cli.identify_command import (
@@ -49,7 +49,6 @@ from residua.cli.recording_options import (
     Transpose,
     Variable,
 )
-from residua.decide import NormThreshold
 from residua.design import kalman_filter
 from residua.monitor import Monitor
 from residua.recording.recording import Recording
@@ -75,12 +74,8 @@ def learn(
     sensor_faults: SensorFaults = True,
     actuator_faults: ActuatorFaults = True,
     false_alarm_rate: FalseAlarmRate = None,
-    persistence: Annotated[
-        int, typer.Option(min=1, metavar="N", help="Samples in a row over the threshold that raise an alarm.")
-    ] = 3,
-    average: Annotated[
-        int, typer.Option(min=1, metavar="N", help="Samples over which the residual is summed before its test.")
-    ] = 1,
+    persistence: Persistence = None,
+    average: Average = None,
     units: Units = None,
     time: TimeColumn = None,
     dt: Step = None,
@@ -106,8 +101,7 @@ def learn(
     before = [part(one, 0.0, _THRESHOLD) for one in data]
     model = identified(before, settings | {"held_out": 1 - _MODEL / _THRESHOLD})
     plant = with_fault_list(model.plant, sensors=sensor_faults, actuators=actuator_faults)
-    test = NormThreshold(persistence=persistence, window=average, false_alarm_rate=false_alarm_rate)
-    monitor = Monitor(kalman_filter(plant), test=test)
+    monitor = Monitor(kalman_filter(plant), test=settings_of_test(persistence, average, false_alarm_rate))
     rows = _fit(monitor, data)
     monitor.save(output)
     check = monitor.fit_check

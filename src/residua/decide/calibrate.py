@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
+from residua.linear.subspaces.whitening import VARIANCE_FLOOR
+
 #: Worlds, fewer of many residuals, and at least; rows that each is fitted to at most, new rows of each, and samples
 #: that it takes to settle.
 _WORLDS, _NUMBERS, _LEAST_WORLDS = 200, 2000, 40
@@ -21,14 +23,14 @@ _MOST_ROWS, _NEW_ROWS, SETTLING = 1000, 3000, 200
 #: Share of the samples by which a heavy tail is known, and samples at least.
 _TAIL, _LEAST_IN_TAIL = 0.02, 20
 #: Rates at which data are compared with worlds, alarms that show one, and worlds that a difference has to pass.
-_RATES, _SHOWN, _SURE = (0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001, 5e-4, 2e-4, 1e-4), 6, 0.95
+_RATES, _SHOWN, _SURE = [0.1 / 2**k for k in range(11)], 6, 0.95
 #: Growth of the allowance over each decade of rarer alarms, at most.
 _GROWTH = 0.3
 #: Standard errors by which memory is taken longer than it seems, and what is added to a threshold for what so few rows
 #: do not show of their model, in units of one by the root of their number: chosen on 20 fits a kind of 1,000 rows.
 _LONGER, _UNSEEN = 2.0, 2.0
-#: Poles of a corrected autoregression, and parts of its variance below which a direction is none.
-_MOST_POLE, _NO_VARIANCE = 0.9995, 1e-8
+#: Poles of a corrected autoregression, at most.
+_MOST_POLE = 0.9995
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +121,7 @@ def simulated_worlds(model: ResidualModel, *, seed: int = 0) -> Worlds:
 def _inverse_root(covariances: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the symmetric inverse root of covariances; directions without variance are left as they are."""
     values, vectors = np.linalg.eigh(covariances)
-    values = np.where(values > _NO_VARIANCE, values, 1.0)
+    values = np.where(values > VARIANCE_FLOOR, values, 1.0)
     return vectors / np.sqrt(values)[..., None, :] @ np.swapaxes(vectors, -1, -2)
 
 
@@ -251,8 +253,8 @@ def _yule_walker(C: NDArray[np.float64]) -> NDArray[np.float64]:
             block = C[i - j] if i >= j else np.swapaxes(C[j - i], 1, 2)
             left[:, i * k : (i + 1) * k, j * k : (j + 1) * k] = block
     right = np.moveaxis(C[1:], 0, 1).reshape(worlds, order * k, k)
-    ridge = _NO_VARIANCE * np.eye(order * k)
-    return np.linalg.solve(left + ridge, right).reshape(worlds, order, k, k)
+    ridge = VARIANCE_FLOOR * np.eye(order * k)
+    return np.asarray(np.linalg.solve(left + ridge, right), dtype=float).reshape(worlds, order, k, k)
 
 
 def _largest_pole(A: NDArray[np.float64]) -> float:

@@ -9,41 +9,45 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri, ndtri
+from scipy.special import ndtri
 
 from residua.decide.autoregression import Past, unforetold
-from residua.decide.calibrate import SETTLING, ResidualModel, allowance, levels_of, simulated_worlds
+from residua.decide.calibrate import SETTLING, allowance, levels_of, simulated_worlds
 from residua.decide.checks import check_rate, is_number, rate_aimed_at
 from residua.decide.compiled import CompiledTest
-from residua.decide.fault_free import FaultFree, check_enough
+from residua.decide.fault_free import check_enough
+from residua.decide.multiscale_fit import (
+    CLIP,
+    FALLS_TO,
+    averaged,
+    clipped,
+    columns_of,
+    factors_of,
+    fit_means,
+    held_out_levels,
+    lengths_at,
+    means_of,
+    rows_of_parts,
+    scaled,
+    scaled_anew,
+    scores_of,
+    side_by_side,
+    variance_of,
+)
 from residua.decide.persistence import AlarmRuns, held, run_alarm
 from residua.decide.row_norms import row_squares
 from residua.decide.stream_test import StreamState, StreamTest, plain
 from residua.decide.test import Block, FaultFreeRun, ResidualTest, Tested, TestSettings, Watched
-from residua.decide.treatment import Treated, treated
 from residua.decide.whitened_norm import BAND_DEVIATIONS, BAND_SHARE, check_invertible, whitened_residuals
 from residua.decide.whitening import moving_directions, whitening_matrix
-from residua.errors import DataError, FileFormatError, SettingError
-from residua.linear.systems.recursion import SMALLEST, ordered_product, run_filter
+from residua.errors import FileFormatError, SettingError
+from residua.linear.systems.recursion import SMALLEST, ordered_product
 from residua.number_kinds import ENTRY, PART, POSITIVE, PROBABILITY, NumberKind
-from residua.tolerances import SIGNAL_ROUNDING
 from residua.visible import echo
 from residua.words import counted, number, one_in
 
-#: Normal scores of the lengths at which what enters the long means is clipped, and to which a mean grows at least.
-_CLIP, _FULL = 3.0, 9.0
-#: Part of the threshold, as a normal score, at or below which an alarm ends.
-_FALLS_TO = 0.5
-#: Error of a mean that does not matter, in deviations: it is simulated.
-_HARMLESS = 1.0
-#: Samples of a mean that a fit leaves to its start, in units of its memory, and the most of a recording.
-_STARTING, _MOST_STARTING = 2.0, 0.25
-#: Parts of the variance of white noise below which a mean is rounding.
-_ROUNDING = 1e-4
-#: Independent exceedances by which scales are made alike.
-_EXCEEDANCES = 20
-#: Stretches of the data that are judged by the others.
-_FOLDS = 4
+#: Normal score of the length to which a mean grows at least.
+_FULL = 9.0
 #: Multiples of the threshold below which an alarm is slight, and how many long and slight ones, or which part of the
 #: time, are worth a word.
 _SLIGHT, _OFTEN, _MUCH = 2.0, 2, 0.02
@@ -92,7 +96,7 @@ class MultiscaleEWMATest(StreamTest):
     @property
     def columns(self) -> list[slice]:
         """The whitened residuals of each part."""
-        return _columns([range(size) for size in self.sizes])
+        return columns_of([range(size) for size in self.sizes])
 
     # ------------------------------------------------------------------------- running
 
@@ -147,7 +151,7 @@ class MultiscaleEWMATest(StreamTest):
         """Return the square of the longest mean of each part, (plants, time, parts), and the means to go on with."""
         plants, time, k = e.shape
         largest = np.zeros((plants, time, len(self.sizes)))
-        entering = _clipped(e, self.columns, self.clips)
+        entering = clipped(e, self.columns, self.clips)
         means, after = sums.reshape(plants, -1, k), []
         for weight, scaling in zip(self.weights.tolist(), self.scaling, strict=True):
             if weight == 1:
@@ -177,7 +181,7 @@ class MultiscaleEWMATest(StreamTest):
             at = np.flatnonzero(seen[plant])
             begin = 0
             if time > 1 and at.size:  # without a full mean the recursion is a filter
-                rows = _averaged(weight, mean[[plant]], entering[[plant]][:, at])[0][0]
+                rows = averaged(weight, mean[[plant]], entering[[plant]][:, at])[0][0]
                 found = self._lengths(rows, scaling)
                 capped = np.flatnonzero((found > full).any(axis=1))
                 begin = int(capped[0]) if capped.size else len(at)
@@ -367,6 +371,8 @@ class MultiscaleEWMA(TestSettings):
         of samples.
     treatment : {"auto", "none"}
         Whether a fit makes a coloured residual white by an autoregression.
+    source : {"auto", "data"}
+        Whether the noise model of the plant gives a threshold before there is a fit, or fault-free data alone do.
 
     See Also
     --------
@@ -404,6 +410,7 @@ class MultiscaleEWMA(TestSettings):
     false_alarm_rate: float | None = None
     weights: tuple[float, ...] = (1.0, 1 / 8, 1 / 64)
     treatment: str = "auto"
+    source: str = "auto"
 
     def __post_init__(self) -> None:
         """Check the settings."""
@@ -418,17 +425,19 @@ class MultiscaleEWMA(TestSettings):
         object.__setattr__(self, "weights", tuple(float(one) for one in weights))
         if self.treatment not in ("auto", "none"):
             raise SettingError(f"treatment must be one of auto, none, got {echo(self.treatment)}")
+        if self.source not in ("auto", "data"):
+            raise SettingError(f"source must be one of auto, data, got {echo(self.source)}")
 
     # -------------------------------------------------------------------------- thresholds
 
     def from_model(self, watched: Watched) -> MultiscaleEWMATest | None:
         """Return the test by the noise model of the plant, as if that were known exactly."""
-        generator, rows = watched.generator, _rows_of(watched)
+        generator, rows = watched.generator, rows_of_parts(watched)
         covariance = generator.covariance_of_sums(1)
-        if covariance is None:
+        if covariance is None or self.source == "data":
             return None
         blocks = [covariance[np.ix_(one, one)] for one in rows]
-        parts = _side_by_side(
+        parts = side_by_side(
             [plain(np.zeros(len(one)), whitening_matrix(block)) for one, block in zip(rows, blocks, strict=True)],
             rows,
             generator.n_residuals,
@@ -437,7 +446,7 @@ class MultiscaleEWMA(TestSettings):
         for weight in self.weights:
             sums = generator.covariance_of_sums(round(2 / weight - 1))  # as many samples as the mean is worth
             assert sums is not None  # as for one sample
-            scaling.append(_scaled(W.T @ sums @ W * _variance(weight), _columns(rows), weight))
+            scaling.append(scaled(W.T @ sums @ W * variance_of(weight), columns_of(rows), weight))
         moving = [moving_directions(block) for block in blocks]
         rate = rate_aimed_at(self.false_alarm_rate)
         score = float(-ndtri(rate / (_AS_MANY * len(rows))))
@@ -446,24 +455,24 @@ class MultiscaleEWMA(TestSettings):
 
     def fitted(self, watched: Watched, run: FaultFreeRun, rate: float) -> MultiscaleEWMATest:
         """Return the test fitted to fault-free data, for a rate of false alarms."""
-        rows, count = _rows_of(watched), int(run.usable.sum())
+        rows, count = rows_of_parts(watched), int(run.usable.sum())
         check_enough(count, run.residuals.shape[1], 1)
-        fit = _fit(self, rows, run)
+        fit = fit_means(self.weights, self.treatment, rows, run)
         worlds = simulated_worlds(fit.model)
         scaling = [
-            _scaled_anew(_means(weight, [worlds.fitted], fit)[0], fit.columns, weight, worlds.shrink)
+            scaled_anew(means_of(weight, [worlds.fitted], fit)[0], fit.columns, weight, worlds.shrink)
             for weight in self.weights
         ]
         means = [
-            _means(weight, [worlds.new], fit)[0][:, SETTLING:] @ M
+            means_of(weight, [worlds.new], fit)[0][:, SETTLING:] @ M
             for weight, M in zip(self.weights, scaling, strict=True)
         ]
         factors = np.array(
-            [_factors(mean, fit, weight, rate) for weight, mean in zip(self.weights, means, strict=True)]
+            [factors_of(mean, fit, weight, rate) for weight, mean in zip(self.weights, means, strict=True)]
         )
-        levels = levels_of(_scores([mean / g for mean, g in zip(means, factors, strict=True)], fit), _FALLS_TO)
+        levels = levels_of(scores_of([mean / g for mean, g in zip(means, factors, strict=True)], fit), FALLS_TO)
         score = float(np.quantile(levels, 1 - rate))
-        few, more = allowance(_held_out_levels(self, rows, run, factors), levels, rate, count)
+        few, more = allowance(held_out_levels(self.weights, self.treatment, rows, run, factors), levels, rate, count)
         basis = "; ".join(
             [f"{one_in(rate)} samples in alarm, simulated for a fit to {count} fault-free samples", *fit.notes]
         )
@@ -482,8 +491,8 @@ class MultiscaleEWMA(TestSettings):
         basis: str,
     ) -> MultiscaleEWMATest:
         """Return what runs, with a threshold on the normal score of the longest mean."""
-        names, rows = tuple(watched.parts or ()), _rows_of(watched)
-        thresholds, releases = (_lengths_at(value, moving) for value in (score, _FALLS_TO * score))
+        names, rows = tuple(watched.parts or ()), rows_of_parts(watched)
+        thresholds, releases = (lengths_at(value, moving) for value in (score, FALLS_TO * score))
         return MultiscaleEWMATest(
             **parts,
             threshold=1.0 if names else float(thresholds[0]),
@@ -492,220 +501,12 @@ class MultiscaleEWMA(TestSettings):
             weights=np.array(self.weights),
             scaling=scaling,
             sizes=np.array([len(one) for one in rows], dtype=np.int64),
-            clips=_lengths_at(_CLIP, moving),
-            fulls=_lengths_at(max(_FULL, 2 * score), moving),
+            clips=lengths_at(CLIP, moving),
+            fulls=lengths_at(max(_FULL, 2 * score), moving),
             thresholds=thresholds,
             releases=releases,
             names=names,
         )
-
-
-# ---------------------------------------------------------------------------- what a fit makes of data
-
-
-@dataclass(frozen=True, eq=False)
-class _Fit:
-    """Residuals as a fit takes them to be, and their means, before there is a threshold."""
-
-    parts: dict[str, Any]
-    scaling: NDArray[np.float64]
-    columns: list[slice]
-    moving: list[int]
-    model: ResidualModel
-    notes: list[str]
-
-
-def _fit(settings: MultiscaleEWMA, rows: Sequence[Sequence[int]], run: FaultFreeRun) -> _Fit:
-    """Fit what makes residuals white, and the covariance of their means, to the usable samples of a run."""
-    columns, made = _columns(rows), [_treated(settings, run, one) for one in rows]
-    parts = _side_by_side([one.parts for one in made], rows, run.residuals.shape[1])
-    series = _white(parts, run)
-    e = np.concatenate(series)
-    covariance = e.T @ e / max(1, len(e))
-    for part in columns:  # each is white by itself; what never moves is left out
-        covariance[part, part] = np.diag((np.diag(covariance[part, part]) > _ROUNDING).astype(float))
-    radii = tuple(
-        np.sort(np.sqrt(row_squares(e[:, part]))) if one.is_heavy else None
-        for part, one in zip(columns, made, strict=True)
-    )
-    model = ResidualModel(
-        parts["coefficients"], parts["rewhitening"], covariance, tuple(columns), radii, int(run.usable.sum())
-    )
-    notes = list(dict.fromkeys(note for one in made for note in one.notes))
-    fit = _Fit(parts, np.zeros(0), columns, [max(one.moving, 1) for one in made], model, notes)
-    scaling = [_scaled_anew(_means(weight, series, fit), columns, weight, 1.0) for weight in settings.weights]
-    return replace(fit, scaling=np.concatenate(scaling))
-
-
-def _treated(settings: MultiscaleEWMA, run: FaultFreeRun, rows: Sequence[int]) -> Treated:
-    """Return what makes some residuals white; those without noise are measured by the largest that they are."""
-    data = FaultFree(run.residuals[:, list(rows)], run.usable, 1, run.seams)
-    rounding = SIGNAL_ROUNDING * run.signal_size(rows)
-    if data.spread > rounding:
-        return treated(data, settings.treatment, _HARMLESS, scores=False)
-    size = max(float(np.abs(data.deviations).max(initial=0.0)), rounding, float(np.finfo(float).tiny))
-    parts = plain(data.middle, np.eye(len(rows)) / size)
-    return Treated(parts, len(rows), ["no noise in these data: the threshold is at rounding level"], False)
-
-
-def _white(parts: Mapping[str, Any], run: FaultFreeRun) -> list[NDArray[np.float64]]:
-    """Return the white residuals of each recording, where they are known."""
-    A, out = parts["coefficients"], []
-    for part in FaultFree(run.residuals, run.usable, 1, run.seams).parts:
-        q, usable = whitened_residuals(
-            parts["center"], parts["whitening"], Block(run.residuals[None, part], run.usable[None, part])
-        )
-        e, seen, _ = unforetold(A, Past.empty(1, A), q, usable)
-        out.append((e[0] @ parts["rewhitening"] if A.size else e[0])[seen[0]])
-    return out
-
-
-def _means(weight: float, series: Sequence[NDArray[np.float64]], fit: _Fit) -> list[NDArray[np.float64]]:
-    """Return the means of white residuals, of one or several series (..., time, k), each from a start of its own."""
-    if weight == 1:
-        return list(series)
-    out = []
-    for e in series:
-        clipped = _clipped(e, fit.columns, _lengths_at(_CLIP, fit.moving))
-        rows = clipped.reshape(-1, *clipped.shape[-2:])
-        out.append(_averaged(weight, np.zeros((len(rows), e.shape[-1])), rows)[0].reshape(e.shape))
-    return out
-
-
-def _scaled_anew(
-    means: NDArray[np.float64] | Sequence[NDArray[np.float64]], columns: Sequence[slice], weight: float, shrink: float
-) -> NDArray[np.float64]:
-    """Return what makes means as long as standard normal vectors, by their own covariance; shape (fits, k, k).
-
-    Of one fit to several recordings, or of many fits to one each. What a mean takes to start is left out. Of few rows,
-    the covariance is drawn towards that of the mean of white residuals.
-    """
-    several = list(means) if isinstance(means, (list, tuple)) else [means]
-    k, total, rows = several[0].shape[-1], 0.0, 0
-    for one in several:
-        settled = one[..., min(int(_STARTING / weight), int(_MOST_STARTING * one.shape[-2])) :, :]
-        total = total + np.swapaxes(settled, -1, -2) @ settled
-        rows += settled.shape[-2]
-    if weight == 1:
-        return np.broadcast_to(np.eye(k), (*np.shape(total)[:-2], k, k)).reshape(-1, k, k)
-    own = np.asarray(total).reshape(-1, k, k) / max(rows, 1)
-    own = own.mean(axis=0) + shrink * (own - own.mean(axis=0))
-    worth, prior = rows * weight / shrink**2, k + 2
-    return _scaled((worth * own + prior * _variance(weight) * np.eye(k)) / (worth + prior), columns, weight)
-
-
-def _scaled(covariances: NDArray[np.float64], columns: Sequence[slice], weight: float) -> NDArray[np.float64]:
-    """Return the inverse roots of the covariances of a mean, of each part by itself; what never moves as white."""
-    out = np.zeros_like(covariances)
-    for part in columns:
-        values, vectors = np.linalg.eigh(covariances[..., part, part])
-        values = np.where(values > _ROUNDING * _variance(weight), values, _variance(weight))
-        out[..., part, part] = vectors / np.sqrt(values)[..., None, :] @ np.swapaxes(vectors, -1, -2)
-    return out
-
-
-def _factors(mean: NDArray[np.float64], fit: _Fit, weight: float, rate: float) -> NDArray[np.float64]:
-    """Return for each column how much longer the means of worlds are than a standard normal vector, at a rate.
-
-    At the rate asked for, or at the rarest that twenty independent exceedances show.
-    """
-    shown = max(rate, _EXCEEDANCES * (2 / weight - 1) / mean[..., 0].size)
-    out = np.ones(mean.shape[-1])
-    for part, k in zip(fit.columns, fit.moving, strict=True):
-        square = float(np.quantile(row_squares(mean[..., part]), 1 - shown))
-        out[part] = max(1.0, np.sqrt(square / float(chdtri(k, shown))))
-    return out
-
-
-def _scores(means: Sequence[NDArray[np.float64]], fit: _Fit) -> NDArray[np.float64]:
-    """Return the normal score of the longest mean of any part."""
-    scores = []
-    for part, k in zip(fit.columns, fit.moving, strict=True):
-        square = np.max([row_squares(mean[..., part]) for mean in means], axis=0)
-        scores.append((np.cbrt(square / k) - (1 - 2 / (9 * k))) / np.sqrt(2 / (9 * k)))
-    return np.max(scores, axis=0)
-
-
-def _held_out_levels(
-    settings: MultiscaleEWMA, rows: Sequence[Sequence[int]], run: FaultFreeRun, factors: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return the levels that each quarter of the samples has by a fit to the others; none where they are too few."""
-    count = np.cumsum(run.usable)
-    edges = np.searchsorted(count, np.arange(_FOLDS + 1) * count[-1] / _FOLDS)
-    out = []
-    for start, stop in pairwise([0, *edges[1:-1].tolist(), len(count)]):
-        others = run.usable.copy()
-        others[start:stop] = False
-        mine = replace(run, usable=run.usable & ~others)
-        try:
-            fit = _fit(settings, rows, replace(run, usable=others))
-        except DataError:  # what is left is too little for a fit
-            return np.zeros(0)
-        for e in _white(fit.parts, mine):
-            if len(e):
-                means = [
-                    _means(weight, [e], fit)[0] @ (M / g)
-                    for weight, M, g in zip(settings.weights, fit.scaling, factors, strict=True)
-                ]
-                out.append(levels_of(_scores(means, fit)[None], _FALLS_TO)[0])
-    return np.concatenate(out) if out else np.zeros(0)
-
-
-def _rows_of(watched: Watched) -> list[list[int]]:
-    """Return the residuals of each part, or all of them."""
-    if watched.parts is None:
-        return [list(range(watched.generator.n_residuals))]
-    return [list(rows) for rows in watched.parts.values()]
-
-
-def _columns(rows: Sequence[Sequence[int]]) -> list[slice]:
-    """Return which whitened residuals are those of each part."""
-    ends = np.cumsum([len(one) for one in rows]).tolist()
-    return [slice(a, b) for a, b in zip([0, *ends[:-1]], ends, strict=True)]
-
-
-def _side_by_side(made: Sequence[Mapping[str, Any]], rows: Sequence[Sequence[int]], n: int) -> dict[str, Any]:
-    """Return what makes the residuals of each part white as one."""
-    columns = _columns(rows)
-    k, order = columns[-1].stop, max(len(one["coefficients"]) for one in made)
-    parts = {**plain(np.zeros(n), np.zeros((n, k))), "coefficients": np.zeros((order, k, k)), "rewhitening": np.eye(k)}
-    parts["knots"] = np.zeros((k, 0))
-    for one, mine, part in zip(made, rows, columns, strict=True):
-        parts["center"][mine] = one["center"]
-        parts["whitening"][mine, part] = one["whitening"]
-        parts["coefficients"][: len(one["coefficients"]), part, part] = one["coefficients"]
-        parts["rewhitening"][part, part] = one["rewhitening"]
-    return parts
-
-
-def _clipped(e: NDArray[np.float64], columns: Sequence[slice], clips: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return samples no longer than the clips of their parts."""
-    out = np.empty_like(e)
-    for part, clip in zip(columns, clips.tolist(), strict=True):
-        square = row_squares(e[..., part])
-        factor = np.where(square > clip * clip, clip / np.sqrt(np.where(square > 0, square, 1.0)), 1.0)
-        out[..., part] = e[..., part] * factor[..., None]
-    return out
-
-
-def _averaged(
-    weight: float, mean: NDArray[np.float64], rows: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the mean after each of some rows, (series, time, k), and after the last."""
-    one = np.eye(mean.shape[1])
-    last, means = run_filter((1 - weight) * one, weight * one, (1 - weight) * one, weight * one, mean, rows)
-    return means, last
-
-
-def _variance(weight: float) -> float:
-    """Return the variance of the mean of white residuals, once it has forgotten its start."""
-    return weight / (2 - weight)
-
-
-def _lengths_at(score: float, moving: Sequence[int]) -> NDArray[np.float64]:
-    """Return the lengths of standard normal vectors that have a normal score (Wilson and Hilferty)."""
-    k = np.asarray(moving, dtype=float)
-    return np.sqrt(k * np.maximum(1 - 2 / (9 * k) + score * np.sqrt(2 / (9 * k)), 0.0) ** 3)
 
 
 __all__ = ["MultiscaleEWMA", "MultiscaleEWMATest"]

@@ -97,12 +97,12 @@ def treated(data: FaultFree, treatment: str, harmless_offset: float, *, scores: 
         parts = {**parts, "coefficients": coefficients, "rewhitening": rewhitening}
     is_heavy = treatment == "auto" and is_heavy_tailed(e[:, varies])
     if is_heavy and scores:
-        knots, scores = knots_of(e[:, varies])
+        knots, values = knots_of(e[:, varies])
         notes.append("heavy tails: each value is judged by how rare it is")
         # what never moves, or is foretold exactly, stays as it is: that is rounding, and the ends of recordings
-        everywhere = np.tile(scores, (len(parts["center"]), 1))
+        everywhere = np.tile(values, (len(parts["center"]), 1))
         everywhere[live[varies]] = knots
-        parts = {**parts, "knots": everywhere, "scores": scores}
+        parts = {**parts, "knots": everywhere, "scores": values}
     return Treated(parts, moving, notes, is_heavy)
 
 
