@@ -245,7 +245,7 @@ def test_copies_of_residuals_do_not_count() -> None:
         (lambda: Likelihood(size=0.0), "positive"),
         (lambda: rs.Monitor(generator(), test=CUSUM(), isolate=Likelihood(prior_rates={"pump": 1e-3})), "pump"),
         (lambda: rs.Monitor(generator(), test=CUSUM(), isolate=Likelihood(prior_rates=0.6)), "below 1 together"),
-        (lambda: rs.Monitor(generator(), isolate=Likelihood()), "CUSUM"),
+        (lambda: rs.Monitor(generator(), test=rs.decide.NormThreshold(), isolate=Likelihood()), "CUSUM"),
     ],
 )
 def test_bad_settings(make: Callable[[], object], words: str) -> None:

@@ -17,7 +17,6 @@ from effort import cases
 from export_banks import bank_expected
 from export_examples import expected
 from residua.demos import jet_engine
-from residua.demos.three_tank import _test
 from residua.export.monitor_program import monitor_program
 from residua.export.structured_text import function_block
 from residua.monitor.running import initial_state, run_reference
@@ -33,7 +32,7 @@ def demo(name: str) -> tuple[rs.Monitor, np.ndarray]:
     """Return a monitor of a demo, and a recording with a fault."""
     if name == "three tanks":
         plant = rs.library.three_tank()
-        monitor = rs.Monitor(rs.design.kalman_filter(plant), test=_test())
+        monitor = rs.Monitor(rs.design.kalman_filter(plant))
         normal, leak = (
             rs.library.simulate_three_tank(600, seed=k, faults=f) for k, f in ((1, None), (3, {"leak 3": 1.0}))
         )

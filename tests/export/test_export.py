@@ -89,7 +89,7 @@ def test_a_header_names_channels_units_and_groups(tmp_path: Path) -> None:
     ("test", "isolate", "said"),
     [
         (rs.decide.SPRT(), None, r"test .* \(SPRTTest\) cannot be exported"),
-        (rs.decide.PageHinkley(), None, "cannot be exported: NormThreshold, PeakThreshold"),
+        (rs.decide.PageHinkley(), None, "cannot be exported: MultiscaleEWMA, NormThreshold"),
         (rs.decide.Adaptive(relative=0.05), None, "cannot be exported"),
         (rs.decide.CUSUM(), rs.decide.Likelihood(), r"isolation .* cannot be exported: Directional can"),
         (None, rs.decide.Matched(), "cannot be exported"),

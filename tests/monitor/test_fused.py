@@ -27,6 +27,7 @@ from residua.decide import (
     CUSUM,
     Directional,
     Likelihood,
+    NormThreshold,
     PageHinkley,
 )
 from residua.decide.whitened_norm import NormTest
@@ -157,7 +158,7 @@ def test_what_is_not_in_c_runs_in_numpy() -> None:
     made = plant(3, 3, 2, 1).with_noise(process=1e-2, measurement=1e-1)
     learnt = rs.Monitor(rs.design.kalman_filter(made), test=PageHinkley(threshold=5.0))
     assert plan_of(learnt._specification()) is None
-    spec = rs.Monitor(rs.design.kalman_filter(made))._specification()
+    spec = rs.Monitor(rs.design.kalman_filter(made), test=NormThreshold())._specification()
     own = replace(spec, test=Doubled(*(getattr(spec.test, field.name) for field in fields(spec.test))))
     assert plan_of(own) is None
     data = np.random.default_rng(0).standard_normal((1, 50, 5))

@@ -130,7 +130,7 @@ def test_a_loaded_monitor_runs_the_responses_that_were_saved(tmp_path: Path, mon
 
 def test_files_of_the_version_before_are_still_read(tmp_path: Path) -> None:
     plant = gertler()
-    first = rs.Monitor(rs.design.kalman_filter(plant))
+    first = rs.Monitor(rs.design.kalman_filter(plant), test=rs.decide.NormThreshold())
     u, y = recording(plant, 1)
     first.update(u[:100], y[:100])
     first.save(tmp_path / "m.json")

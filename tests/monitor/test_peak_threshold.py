@@ -28,7 +28,16 @@ from dedicated_examples import (
     three_drifts,
 )
 from older_files import as_version
-from residua.decide import BankTest, Directional, Matched, NormTest, NormThreshold, PeakThreshold, peak_over_window
+from residua.decide import (
+    BankTest,
+    Directional,
+    Matched,
+    MultiscaleEWMA,
+    NormTest,
+    NormThreshold,
+    PeakThreshold,
+    peak_over_window,
+)
 from residua.errors import DataError, FileFormatError, ModelError, NotFittedError, SettingError
 from residua.linear import StateSpace, peak_input, peak_norm
 from residua.monitor import PresentFault
@@ -74,9 +83,9 @@ def test_a_design_with_certified_thresholds_is_tested_by_them() -> None:
     assert (short.release, short.basis) == (10, test.basis)
 
 
-def test_any_other_design_is_tested_as_before() -> None:
-    assert rs.Monitor(BANK.generator).test == NormThreshold()
-    assert rs.Monitor(SimpleNamespace(generator=BANK.generator, thresholds=0.5)).test == NormThreshold()
+def test_any_other_design_is_tested_by_the_default() -> None:
+    assert rs.Monitor(BANK.generator).test == MultiscaleEWMA()
+    assert rs.Monitor(SimpleNamespace(generator=BANK.generator, thresholds=0.5)).test == MultiscaleEWMA()
     given = rs.Monitor(BANK, test=NormThreshold(threshold=1.0))
     assert given.norm_test.kind == "norm"
     with pytest.raises(NotFittedError, match=r"fit.*PeakThreshold\(thresholds"):
@@ -439,7 +448,7 @@ def test_files_of_earlier_versions_are_still_read(tmp_path: Path, version: int) 
     ("change", "words"),
     [
         (lambda c: c["test"].pop("kind"), "test.kind"),
-        (lambda c: c["test"].update(kind="guess"), "test.kind: expected one of norm, peak"),
+        (lambda c: c["test"].update(kind="guess"), "test.kind: expected one of multiscale ewma, norm, peak"),
         (lambda c: c["test"].update(kind="norm"), "test"),
         (lambda c: c["test"].update(thresholds="high"), "test.thresholds"),
         (lambda c: c["test"].update(thresholds={"only XNH": 1.0}), "missing 'only XNL'"),

@@ -47,7 +47,8 @@ def state_of(one: rs.Fleet) -> State:
 @pytest.mark.parametrize(
     ("settings", "most"),
     [
-        ({"isolate": None}, 128),
+        ({"isolate": None}, 144),  # two means of three residuals
+        ({"isolate": None, "test": NormThreshold()}, 128),
         ({"isolate": None, "test": CUSUM()}, 128),
         ({"isolate": Directional(window=50)}, 1400),
     ],

@@ -201,7 +201,7 @@ def test_limits_and_settings_are_saved(tmp_path: Path) -> None:
 
 
 def test_monitors_of_the_version_before_go_on_and_are_guarded(tmp_path: Path) -> None:
-    one = rs.Monitor(rs.design.kalman_filter(plant())).fit(*recording(2000, seed=9))
+    one = rs.Monitor(rs.design.kalman_filter(plant()), test=rs.decide.NormThreshold()).fit(*recording(2000, seed=9))
     u, y = recording()
     one.update(u[:100], y[:100])
     one.save(tmp_path / "m.json")

@@ -40,7 +40,8 @@ def recording(steps: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def sampled_monitor() -> rs.Monitor:
-    monitor = rs.Monitor(rs.design.detection_filter(continuous().without_faults(["leak 3", "clog 32"])), dt=1.0)
+    design = rs.design.detection_filter(continuous().without_faults(["leak 3", "clog 32"]))
+    monitor = rs.Monitor(design, test=NormThreshold(), dt=1.0)
     return monitor.fit(*recording(3000, 1))
 
 

@@ -79,7 +79,7 @@ def test_what_cannot_be_tuned(plant: rs.Plant) -> None:
 def test_windows_that_hardly_fill_a_run_are_refused() -> None:
     plant = rs.Plant([[0.9]], [[0.1]], [[1.0]], dt=1).with_sensor_faults().with_noise(process=1e-2, measurement=1e-2)
     fault = rs.validate.Scenario("y1 sensor", rs.validate.step(at=100), size=1.0)
-    watch = rs.Monitor(rs.design.kalman_filter(plant))
+    watch = rs.Monitor(rs.design.kalman_filter(plant), test=rs.decide.NormThreshold())
     with pytest.raises(SettingError, match="say too little of sums over 150"):
         rs.validate.tune(watch, fault, false_alarm_rate=0.01, windows=[150], persistences=[1], runs=1000, samples=200)
     with pytest.raises(SettingError, match="windows must be a list"):

@@ -119,7 +119,7 @@ def suggest(plant: Plant, *, want: str | None = None, seconds: float = 30.0) -> 
 
     For the name of a fault the innovations of a Kalman filter come first; where there are unknown disturbances, or no
     such filter, the residual that ignores them, with the gain of its own Kalman filter. Another design comes before
-    them only where the faults that it sees are 1.25 times smaller (their geometric mean) and its names no worse.
+    them only where the faults that it sees are 1.5 times smaller (their geometric mean) and its names no worse.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ def suggest(plant: Plant, *, want: str | None = None, seconds: float = 30.0) -> 
 
     Notes
     -----
-    The sizes are foretold, not simulated: those of constant faults that put the whitened norm of sums of 50 samples
+    The sizes are foretold, not simulated: those of constant faults that put the whitened norm of sums of 127 samples
     over its threshold for 95 % of the time, with one false alarm in 1,000 samples, times 1.25, as simulations show.
     A continuous plant is taken to be sampled ten times in the time constant of its mean rate. One
     that has no noise gets what :meth:`residua.Plant.with_assumed_noise` assumes.
@@ -165,7 +165,7 @@ def suggest(plant: Plant, *, want: str | None = None, seconds: float = 30.0) -> 
     >>> answer.best.call
     'rs.design.kalman_filter(plant)'
     >>> print(answer.seen_by(answer.best))  # in brackets: by deviations of the noise of an output
-    p1 0.103 (1.2), p2 0.078 (3.0), y1 sensor 0.378 (1.2), y2 sensor 0.986 (3.1)
+    p1 0.0646 (0.7), p2 0.049 (1.9), y1 sensor 0.237 (0.8), y2 sensor 0.619 (2.0)
     >>> rs.suggest(plant, want="size").best.call
     'rs.design.matched_filters(plant)'
     """
@@ -215,7 +215,7 @@ def _suggested(plant: Plant, want: str | None, seconds: float, *, everything: bo
     notes = [assumed] if assumed else []
     if any(one.sizes for one in entries):
         notes.append(
-            "seen: in alarm for 95 % of the time, as foretold for sums of 50 samples with one false alarm in 1,000 "
+            "seen: in alarm for 95 % of the time, as foretold for sums of 127 samples with one false alarm in 1,000 "
             "samples; deviations: how far it moves an output in the end, in standard deviations of its noise"
         )
         if not plant.is_discrete:

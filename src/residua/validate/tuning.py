@@ -165,7 +165,7 @@ def tune(
     >>> import residua as rs
     >>> plant = rs.Plant([[0.9]], [[0.1]], [[1.0]], dt=1, inputs=["valve"], outputs=["level"])
     >>> plant = plant.with_sensor_faults().with_noise(process=1e-2, measurement=1e-2)
-    >>> monitor = rs.Monitor(rs.design.kalman_filter(plant))
+    >>> monitor = rs.Monitor(rs.design.kalman_filter(plant), test=rs.decide.NormThreshold())
     >>> faults = rs.validate.Scenario("level sensor", rs.validate.step(at=100), size=20.0)
     >>> options = {"runs": 100, "samples": 300, "windows": [1, 5], "persistences": [1, 3]}
     >>> tuned = rs.validate.tune(monitor, faults, false_alarm_rate=0.002, **options)
