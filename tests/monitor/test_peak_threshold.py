@@ -90,7 +90,7 @@ def test_any_other_design_is_tested_by_the_default() -> None:
     assert given.norm_test.kind == "norm"
     with pytest.raises(NotFittedError, match=r"fit.*PeakThreshold\(thresholds"):
         rs.Monitor(BANK.generator, test=PeakThreshold()).norm_test  # noqa: B018
-    with pytest.raises(NotFittedError, match="NormThreshold"):
+    with pytest.raises(NotFittedError, match="with_noise"):
         rs.Monitor(BANK.generator).norm_test  # noqa: B018
 
 

@@ -229,7 +229,8 @@ def test_odd_numbers_are_refused(number: object, tmp_path: Path) -> None:
 
 
 def fitted(start: str = "estimated") -> rs.Monitor:
-    monitor = rs.Monitor(rs.design.kalman_filter(three_tank()), start=start).fit(*recording(3000, 1))
+    design = rs.design.kalman_filter(three_tank())
+    monitor = rs.Monitor(design, test=NormThreshold(), start=start).fit(*recording(3000, 1))
     monitor.update(*recording(50, 2))
     return monitor
 

@@ -481,6 +481,11 @@ class MultiscaleEWMA(TestSettings):
         made = self._test(watched, fit.parts, fit.scaling / factors[:, None], fit.moving, few * more * score, basis)
         return replace(made, promised=float(rate))
 
+    @property
+    def remedy(self) -> str:
+        """How to get a threshold."""
+        return super().remedy if self.source == "data" else f"{super().remedy}, or give the plant noise (with_noise)"
+
     def _test(
         self,
         watched: Watched,

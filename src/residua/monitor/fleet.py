@@ -68,7 +68,7 @@ class Fleet:
     >>> tick.alarm
     array([ True, False])
     >>> print(fleet.alarms[0])
-    south: level sensor, alarm since 53 s, onset 51 s
+    south: level sensor, alarm since 51 s, onset 51 s
     """
 
     def __init__(
@@ -275,11 +275,11 @@ class Fleet:
         >>> plant = rs.Plant([[0.9]], [[0.1]], [[1.0]], dt=1, inputs=["valve"], outputs=["level"])
         >>> plant = plant.with_sensor_faults().with_noise(process=1e-4, measurement=1e-2)
         >>> fleet = rs.Fleet(rs.Monitor(rs.design.kalman_filter(plant)), plants=["north", "south"])
-        >>> level = np.where(np.abs(np.arange(80) - 60) < 10, 2.0, 1.0)
-        >>> for event in fleet.follow(["south"], np.ones((1, 80, 1)), level[None, :, None]):
+        >>> level = np.where(np.abs(np.arange(300) - 60) < 10, 2.0, 1.0)
+        >>> for event in fleet.follow(["south"], np.ones((1, 300, 1)), level[None, :, None]):
         ...     print(event.plant, event.kind, event.onset, event.raised, event.ended, event.candidates[0].name)
-        south raised 51.0 53.0 None level sensor
-        south ended 51.0 53.0 72.0 level sensor
+        south raised 51.0 51.0 None level sensor
+        south ended 51.0 51.0 126.0 level sensor
         """
         keys = list(plants)
         if not keys:
