@@ -48,8 +48,8 @@ def test_demo_three_tank_and_the_same_by_hand(tmp_path: Path, residua: Residua) 
     assert "the monitor names leak 3" in out
     plant, monitor = tmp_path / "three_tank.toml", tmp_path / "by_hand.json"
     (by_hand,) = [line for line in out.splitlines() if line.startswith("The same by hand")]
-    assert "--persistence 5 --average 10 --false-alarm-rate 0.005" in by_hand
-    residua("design", plant, "-o", monitor, *["--persistence", "5", "--average", "10", "--false-alarm-rate", "0.005"])
+    assert "residua design three_tank.toml -o tank.json;" in by_hand
+    residua("design", plant, "-o", monitor)
     status, _, err = residua("fit", monitor, tmp_path / "normal.csv", "-o", monitor)
     assert (status, err) == (0, "")  # no warning that its own data are too few
     status, out, _ = residua("run", monitor, tmp_path / "leak.csv")

@@ -231,7 +231,7 @@ def test_a_moving_average_decides_once_its_memory_is_full() -> None:
     one = recorded(0, 0.1, 3000, outputs=3)
     rows = one.rows + 100.0  # far from zero, so that a wrong start would show
     made = rs.identify.parity_from_data(rows[:, : one.u.shape[1]], rows[:, one.u.shape[1] :], order=6)
-    monitor = rs.Monitor(made, start="rest").fit(None, rows)
+    monitor = rs.Monitor(made, test=rs.decide.NormThreshold(), start="rest").fit(None, rows)
     out = diagnosed(monitor, rows[50:])
     assert int(np.argmax(out.decided)) == 6
     assert not out.alarm[:20].any()

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc
 
 from residua.linear.subspaces.whitening import VARIANCE_FLOOR
 
@@ -214,6 +213,8 @@ def _simulated(model: ResidualModel, A: NDArray[np.float64], rows: int, seed: in
 
 def _with_tails(e: NDArray[np.float64], radii: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return Gaussian samples with lengths as rare as those of the data, beyond them by a tail like a power (Hill)."""
+    from scipy.special import chdtrc  # slow to import, and needed only here
+
     n, k = len(radii), e.shape[-1]
     count = max(int(_TAIL * n), _LEAST_IN_TAIL)
     length = np.sqrt(np.sum(e**2, axis=-1))

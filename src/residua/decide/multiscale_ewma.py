@@ -9,7 +9,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 from residua.decide.autoregression import Past, unforetold
 from residua.decide.calibrate import SETTLING, allowance, levels_of, simulated_worlds
@@ -447,6 +446,8 @@ class MultiscaleEWMA(TestSettings):
             sums = generator.covariance_of_sums(round(2 / weight - 1))  # as many samples as the mean is worth
             assert sums is not None  # as for one sample
             scaling.append(scaled(W.T @ sums @ W * variance_of(weight), columns_of(rows), weight))
+        from scipy.special import ndtri  # slow to import, and needed only here
+
         moving = [moving_directions(block) for block in blocks]
         rate = rate_aimed_at(self.false_alarm_rate)
         score = float(-ndtri(rate / (_AS_MANY * len(rows))))

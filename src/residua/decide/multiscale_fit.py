@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
 
 from residua.decide.autoregression import Past, unforetold
 from residua.decide.calibrate import ResidualModel, levels_of
@@ -149,6 +148,8 @@ def factors_of(mean: NDArray[np.float64], fit: MeansFit, weight: float, rate: fl
 
     At the rate asked for, or at the rarest that twenty independent exceedances show.
     """
+    from scipy.special import chdtri  # slow to import, and needed only here
+
     shown = max(rate, _EXCEEDANCES * (2 / weight - 1) / mean[..., 0].size)
     out = np.ones(mean.shape[-1])
     for part, k in zip(fit.columns, fit.moving, strict=True):

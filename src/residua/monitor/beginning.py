@@ -17,8 +17,8 @@ from residua.tolerances import DATA_ROUNDING
 APART = 200
 #: Samples of an alarm from which the direction of the change is taken at most.
 _MOST_ALARM = 2000
-#: Judged samples that are looked at before the crossing at most, and of the alarm: bounds memory in long recordings.
-MOST_ROWS = 200_000
+#: Judged samples that are looked at before the crossing at most, and of the alarm: bounds time and memory.
+MOST_ROWS = 10_000
 #: Samples that are looked through at once.
 _PIECE = 1 << 17
 #: Least squared distance that the residual has moved, in units of what noise alone moves it, to know its direction.

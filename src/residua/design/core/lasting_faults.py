@@ -8,8 +8,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chndtrinc, ndtri
-from scipy.stats import chi2, ncx2
 
 from residua.design.core.generator import ResidualGenerator
 from residua.errors import DesignError
@@ -64,6 +62,8 @@ class LastingFaults:
         By direction a sum must lie on the right side of the plane between two directions; by code every member that
         the fault fires must fire.
         """
+        from scipy.special import ndtri  # slow to import, as all of it
+
         g, faults = self.generator, self.generator.faults
         if g.codes is not None:
             codes = [tuple(column) for column in g.codes.T.tolist()]
@@ -93,6 +93,8 @@ class LastingFaults:
 
     def share(self, fault: str, size: float) -> float:
         """Return the share of 1,500 samples from its onset on in which a constant fault is in alarm."""
+        from scipy.special import chndtr
+
         g = self.generator
         response = g.internal_form().select(inputs=[g.faults.index(fault)]).simulate(np.ones((_FOLLOWED, 1)))
         sums = np.cumsum(response, axis=0)
@@ -100,7 +102,7 @@ class LastingFaults:
         alarm = np.zeros(_FOLLOWED)
         for residuals, whiten in self.whitening:
             d = np.linalg.norm(sums[:, residuals] @ whiten.T, axis=1) / np.sqrt(WINDOW)
-            alarm = np.maximum(alarm, ncx2.sf(self._limit(whiten), len(whiten), (size * d) ** 2))
+            alarm = np.maximum(alarm, 1 - chndtr(self._limit(whiten), len(whiten), (size * d) ** 2))
         return float(alarm.mean())
 
     @cached_property
@@ -113,6 +115,8 @@ class LastingFaults:
     @cached_property
     def _of_parts(self) -> NDArray[np.float64]:
         """The size from which on each part sees each fault, shape (parts, faults)."""
+        from scipy.special import chndtrinc
+
         found = np.full((len(self.whitening), len(self.generator.faults)), np.inf)
         for row, (_, whiten), away in zip(found, self.whitening, self._settled, strict=True):
             d = np.linalg.norm(away, axis=0)
@@ -122,7 +126,9 @@ class LastingFaults:
         return found
 
     def _limit(self, whiten: NDArray[np.float64]) -> float:
-        return float(chi2.isf(self.rate / len(self.whitening), len(whiten)))
+        from scipy.special import chdtri
+
+        return float(chdtri(len(whiten), self.rate / len(self.whitening)))
 
 
 def lasting_faults(generator: ResidualGenerator, dt: float, *, rate: float = RATE) -> LastingFaults:
