@@ -198,3 +198,10 @@ def test_it_is_what_a_monitor_takes_without_an_option(tmp_path: object) -> None:
     y[1000:1400] += 0.2
     assert np.array_equal(again.run(u, y).statistic, monitor.run(u, y).statistic, equal_nan=True)
     assert monitor.run(u, y).alarms
+
+
+def test_a_recording_of_which_nothing_can_be_judged_is_passed_over() -> None:
+    rng = np.random.default_rng(7)
+    r = coloured(rng, 1200, 0.8)
+    r[600:] = np.nan
+    assert fitted(r, seams=(600, 900)).threshold > 3  # pyright: ignore

@@ -88,14 +88,15 @@ def _treated(treatment: str, run: FaultFreeRun, rows: Sequence[int]) -> Treated:
 
 
 def _white(parts: Mapping[str, Any], run: FaultFreeRun) -> list[NDArray[np.float64]]:
-    """Return the white residuals of each recording, where they are known."""
+    """Return the white residuals of each recording that has some, where they are known."""
     A, out = parts["coefficients"], []
     for part in FaultFree(run.residuals, run.usable, 1, run.seams).parts:
         q, usable = whitened_residuals(
             parts["center"], parts["whitening"], Block(run.residuals[None, part], run.usable[None, part])
         )
         e, seen, _ = unforetold(A, Past.empty(1, A), q, usable)
-        out.append((e[0] @ parts["rewhitening"] if A.size else e[0])[seen[0]])
+        if seen.any():
+            out.append((e[0] @ parts["rewhitening"] if A.size else e[0])[seen[0]])
     return out
 
 
