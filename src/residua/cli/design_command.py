@@ -37,6 +37,9 @@ from residua.plant.toml_entry import suggestion
 #: Methods that are listed at an option in the help, and where the first sentence of its text ends.
 _LISTED, _SENTENCE = 4, r"(?<=\.) "
 
+#: Samples within which matched filters look for an arrival, where no window is given.
+_WINDOW = 50
+
 
 def _method(name: str) -> str:
     """Return the name of a method that is offered, its present one."""
@@ -80,13 +83,14 @@ def design(
     persistence: Persistence = None,
     average: Average = None,
     window: Annotated[
-        int,
+        int | None,
         typer.Option(
             min=1,
             metavar="N",
-            help="Samples over which the direction of the residual, the code of a bank, or an arrival is judged.",
+            help="Samples over which the direction of the residual, the code of a bank, or an arrival is judged; by "
+            "default 128 for a direction beside the bank of means, and 50 otherwise.",
         ),
-    ] = 50,
+    ] = None,
     **asked: Any,
 ) -> None:
     """Design a monitor and print what it proves about itself."""
@@ -102,7 +106,7 @@ def design(
         with screen.patience(f"looking for the design that sees most of {model.name}"):
             model, name, first, why = methods.choose(model, sample_time)
     try:
-        call = methods.call_of(name, given, {"window": window}, sample_time)
+        call = methods.call_of(name, given, {"window": window or _WINDOW}, sample_time)
     except methods.OptionError as error:
         raise typer.BadParameter(error.why, param_hint=error.option) from None
     if first is not None:
@@ -115,11 +119,12 @@ def design(
     matched = isinstance(made, MatchedFilters)
     if matched and average not in (None, 1):
         raise SettingError("matched filters sum over their --window by themselves: leave out --average")
-    isolate = _isolation(made, window)
     # of noise that is assumed there is no threshold before a fit
     assumed = "with_assumed_noise" in call.subject
     test = settings_of_test(persistence or (3 if matched else None), average, false_alarm_rate, needs_data=assumed)
+    isolate: Any = "auto" if window is None else _isolation(made, window)
     monitor = Monitor(made, test=test, isolate=isolate, dt=sample_time)
+    isolate = monitor.isolate
     monitor.save(output)
     screen.say(chosen, in_cli_words(str(_evidence(monitor))))
     if show_call:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -15,7 +15,7 @@ from residua.decide.compiled import CompiledIsolation
 from residua.decide.isolation import Isolation, IsolationSettings, Scores, check_groups
 from residua.decide.row_norms import row_norms
 from residua.decide.statement import Statement, angle, statement_by_score
-from residua.decide.test import Block, ResidualTest, Tested, Watched
+from residua.decide.test import Block, ResidualTest, Tested, TestSettings, Watched
 from residua.decide.window import WindowState, empty_window, moving_sum
 from residua.design import ResidualGenerator
 from residua.errors import DataError, FileFormatError, SettingError
@@ -138,7 +138,8 @@ class Directional(IsolationSettings):
     Parameters
     ----------
     window : int
-        Judged samples over which the (whitened) residual is averaged before its direction is judged.
+        Judged samples over which the (whitened) residual is averaged before its direction is judged. With
+        ``isolate="auto"`` as many as the longest mean of the test is worth, where that is more: 128 by default.
     signature : {"auto", "subspace", "steady"}
         ``"subspace"``: the line or plane that the residual of a fault never leaves. ``"steady"``: the
         direction that it settles to when the fault is constant. ``"auto"`` takes the line or plane where
@@ -174,6 +175,10 @@ class Directional(IsolationSettings):
     def for_design(cls, design: Any, generator: ResidualGenerator) -> Self | None:
         """Return the default: what any generator without codes is read by."""
         return None if generator.codes is not None else cls()
+
+    def beside(self, test: TestSettings) -> Directional:
+        """Return the default beside a test: with a window as long as its memory, where that is more."""
+        return replace(self, window=max(self.window, test.memory))
 
     def kept(self, generator: ResidualGenerator) -> tuple[str, int, int] | None:
         """Return the window, and that it keeps the residuals."""

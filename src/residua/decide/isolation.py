@@ -304,6 +304,10 @@ class IsolationSettings(Record, ABC):
         """Return what has to be tested by itself, by name; ``None``: the residual as a whole."""
         return None
 
+    def beside(self, test: TestSettings) -> IsolationSettings:
+        """Return the settings that ``isolate="auto"`` takes beside a test; as a rule these themselves."""
+        return self
+
     @property
     def own_test(self) -> TestSettings | None:
         """The settings of the test without which this isolation names nothing; ``None``: it goes with any."""

@@ -159,6 +159,8 @@ class Monitor:
         self.design: ResidualGenerator = generator
         self._isolation = chosen_isolation(isolate, generator, design)
         self.test, self._certified = chosen_test(test, design, generator, self._isolation)
+        if isinstance(isolate, str):
+            self._isolation = self._isolation.beside(self.test)
         self._settings = self._isolation.test_of(self.test)
         check_windows(self._settings, self._isolation, self._watched(generator))
         self._bounds = brought_bounds(design, generator)
