@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -24,7 +24,7 @@ from residua.decide.isolation import (
 )
 from residua.decide.matched_hold import HeldState, Match, hold_block
 from residua.decide.matched_level import Likelihoods, LikelihoodThreshold
-from residua.decide.matched_responses import MatchedTest
+from residua.decide.matched_responses import MatchedTest, MatchState, empty_match, match_block, summed
 from residua.decide.norm_threshold import NormThreshold
 from residua.decide.sizes import fault_unit
 from residua.decide.statement import (
@@ -40,6 +40,7 @@ from residua.decide.statement import (
 )
 from residua.decide.test import Block, ResidualTest, Tested, TestSettings, Watched
 from residua.decide.whitened_norm import NormSettings
+from residua.decide.window import WindowState, empty_window, moving_sum
 from residua.design import ResidualGenerator
 from residua.design.banks.matched_filters import MatchedFilters, alike_faults, not_settled, step_responses
 from residua.errors import SettingError
@@ -214,6 +215,51 @@ class MatchedNames(Isolation):
         return {}
 
 
+@dataclass(frozen=True, eq=False)
+class BesideState:
+    """What names by responses beside a test of another kind remember.
+
+    Attributes
+    ----------
+    window : WindowState
+        Of the whitened residual, its square and what was judged.
+    match : MatchState
+    held : HeldState
+    """
+
+    window: WindowState
+    match: MatchState
+    held: HeldState
+
+
+@dataclass(frozen=True, eq=False)
+class NamesBeside(MatchedNames):
+    """What names faults by their responses beside a test that does not compare these itself.
+
+    Where outputs are missing and a Kalman filter goes on without them, the responses stay those of the whole filter.
+    """
+
+    def start(self, plants: int) -> BesideState:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Return the state before the first sample."""
+        window = empty_window(plants, self.matched.samples, len(self.matched.settled) + 2)
+        return BesideState(window, empty_match(self.matched, plants), HeldState.empty(plants))
+
+    def run(  # pyright: ignore[reportIncompatibleMethodOverride]
+        self, state: BesideState, block: Block, tested: Tested
+    ) -> tuple[BesideState, Scores]:
+        """Return the same, by the residual that the test has whitened."""
+        q, usable = tested.whitened, tested.usable
+        sums, window = moving_sum(summed(q, usable), state.window)
+        values, match = match_block(self.matched, state.match, q, usable, sums)
+        held, scores = super().run(state.held, block, replace(tested, likelihood=Likelihoods(values, sums)))
+        return BesideState(window, match, held), scores
+
+    def check_state(self, state: BesideState, count: int) -> None:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Raise where a state from a file cannot be one."""
+        state.window.check("state.isolation.window")
+        super().check_state(state.held, count)
+
+
 @dataclass(frozen=True)
 class Matched(IsolationSettings):
     r"""Find the fault, its arrival and its size whose expected response resembles the innovations most.
@@ -222,7 +268,8 @@ class Matched(IsolationSettings):
     generalised likelihood ratio against no fault; see :func:`residua.design.matched_filters` for the equations. The
     monitor's statistic is the square root of the largest: how many standard deviations the best size is from zero.
     Its threshold bounds the fraction of fault-free samples over it by Hunter's inequality over all hypotheses, or is
-    fitted to fault-free data.
+    fitted to fault-free data. Beside a test of another kind (:class:`residua.decide.MultiscaleEWMA`, ``CUSUM``, one of
+    a user's own) statistic and alarm are those of that test, and only the names are by responses.
 
     Parameters
     ----------
@@ -259,9 +306,10 @@ class Matched(IsolationSettings):
         object.__setattr__(self, "alike", float(self.alike))
 
     def isolation(self, generator: ResidualGenerator, test: ResidualTest) -> MatchedNames:
-        """Return what names faults by the responses that the test compares."""
-        assert test.responses is not None
-        return MatchedNames(test.responses)
+        """Return what names faults by the responses that the test compares, or beside it by those that it whitens."""
+        if test.responses is not None:
+            return MatchedNames(test.responses)
+        return NamesBeside(self._maker(generator)(test.metric))
 
     # ----------------------------------------------- what the rest of a monitor asks for
 
@@ -280,17 +328,14 @@ class Matched(IsolationSettings):
         return NormThreshold()
 
     def test_of(self, settings: TestSettings) -> TestSettings:
-        """Return the test of likelihoods with the threshold, persistence and release of a norm."""
+        """Return the test of likelihoods with the threshold, persistence and release of a norm; any other as it is."""
         if settings.divides:
             raise SettingError(
                 "groups are for residuals that are named by direction or not at all; here faults are matched: leave "
                 "groups out, or isolate=Directional() or None"
             )
         if not isinstance(settings, NormSettings):
-            raise SettingError(
-                f"{type(settings).__name__} tests the residual itself, and Matched how well the responses to faults "
-                "explain it: test=NormThreshold(), or isolate=Directional()"
-            )
+            return settings
         return LikelihoodThreshold(settings, self.window, self.steady, self._maker)
 
     def _maker(self, generator: ResidualGenerator) -> Callable[[NDArray[np.float64]], MatchedTest]:
