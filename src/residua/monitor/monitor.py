@@ -77,12 +77,13 @@ class Monitor:
     test : NormThreshold, PeakThreshold or TestSettings, optional
         When to raise an alarm. When omitted, for a design that brings certified thresholds (its ``thresholds``, one for
         each member) :class:`residua.decide.PeakThreshold` with those, for one that brings a test that it is made for
-        (its ``test``) that one, for any other :class:`residua.decide.NormThreshold`.
+        (its ``test``) that one, for any other :class:`residua.decide.MultiscaleEWMA`, a bank of means.
     isolate : Directional, Structured, Matched, IsolationSettings, None or "auto"
         How to name the fault. With :class:`residua.decide.Structured` every member of a bank has its own
         whitening, threshold and alarm, each with its share of the false alarm rate; the monitor is in alarm while
         any member is, and the fault is read from which of them are. With :class:`residua.decide.Matched` the fault,
-        its arrival and its size are those whose expected response explains white residuals best, and the alarm is
+        its arrival and its size are those whose expected response explains white residuals best; beside a
+        :class:`residua.decide.NormThreshold` the alarm is
         that they explain them better than no fault. Otherwise the residual is tested as a whole, and the fault named
         by direction, or not at all (``None``). ``"auto"``: by code for a bank, by responses for matched filters, by
         direction for any other generator.
