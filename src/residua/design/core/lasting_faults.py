@@ -60,8 +60,8 @@ class LastingFaults:
     def named(self) -> dict[str, float]:
         """For each fault the size from which on its name is right too, by direction or code; infinite where none is.
 
-        By direction a sum must lie on the right side of the plane between two directions; by code every member that
-        the fault fires must fire.
+        By direction a sum must lie nearer to the line or plane of its own fault than to that of any other, as
+        an isolation reads them; by code every member that the fault fires must fire.
         """
         g, faults = self.generator, self.generator.faults
         if g.codes is not None:
@@ -69,19 +69,22 @@ class LastingFaults:
             fired = np.where(g.codes, self._of_parts, 0.0).max(axis=0, initial=0.0)
             told = [any(code) and codes.count(code) == 1 for code in codes]
             return {name: float(size) if one else np.inf for name, size, one in zip(faults, fired, told, strict=True)}
-        away = self._settled[0]
-        length = np.linalg.norm(away, axis=0)
-        seen = np.flatnonzero(length)
-        unit = away[:, seen] / length[seen]
-        cosine = np.abs(unit.T @ unit)
-        np.fill_diagonal(cosine, -1.0)
-        half = np.sqrt(np.maximum(1 - cosine.max(axis=0, initial=-1.0), 0.0) / 2)
+        whiten, away = self.whitening[0][1], self._settled[0]
+        signatures = {}
+        for name, steady in zip(faults, away.T, strict=True):  # as an isolation by direction reads them
+            plane = g.subspaces[name]
+            narrow = 0 < plane.shape[1] < g.residual_rank
+            signatures[name] = np.linalg.qr(whiten @ plane if narrow else steady[:, None])[0]
         found = dict.fromkeys(faults, np.inf)
-        for j, sine in zip(seen.tolist(), half.tolist(), strict=True):
-            if sine > np.sqrt(IDENTITY):
-                found[faults[j]] = max(
-                    self.sizes[faults[j]], _MEASURED * float(ndtri(SEEN)) / (sine * float(length[j]))
-                )
+        for name, steady in zip(faults, away.T, strict=True):
+            length = float(np.linalg.norm(steady))
+            others = [
+                signatures[other] for other, gain in zip(faults, away.T, strict=True) if other != name and gain.any()
+            ]
+            near = max((float(np.linalg.norm(basis.T @ steady)) for basis in others), default=-length)
+            half = float(np.sqrt(max(1 - near / length, 0.0) / 2)) if length > 0 else 0.0  # of the angle, its sine
+            if half > np.sqrt(IDENTITY):
+                found[name] = max(self.sizes[name], _MEASURED * float(ndtri(SEEN)) / (half * length))
         return found
 
     @property
