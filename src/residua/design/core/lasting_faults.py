@@ -8,8 +8,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chndtrinc, ndtri
-from scipy.stats import chi2, ncx2
+from scipy.special import chdtri, chndtr, chndtrinc, ndtri
 
 from residua.design.core.generator import ResidualGenerator
 from residua.errors import DesignError
@@ -102,7 +101,7 @@ class LastingFaults:
         alarm = np.zeros(_FOLLOWED)
         for residuals, whiten in self.whitening:
             d = np.linalg.norm(sums[:, residuals] @ whiten.T, axis=1) / np.sqrt(WINDOW)
-            alarm = np.maximum(alarm, ncx2.sf(self._limit(whiten), len(whiten), (size * d) ** 2))
+            alarm = np.maximum(alarm, 1 - chndtr(self._limit(whiten), len(whiten), (size * d) ** 2))
         return float(alarm.mean())
 
     @cached_property
@@ -124,7 +123,7 @@ class LastingFaults:
         return found
 
     def _limit(self, whiten: NDArray[np.float64]) -> float:
-        return float(chi2.isf(self.rate / len(self.whitening), len(whiten)))
+        return float(chdtri(len(whiten), self.rate / len(self.whitening)))
 
 
 def lasting_faults(generator: ResidualGenerator, dt: float, *, rate: float = RATE) -> LastingFaults:
