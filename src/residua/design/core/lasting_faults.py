@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri, chndtr, chndtrinc, ndtri
 
 from residua.design.core.generator import ResidualGenerator
 from residua.errors import DesignError
@@ -18,6 +17,8 @@ from residua.tolerances import IDENTITY, RANK
 WINDOW, RATE = 50, 1e-3
 #: Share of the time that a fault of the size that is called seen is in alarm, or has the right name.
 SEEN = 0.95
+#: The normal quantile of that share.
+_QUANTILE = 1.644854
 #: What is measured is that many times what is foretold, in the mean.
 _MEASURED = 1.25
 #: A transient of a filter has passed when so much of it is left; its faults are followed for so many samples.
@@ -83,7 +84,7 @@ class LastingFaults:
             near = max((float(np.linalg.norm(basis.T @ steady)) for basis in others), default=-length)
             half = float(np.sqrt(max(1 - near / length, 0.0) / 2)) if length > 0 else 0.0  # of the angle, its sine
             if half > np.sqrt(IDENTITY):
-                found[name] = max(self.sizes[name], _MEASURED * float(ndtri(SEEN)) / (half * length))
+                found[name] = max(self.sizes[name], _MEASURED * _QUANTILE / (half * length))
         return found
 
     @property
@@ -94,6 +95,8 @@ class LastingFaults:
 
     def share(self, fault: str, size: float) -> float:
         """Return the share of 1,500 samples from its onset on in which a constant fault is in alarm."""
+        from scipy.special import chndtr  # slow to import
+
         g = self.generator
         response = g.internal_form().select(inputs=[g.faults.index(fault)]).simulate(np.ones((_FOLLOWED, 1)))
         sums = np.cumsum(response, axis=0)
@@ -114,6 +117,8 @@ class LastingFaults:
     @cached_property
     def _of_parts(self) -> NDArray[np.float64]:
         """The size from which on each part sees each fault, shape (parts, faults)."""
+        from scipy.special import chndtrinc  # slow to import
+
         found = np.full((len(self.whitening), len(self.generator.faults)), np.inf)
         for row, (_, whiten), away in zip(found, self.whitening, self._settled, strict=True):
             d = np.linalg.norm(away, axis=0)
@@ -123,6 +128,8 @@ class LastingFaults:
         return found
 
     def _limit(self, whiten: NDArray[np.float64]) -> float:
+        from scipy.special import chdtri  # slow to import
+
         return float(chdtri(len(whiten), self.rate / len(self.whitening)))
 
 
