@@ -76,8 +76,10 @@ def time_limit(seconds: float) -> Iterator[None]:
         _end.reset(token)
 
 
-def check_time() -> None:
-    """Raise where the time is used up: asked wherever a design decides a rank, keeps a result or makes a generator."""
-    end = _end.get()
-    if time.monotonic() >= end:
+def check_time(needed: float = 0.0) -> None:
+    """Raise where the time is used up, or leaves less than the seconds that a step takes which nothing stops.
+
+    Asked wherever a design decides a rank, keeps a result or makes a generator.
+    """
+    if time.monotonic() + needed >= _end.get():
         raise TimeUsedUpError

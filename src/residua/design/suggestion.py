@@ -119,7 +119,7 @@ def suggest(plant: Plant, *, want: str | None = None, seconds: float = 30.0) -> 
 
     For the name of a fault the innovations of a Kalman filter come first; where there are unknown disturbances, or no
     such filter, the residual that ignores them, with the gain of its own Kalman filter. Another design comes before
-    them only where the faults that it sees are 1.5 times smaller (their geometric mean) and its names no worse.
+    them only where the faults that it sees are 1.25 times smaller (their geometric mean) and its names no worse.
 
     Parameters
     ----------

@@ -18,6 +18,8 @@ from residua.tolerances import IDENTITY, RANK
 WINDOW, RATE = 127, 1e-3
 #: Share of the time that a fault of the size that is called seen is in alarm, or has the right name.
 SEEN = 0.95
+#: The normal quantile of that share.
+_QUANTILE = 1.644854
 #: What is measured is that many times what is foretold, in the mean.
 _MEASURED = 1.25
 #: A transient of a filter has passed when so much of it is left; its faults are followed for so many samples.
@@ -59,30 +61,31 @@ class LastingFaults:
     def named(self) -> dict[str, float]:
         """For each fault the size from which on its name is right too, by direction or code; infinite where none is.
 
-        By direction a sum must lie on the right side of the plane between two directions; by code every member that
-        the fault fires must fire.
+        By direction a sum must lie nearer to the line or plane of its own fault than to that of any other, as
+        an isolation reads them; by code every member that the fault fires must fire.
         """
-        from scipy.special import ndtri  # slow to import, as all of it
-
         g, faults = self.generator, self.generator.faults
         if g.codes is not None:
             codes = [tuple(column) for column in g.codes.T.tolist()]
             fired = np.where(g.codes, self._of_parts, 0.0).max(axis=0, initial=0.0)
             told = [any(code) and codes.count(code) == 1 for code in codes]
             return {name: float(size) if one else np.inf for name, size, one in zip(faults, fired, told, strict=True)}
-        away = self._settled[0]
-        length = np.linalg.norm(away, axis=0)
-        seen = np.flatnonzero(length)
-        unit = away[:, seen] / length[seen]
-        cosine = np.abs(unit.T @ unit)
-        np.fill_diagonal(cosine, -1.0)
-        half = np.sqrt(np.maximum(1 - cosine.max(axis=0, initial=-1.0), 0.0) / 2)
+        whiten, away = self.whitening[0][1], self._settled[0]
+        signatures = {}
+        for name, steady in zip(faults, away.T, strict=True):  # as an isolation by direction reads them
+            plane = g.subspaces[name]
+            narrow = 0 < plane.shape[1] < g.residual_rank
+            signatures[name] = np.linalg.qr(whiten @ plane if narrow else steady[:, None])[0]
         found = dict.fromkeys(faults, np.inf)
-        for j, sine in zip(seen.tolist(), half.tolist(), strict=True):
-            if sine > np.sqrt(IDENTITY):
-                found[faults[j]] = max(
-                    self.sizes[faults[j]], _MEASURED * float(ndtri(SEEN)) / (sine * float(length[j]))
-                )
+        for name, steady in zip(faults, away.T, strict=True):
+            length = float(np.linalg.norm(steady))
+            others = [
+                signatures[other] for other, gain in zip(faults, away.T, strict=True) if other != name and gain.any()
+            ]
+            near = max((float(np.linalg.norm(basis.T @ steady)) for basis in others), default=-length)
+            half = float(np.sqrt(max(1 - near / length, 0.0) / 2)) if length > 0 else 0.0  # of the angle, its sine
+            if half > np.sqrt(IDENTITY):
+                found[name] = max(self.sizes[name], _MEASURED * _QUANTILE / (half * length))
         return found
 
     @property
@@ -93,7 +96,7 @@ class LastingFaults:
 
     def share(self, fault: str, size: float) -> float:
         """Return the share of 1,500 samples from its onset on in which a constant fault is in alarm."""
-        from scipy.special import chndtr
+        from scipy.special import chndtr  # slow to import
 
         g = self.generator
         response = g.internal_form().select(inputs=[g.faults.index(fault)]).simulate(np.ones((_FOLLOWED, 1)))
@@ -115,7 +118,7 @@ class LastingFaults:
     @cached_property
     def _of_parts(self) -> NDArray[np.float64]:
         """The size from which on each part sees each fault, shape (parts, faults)."""
-        from scipy.special import chndtrinc
+        from scipy.special import chndtrinc  # slow to import
 
         found = np.full((len(self.whitening), len(self.generator.faults)), np.inf)
         for row, (_, whiten), away in zip(found, self.whitening, self._settled, strict=True):
@@ -126,7 +129,7 @@ class LastingFaults:
         return found
 
     def _limit(self, whiten: NDArray[np.float64]) -> float:
-        from scipy.special import chdtri
+        from scipy.special import chdtri  # slow to import
 
         return float(chdtri(len(whiten), self.rate / len(self.whitening)))
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from residua.linear.subspaces.rank import check_rtol, without_noise
 from residua.linear.systems.balancing import power_of_two
+from residua.progress import check_time
 from residua.tolerances import RESIDUE
 
 #: What keeps the triangular factor from being singular, beside the largest singular value: a few roundings.
@@ -20,6 +21,8 @@ _MORE = 6
 _STEPS = 12
 #: A singular value is known well enough when a step moves it by less than this fraction.
 _NEARLY = 0.01
+#: Cubes of its rows for which a dense decomposition takes a second, at least.
+_CUBES = 2e9
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,6 +186,7 @@ class FactoredBand:
             s = now
             if step and settled.all():
                 return np.moveaxis(X, 2, 0), s
+        check_time((count * rows) ** 3 / _CUBES)
         U, s, _ = np.linalg.svd(self.band.dense())  # takes its time, and ends
         s = np.concatenate([s, np.zeros(len(U) - len(s))])
         return U.T[len(U) - wanted :].reshape(wanted, count, rows), s[len(s) - wanted :]
