@@ -48,7 +48,8 @@ def recorded(plant: rs.Plant, fault: str, size: float, *, seed: int, n: int = 12
 @pytest.fixture(scope="module")
 def monitor() -> rs.Monitor:
     plant = column()
-    return rs.Monitor(rs.design.kalman_filter(plant)).fit(*recorded(plant, "", 0.0, seed=0, n=4000))
+    design = rs.design.kalman_filter(plant)
+    return rs.Monitor(design, isolate=rs.decide.Directional()).fit(*recorded(plant, "", 0.0, seed=0, n=4000))
 
 
 @pytest.fixture(scope="module")

@@ -101,7 +101,7 @@ def diagnose_many(
     >>> u, y = np.ones((80, 1)), np.where(np.arange(80) < 50, 1.0, 2.0)[:, None]
     >>> north, south = diagnose_many({"north": (u, y), "south": (u, y[:, :0])}, monitor, "threading")
     >>> north.name, north.alarms[0].raised
-    ('north', 52.0)
+    ('north', 50.0)
     >>> south.reason
     'y must be (time, 1) ...'
     """
@@ -206,7 +206,7 @@ class BatchEvents:
     >>> u, y = np.ones((80, 1)), np.where(np.arange(80) < 50, 1.0, 2.0)[:, None]
     >>> table = packed_table(monitor, {"north": (u, y), "south": (u, np.ones((80, 1)))})
     >>> BatchEvents(monitor)(table).select(["kind", "plant", "onset", "raised"]).to_pylist()
-    [{'kind': 'raised', 'plant': 'north', 'onset': 50.0, 'raised': 52.0}]
+    [{'kind': 'raised', 'plant': 'north', 'onset': 50.0, 'raised': 50.0}]
     """
 
     def __init__(
