@@ -205,3 +205,19 @@ def test_a_recording_of_which_nothing_can_be_judged_is_passed_over() -> None:
     r = coloured(rng, 1200, 0.8)
     r[600:] = np.nan
     assert fitted(r, seams=(600, 900)).threshold > 3  # pyright: ignore
+
+
+def test_a_wander_slower_than_the_fit_is_noticed() -> None:
+    """Half a deviation over 2,000 samples, after a fit to 1,000: at the fit, or at the first run."""
+    noticed = []
+    for seed in range(6):
+        rng = np.random.default_rng([seed, 1000])
+        wander = coloured(rng, 29_000, 0.9995)[8000:]
+        r = rng.standard_normal((21_000, 2)) + 0.5 * wander
+        monitor = rs.Monitor(generator(2), isolate=None, dt=1.0).fit(None, r[:1000], false_alarm_rate=1e-3)
+        assert monitor.fit_check is not None
+        found = monitor.run(None, r[1000:])
+        noticed.append(
+            bool(monitor.fit_check.notes) or any("slower than the recordings" in note for note in found.notes)
+        )
+    assert sum(noticed) >= 5
