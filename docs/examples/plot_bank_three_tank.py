@@ -71,8 +71,9 @@ print(everyone)
 # %%
 # On the recordings
 # -----------------
-# All three are fitted to the first half of the fault-free recording, for half a per cent of samples in alarm. The two banks
-# judge sums over 30 samples, and raise an alarm after ten in a row.
+# All three are fitted to the first half of the fault-free recording, for half a per cent of samples in alarm. The direction has
+# the test that a monitor has without an option. The two banks judge sums over 30 samples, and raise an alarm after ten in a row:
+# with the default test the bank of all misreads one fault more, that of the sensor of h1.
 test = rs.decide.NormThreshold(window=30, persistence=10)
 monitors = {
     "direction": rs.Monitor(rs.design.kalman_filter(plant), isolate=rs.decide.Directional(window=300)),
@@ -157,6 +158,6 @@ axes[-1].set_xlabel("time in s")
 # Codes and directions use the same information differently. A code asks each member yes or no, so that it needs no
 # direction to hold and no size to be known, and it can say "none of mine": for the two faults that grow until the linear
 # model no longer holds, the bank says that it knows no such code, where the direction ranks, rightly once and wrongly
-# once. A direction weighs all residuals against each other and always ranks. The sensor bank is the quickest of the
-# three for most faults and answers one question only. Two faults that look alike while constant (h1's sensor and a
+# once. A direction weighs all residuals against each other and always ranks. It is the quickest of the three for most
+# faults; the sensor bank answers one question only. Two faults that look alike while constant (h1's sensor and a
 # clogged pipe 1-3) are named together by all three.

@@ -18,8 +18,7 @@ from residua.library import simulate_three_tank, three_tank
 from residua.report.plots import plot_diagnosis
 
 normal = simulate_three_tank(6000, seed=1)
-monitor = rs.Monitor(rs.design.kalman_filter(three_tank()), test=rs.decide.NormThreshold(persistence=5))
-monitor.fit(normal.u, normal.y)
+monitor = rs.Monitor(rs.design.kalman_filter(three_tank())).fit(normal.u, normal.y)
 
 # %%
 # A hole of 0.08 cm² in tank 3 from 300 s on; the sensor of h2 drops out for 5 samples, and

@@ -61,7 +61,9 @@ def failed(name, size):
 # %%
 # A model, a monitor, a name
 # --------------------------
-# Everything is left to the defaults, but that the test looks at sums over ten rows, five in a row.
+# Everything is left to the defaults but the test, which looks at sums over ten rows, five in a row. In its second half hour the
+# valve works at another point than in its first: the default test, which adds up a minute, sees offsets half as large and is in
+# alarm 7 % of the time without any.
 model = rs.identify.subspace(first, inputs=INPUTS, outputs=OUTPUTS, dt=1.0)
 generator = rs.design.kalman_filter(model.plant.with_sensor_faults())
 monitor = rs.Monitor(generator, test=rs.decide.NormThreshold(window=10, persistence=5)).fit(first)

@@ -166,7 +166,7 @@ print(rs.diagnosability(drive_train()))
 # One monitor for each part
 # -------------------------
 # Each part has a structured bank: residuals that each fault fires in a pattern of its own. Thresholds come from 25 minutes
-# without a fault; three samples in a row raise an alarm.
+# without a fault; the test is the one that a monitor has without an option.
 PARTS = {
     "pitch 1": (pitch(1), [0], [4, 5]),
     "pitch 2": (pitch(2), [1], [6, 7]),
@@ -185,8 +185,7 @@ def signals(recording, inputs, outputs):
 diagnoses = {}
 for part, (plant, inputs, outputs) in PARTS.items():
     bank = rs.design.structured_bank(plant, rs.coding.choose(plant))
-    monitor = rs.Monitor(bank, test=rs.decide.NormThreshold(window=20, persistence=3))
-    monitor.fit(*signals(healthy, inputs, outputs), false_alarm_rate=1e-4)
+    monitor = rs.Monitor(bank).fit(*signals(healthy, inputs, outputs))
     diagnoses[part] = monitor.run(*signals(faulty, inputs, outputs))
 
 # %%
