@@ -82,11 +82,9 @@ class Monitor:
         How to name the fault. With :class:`residua.decide.Structured` every member of a bank has its own
         whitening, threshold and alarm, each with its share of the false alarm rate; the monitor is in alarm while
         any member is, and the fault is read from which of them are. With :class:`residua.decide.Matched` the fault,
-        its arrival and its size are those whose expected response explains white residuals best; beside a
-        :class:`residua.decide.NormThreshold` the alarm is
-        that they explain them better than no fault. Otherwise the residual is tested as a whole, and the fault named
-        by direction, or not at all (``None``). ``"auto"``: by code for a bank, by responses for matched filters, by
-        direction for any other generator.
+        its arrival and its size are those whose expected response explains white residuals best; otherwise the fault is
+        named by direction, or not at all (``None``). ``"auto"``: by code for a bank, by responses for matched filters,
+        by direction for any other generator.
     estimator : ResidualGenerator, or an estimator, optional
         Beside a bank, which names the fault: a fault estimator of the same plant, which tells its size
         (:attr:`residua.Diagnosis.estimates`). It runs on the same data and takes no part in alarms.
@@ -160,8 +158,7 @@ class Monitor:
         self.design: ResidualGenerator = generator
         self._isolation = chosen_isolation(isolate, generator, design)
         self.test, self._certified = chosen_test(test, design, generator, self._isolation)
-        if isinstance(isolate, str):
-            self._isolation = self._isolation.beside(self.test)
+        self._isolation = self._isolation.beside(self.test) if isinstance(isolate, str) else self._isolation
         self._settings = self._isolation.test_of(self.test)
         check_windows(self._settings, self._isolation, self._watched(generator))
         self._bounds = brought_bounds(design, generator)
