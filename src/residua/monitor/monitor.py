@@ -58,17 +58,16 @@ from residua.tolerances import SAME
 class Monitor:
     """Watches recorded or live data for faults.
 
-    Data are in plant units: the plant's operating point is subtracted inside. A continuous generator is
-    sampled at ``dt``. Missing values (NaN, infinity) never end a run: the last value of that channel is held
-    for the filter, no residual is reported on that sample, and nothing is decided until the filter has settled
-    again; after more than ``max_hold`` incomplete samples in a row the filter starts anew with the next
-    complete sample. A stationary Kalman filter goes on with the values that are there instead, by the exact gain for
-    them: nothing is decided on the incomplete sample itself, and everything on the next one. Nothing is assumed of an
-    input that is missing: the filter learns from the outputs what it did. Samples without any output that can be used
-    (none is there, or a missing input acts on all of them at once) count towards ``max_hold`` there. A value that
-    cannot be one (``plausible``) is missing too, and is counted; and should the state of the filter overflow all the
-    same, it starts anew, which is counted. The state at a start is estimated (``start``), so that the plant need not be
-    at rest then.
+    Data are in plant units: the plant's operating point is subtracted inside. A continuous generator is sampled at
+    ``dt``. Missing values (NaN, infinity) never end a run: the last value of that channel is held for the filter, no
+    residual is reported on that sample, and nothing is decided until the filter has settled again; after more than
+    ``max_hold`` incomplete samples in a row the filter starts anew with the next complete sample. A stationary Kalman
+    filter goes on with the values that are there instead, by the exact gain for them: nothing is decided on the
+    incomplete sample itself, and everything on the next one. Nothing is assumed of an input that is missing: the filter
+    learns from the outputs what it did. Samples without any output that can be used (none is there, or a missing input
+    acts on all of them at once) count towards ``max_hold`` there. A value that cannot be one (``plausible``) is missing
+    too, and is counted; and should the state of the filter overflow all the same, it starts anew, which is counted. The
+    state at a start is estimated (``start``), so that the plant need not be at rest then.
 
     Parameters
     ----------
@@ -79,14 +78,13 @@ class Monitor:
         each member) :class:`residua.decide.PeakThreshold` with those, for one that brings a test that it is made for
         (its ``test``) that one, for any other :class:`residua.decide.MultiscaleEWMA`, a bank of means.
     isolate : Directional, Structured, Matched, IsolationSettings, None or "auto"
-        How to name the fault. With :class:`residua.decide.Structured` every member of a bank has its own
-        whitening, threshold and alarm, each with its share of the false alarm rate; the monitor is in alarm while
-        any member is, and the fault is read from which of them are. With :class:`residua.decide.Matched` the fault,
-        its arrival and its size are those whose expected response explains white residuals best; beside a
-        :class:`residua.decide.NormThreshold` the alarm is
-        that they explain them better than no fault. Otherwise the residual is tested as a whole, and the fault named
-        by direction, or not at all (``None``). ``"auto"``: by code for a bank, by responses for matched filters, by
-        direction for any other generator.
+        How to name the fault. With :class:`residua.decide.Structured` every member of a bank has its own whitening,
+        threshold and alarm, each with its share of the false alarm rate; the monitor is in alarm while any member is,
+        and the fault is read from which of them are. With :class:`residua.decide.Matched` the fault, its arrival and
+        its size are those whose expected response explains white residuals best; the alarm is that of the test, or
+        beside a :class:`residua.decide.NormThreshold` that they explain them better than no fault. Otherwise the fault
+        is named by direction, or not at all (``None``). ``"auto"``: by code for a bank, by responses for matched
+        filters, by direction for any other generator.
     estimator : ResidualGenerator, or an estimator, optional
         Beside a bank, which names the fault: a fault estimator of the same plant, which tells its size
         (:attr:`residua.Diagnosis.estimates`). It runs on the same data and takes no part in alarms.
