@@ -101,11 +101,10 @@ class Monitor:
     plausible : float, mapping of str to (float, float), or None
         Values outside are missing: marks for "no value" such as ``1e300``, not faults. A number: each channel from the
         middle of the recording that was fitted up to so many times its size there (its range, or its largest absolute
-        value where that is more). A mapping: the smallest and largest value of the
-        channels that it names, in plant units; the others as by default. ``None``, or without a recording: only what
-        would move the residual by more than 1e30 standard deviations (thresholds of
-        :class:`residua.decide.PeakThreshold`) is missing. A sensor that fails to an end of its scale must stay within:
-        what is missing raises no alarm.
+        value where that is more). A mapping: the smallest and largest value of the channels that it names, in plant
+        units; the others as by default. ``None``, or without a recording: only what would move the residual by more
+        than 1e30 standard deviations (thresholds of :class:`residua.decide.PeakThreshold`) is missing. A sensor that
+        fails to an end of its scale must stay within: what is missing raises no alarm.
     start : {"estimated", "rest"}
         How the filter finds its state after a start, and after a gap longer than ``max_hold``. ``"rest"``: as if the
         plant had been at rest at the first sample; what is wrong with that decays, and no more than 1 % of it is left
