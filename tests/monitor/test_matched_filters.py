@@ -488,7 +488,7 @@ def test_what_does_not_fit_is_refused() -> None:
 def test_a_kalman_filter_can_be_matched_without_the_design() -> None:
     plant = gertler()
     u, y = recording(plant, 3, fault=2, size=2.0)
-    one = rs.Monitor(rs.design.kalman_filter(plant), isolate=Matched(25)).run(u, y)
+    one = rs.Monitor(rs.design.kalman_filter(plant), test=NormThreshold(), isolate=Matched(25)).run(u, y)
     other = rs.Monitor(matched_filters(plant, window=25)).run(u, y)
     assert isinstance(one, rs.Diagnosis)
     assert isinstance(other, rs.Diagnosis)

@@ -174,7 +174,8 @@ def test_a_settled_fault_stays_named_while_outputs_are_missing() -> None:
     u, y = recording(2000, fault="p2", start=300, seed=4)
     holes = with_holes(np.hstack([u, y]), 5, 0.05)
     for steady in (False, True):
-        monitor = rs.Monitor(rs.design.kalman_filter(plant()), isolate=Matched(window=20, steady=steady))
+        isolate = Matched(window=20, steady=steady)
+        monitor = rs.Monitor(rs.design.kalman_filter(plant()), test=NormThreshold(), isolate=isolate)
         found = monitor.run(holes[:, :1], holes[:, 1:])
         assert isinstance(found, rs.Diagnosis)
         assert found.candidates[0].faults == ("p2",)

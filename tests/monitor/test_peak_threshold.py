@@ -31,7 +31,6 @@ from older_files import as_version
 from residua.decide import (
     BankTest,
     Directional,
-    Matched,
     MultiscaleEWMA,
     NormTest,
     NormThreshold,
@@ -108,9 +107,6 @@ def test_certified_thresholds_that_do_not_fit_are_refused(thresholds: dict, word
 
 
 def test_what_the_test_cannot_be_used_for_is_refused() -> None:
-    plant = rs.Plant([[0.9]], [[0.1]], [[1.0]], dt=1).with_sensor_faults().with_noise(process=1e-4, measurement=1e-2)
-    with pytest.raises(SettingError, match="Matched"):
-        rs.Monitor(rs.design.kalman_filter(plant), test=PeakThreshold(1.0), isolate=Matched())
     for isolate in (None, Directional()):
         with pytest.raises(SettingError, match=r"members one by one: isolate=Structured\(\)"):
             rs.Monitor(BANK, isolate=isolate)

@@ -32,7 +32,8 @@ def monitors() -> dict[str, rs.Monitor]:
         "matched filters": rs.Monitor(matched),
         "bank, fitted": rs.Monitor(bank).fit(*recording(2000, seed=9)),
         "bank, threshold given": rs.Monitor(bank, test=PeakThreshold(3.0, window=5), settle=40),
-        "settled matched filters": rs.Monitor(kalman, isolate=Matched(window=20, steady=True)),
+        "settled matched filters": rs.Monitor(kalman, test=NormThreshold(), isolate=Matched(window=20, steady=True)),
+        "names by responses": rs.Monitor(kalman, isolate=Matched(window=20)),
     }
 
 

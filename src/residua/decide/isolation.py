@@ -308,9 +308,8 @@ class IsolationSettings(Record, ABC):
         """Return the settings that ``isolate="auto"`` takes beside a test; as a rule these themselves."""
         return self
 
-    @property
-    def own_test(self) -> TestSettings | None:
-        """The settings of the test without which this isolation names nothing; ``None``: it goes with any."""
+    def own_test(self, design: Any) -> TestSettings | None:
+        """Return the settings of the test that a design has beside this isolation; ``None``: the default."""
         return None
 
     def test_of(self, settings: TestSettings) -> TestSettings:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -22,9 +22,9 @@ from residua.decide.isolation import (
     leader,
     longest,
 )
-from residua.decide.matched_hold import HeldState, Match, hold_block
+from residua.decide.matched_hold import HeldState, Match, hold_block, no_match
 from residua.decide.matched_level import Likelihoods, LikelihoodThreshold
-from residua.decide.matched_responses import MatchedTest, MatchState, empty_match, match_block, summed
+from residua.decide.matched_responses import MatchedTest, match_after, match_block, summed
 from residua.decide.norm_threshold import NormThreshold
 from residua.decide.sizes import fault_unit
 from residua.decide.statement import (
@@ -40,18 +40,22 @@ from residua.decide.statement import (
 )
 from residua.decide.test import Block, ResidualTest, Tested, TestSettings, Watched
 from residua.decide.whitened_norm import NormSettings
-from residua.decide.window import WindowState, empty_window, moving_sum
 from residua.design import ResidualGenerator
 from residua.design.banks.matched_filters import MatchedFilters, alike_faults, not_settled, step_responses
-from residua.errors import SettingError
+from residua.errors import FileFormatError, SettingError
+from residua.linear.subspaces.whitening import whitening_matrix
+from residua.linear.systems.recursion import ordered_product
 from residua.number_kinds import SHARE, WINDOW, NumberKind
 from residua.recording.clock import Clock
-from residua.records import record
+from residua.records import Record, record
 from residua.visible import echo
 from residua.words import lead_text, score
 
 #: Largest correlation between samples, relative, with which residuals still count as white.
 _WHITE = 1e-6
+
+#: Windows of samples of which likelihoods are computed at once: a window before them is computed for nothing.
+_PIECE = 8
 
 #: A lead in twice the logarithm of the likelihood at or above this (22,000 to 1) is called clear.
 CLEAR_LEAD = 20.0
@@ -216,48 +220,122 @@ class MatchedNames(Isolation):
 
 
 @dataclass(frozen=True, eq=False)
-class BesideState:
-    """What names by responses beside a test of another kind remember.
+class BesideState(Record):
+    """What names by responses beside a test of another kind remember; a row per plant.
 
     Attributes
     ----------
-    window : WindowState
-        Of the whitened residual, its square and what was judged.
-    match : MatchState
+    rows : ndarray, shape (plants, window, residuals)
+        The last whitened residuals, zero where not usable.
+    usable : ndarray of bool, shape (plants, window)
     held : HeldState
     """
 
-    window: WindowState
-    match: MatchState
+    rows: NDArray[np.float64]
+    usable: NDArray[np.bool_]
     held: HeldState
 
 
 @dataclass(frozen=True, eq=False)
 class NamesBeside(MatchedNames):
-    """What names faults by their responses beside a test that does not compare these itself.
+    """Names by responses beside a test that does not compare these itself: likelihoods of samples in alarm only.
 
+    Outside alarms the last samples are kept, and nothing is computed: scores are NaN there, and likelihood ratios zero.
     Where outputs are missing and a Kalman filter goes on without them, the responses stay those of the whole filter.
+
+    Attributes
+    ----------
+    scale : ndarray, shape (residuals, residuals), or None
+        What makes the residual of the test white, where the test itself does not; see :func:`scale_beside`.
     """
+
+    scale: NDArray[np.float64] | None = None
 
     def start(self, plants: int) -> BesideState:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Return the state before the first sample."""
-        window = empty_window(plants, self.matched.samples, len(self.matched.settled) + 2)
-        return BesideState(window, empty_match(self.matched, plants), HeldState.empty(plants))
+        kept = (plants, self.matched.window)
+        rows = np.zeros((*kept, len(self.matched.settled)))
+        return BesideState(rows, np.zeros(kept, dtype=bool), HeldState.empty(plants))
 
     def run(  # pyright: ignore[reportIncompatibleMethodOverride]
         self, state: BesideState, block: Block, tested: Tested
     ) -> tuple[BesideState, Scores]:
-        """Return the same, by the residual that the test has whitened."""
-        q, usable = tested.whitened, tested.usable
-        sums, window = moving_sum(summed(q, usable), state.window)
-        values, match = match_block(self.matched, state.match, q, usable, sums)
-        held, scores = super().run(state.held, block, replace(tested, likelihood=Likelihoods(values, sums)))
-        return BesideState(window, match, held), scores
+        """Return the attribution of a standing alarm, and how much of what exceeds the noise each group explains."""
+        window, (plants, time) = self.matched.window, tested.usable.shape
+        q = tested.whitened if self.scale is None else ordered_product(tested.whitened, self.scale)
+        q = np.where(tested.usable[..., None], q, 0.0)
+        rows, usable = np.concatenate([state.rows, q], axis=1), np.concatenate([state.usable, tested.usable], axis=1)
+        scores = np.full((plants, time, len(self.groups)), np.nan)
+        match, held = no_match(plants, time, len(self.matched.faults)), state.held
+        length = _PIECE * self.matched.samples if tested.alarm.any() else max(1, time)
+        for begin in range(0, time, length):
+            alarm = tested.alarm[:, begin : begin + length]
+            who, columns = np.flatnonzero(alarm.any(axis=1)), np.flatnonzero(alarm.any(axis=0))
+            before, held = held, HeldState.empty(plants)
+            if not len(who):
+                continue
+            first, stop = begin + int(columns[0]), begin + int(columns[-1]) + 1
+            seen = slice(first, stop + window)  # of rows, which begin a window before the block
+            likelihoods = likelihoods_of(self.matched, rows[who, seen], usable[who, seen])
+            own = HeldState(before.held[who], before.on[who]) if first == begin else HeldState.empty(len(who))
+            alarm, exceeded = tested.alarm[who, first:stop], tested.exceeded[who, first:stop]
+            # the sample that raises an alarm is taken for over the threshold, whatever a test of a user's own says
+            raised = alarm & ~np.concatenate([own.on[:, None], alarm[:, :-1]], axis=1)
+            count = np.broadcast_to(block.count, plants)[who] + first
+            part, own = hold_block(window, own, likelihoods.values, alarm, exceeded | raised, count)
+            here = np.ix_(who, np.arange(first, stop))
+            values = match_scores(self.matched, part.ratios, likelihoods.sums, tested.usable[here])
+            scores[here] = np.where(alarm[..., None], values, np.nan)
+            for one in fields(Match):
+                whole, value = getattr(match, one.name), getattr(part, one.name)
+                whole[here] = np.where(alarm.reshape(*alarm.shape, *[1] * (value.ndim - 2)), value, whole[here])
+            if stop == min(begin + length, time):
+                held.held[who], held.on[who] = own.held, own.on
+        return BesideState(rows[:, time:].copy(), usable[:, time:].copy(), held), Scores(scores, match=match)
+
+    @property
+    def signatures(self) -> tuple[NDArray[np.float64], ...]:
+        """The directions that faults settle to, in the units of the test."""
+        if self.scale is None:
+            return super().signatures
+        turned = [np.asarray(np.linalg.solve(self.scale.T, one), dtype=float) for one in super().signatures]
+        return tuple(one / float(np.linalg.norm(one)) if one.size else one for one in turned)
 
     def check_state(self, state: BesideState, count: int) -> None:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Raise where a state from a file cannot be one."""
-        state.window.check("state.isolation.window")
+        if state.rows[~state.usable].any():
+            raise FileFormatError("state.isolation.rows must be zero where no sample is usable")
         super().check_state(state.held, count)
+
+
+def likelihoods_of(test: MatchedTest, q: NDArray[np.float64], usable: NDArray[np.bool_]) -> Likelihoods:
+    """Return the likelihoods of all samples but the first ``window``, by these and nothing before.
+
+    Products and sums over the window are added in the order of time, from its first sample on: the bits are those of
+    any earlier beginning.
+
+    Parameters
+    ----------
+    test : MatchedTest
+    q : ndarray, shape (plants, time, residuals)
+        Whitened residuals, zero where not usable.
+    usable : ndarray of bool, shape (plants, time)
+    """
+    window, values = test.window, summed(q, usable)
+    sums = np.zeros_like(values[:, window:])
+    for age in range(test.samples):
+        sums += values[:, age : age + sums.shape[1]]
+    state = match_after(test, q[:, :window], usable[:, :window])
+    found, _ = match_block(test, state, q[:, window:], usable[:, window:], sums)
+    return Likelihoods(found, sums)
+
+
+def scale_beside(generator: ResidualGenerator, test: ResidualTest) -> NDArray[np.float64] | None:
+    """Return what makes the residual of a test white by the noise of the plant; ``None`` where the test does so."""
+    covariance = generator.covariance
+    if test.per_deviation is not None or covariance is None:
+        return None
+    return whitening_matrix(test.metric.T @ covariance @ test.metric)
 
 
 @dataclass(frozen=True)
@@ -268,8 +346,13 @@ class Matched(IsolationSettings):
     generalised likelihood ratio against no fault; see :func:`residua.design.matched_filters` for the equations. The
     monitor's statistic is the square root of the largest: how many standard deviations the best size is from zero.
     Its threshold bounds the fraction of fault-free samples over it by Hunter's inequality over all hypotheses, or is
-    fitted to fault-free data. Beside a test of another kind (:class:`residua.decide.MultiscaleEWMA`, ``CUSUM``, one of
-    a user's own) statistic and alarm are those of that test, and only the names are by responses.
+    fitted to fault-free data. So it is for the design :func:`residua.design.matched_filters`, and for a Kalman filter
+    beside :class:`residua.decide.NormThreshold`.
+
+    Beside any other test (:class:`residua.decide.MultiscaleEWMA`, which a Kalman filter has by default, ``CUSUM``, one
+    of a user's own) statistic and alarm are those of that test, and only the names are by responses: likelihoods are
+    computed of samples in alarm, and scores are NaN at all others. They take the responses of the whole filter, also
+    while outputs are missing and a Kalman filter goes on without them.
 
     Parameters
     ----------
@@ -309,7 +392,8 @@ class Matched(IsolationSettings):
         """Return what names faults by the responses that the test compares, or beside it by those that it whitens."""
         if test.responses is not None:
             return MatchedNames(test.responses)
-        return NamesBeside(self._maker(generator)(test.metric))
+        scale = scale_beside(generator, test)
+        return NamesBeside(self._maker(generator)(test.metric if scale is None else test.metric @ scale), scale)
 
     # ----------------------------------------------- what the rest of a monitor asks for
 
@@ -322,10 +406,9 @@ class Matched(IsolationSettings):
         """Raise unless the residuals are innovations."""
         check_white(generator)
 
-    @property
-    def own_test(self) -> TestSettings:
-        """A threshold on the norm, which becomes one on likelihoods."""
-        return NormThreshold()
+    def own_test(self, design: Any) -> TestSettings | None:
+        """Return a threshold on the norm, which becomes one on likelihoods, for matched filters; else any test goes."""
+        return NormThreshold() if isinstance(design, MatchedFilters) else None
 
     def test_of(self, settings: TestSettings) -> TestSettings:
         """Return the test of likelihoods with the threshold, persistence and release of a norm; any other as it is."""

@@ -52,6 +52,21 @@ class Match:
     source: NDArray[np.int64]
 
 
+def no_match(plants: int, time: int, faults: int) -> Match:
+    """Return what is known of samples that nothing was looked for in: no fault, and nothing of any."""
+    each, all_faults = (plants, time), (plants, time, faults)
+    return Match(
+        ratios=np.zeros(all_faults),
+        ages=np.full(all_faults, -1, dtype=np.int64),
+        sizes=np.full(all_faults, np.nan),
+        deviations=np.full(all_faults, np.inf),
+        settled_sizes=np.full(all_faults, np.nan),
+        fault=np.full(each, -1, dtype=np.int64),
+        arrival=np.full(each, np.nan),
+        source=np.full(each, -1, dtype=np.int64),
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class HeldState(Record):
     """What is remembered of the alarm that stands; a row per plant.

@@ -97,6 +97,29 @@ def empty_match(test: MatchedTest, plants: int, *, bends: bool = False) -> Match
     return MatchState(sums, sums, extra)
 
 
+def match_after(test: MatchedTest, q: NDArray[np.float64], usable: NDArray[np.bool_]) -> MatchState:
+    """Return the state after samples as if they were the first, with the bits that they have after any others.
+
+    That holds for the arrivals within them. Of earlier ones no product is known; nor are they missed after a window.
+
+    Parameters
+    ----------
+    test : MatchedTest
+    q : ndarray, shape (plants, time, residuals)
+        Whitened residuals, zero where not usable.
+    usable : ndarray of bool, shape (plants, time)
+    """
+    state = empty_match(test, len(q))
+    if not len(test.responses):
+        return state
+    _, sums = _along_arrivals(_products(test, q), state.sums)
+    weights = np.broadcast_to(test.weights, sums.shape)
+    if not usable.all():
+        energies = np.where(usable[None, :, :, None], test.energies[:, None, None], 0.0)
+        _, weights = _along_arrivals(energies, weights)
+    return replace(state, sums=sums, weights=weights)
+
+
 # ------------------------------------------------------------------ likelihood ratios
 
 

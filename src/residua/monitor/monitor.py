@@ -58,17 +58,16 @@ from residua.tolerances import SAME
 class Monitor:
     """Watches recorded or live data for faults.
 
-    Data are in plant units: the plant's operating point is subtracted inside. A continuous generator is
-    sampled at ``dt``. Missing values (NaN, infinity) never end a run: the last value of that channel is held
-    for the filter, no residual is reported on that sample, and nothing is decided until the filter has settled
-    again; after more than ``max_hold`` incomplete samples in a row the filter starts anew with the next
-    complete sample. A stationary Kalman filter goes on with the values that are there instead, by the exact gain for
-    them: nothing is decided on the incomplete sample itself, and everything on the next one. Nothing is assumed of an
-    input that is missing: the filter learns from the outputs what it did. Samples without any output that can be used
-    (none is there, or a missing input acts on all of them at once) count towards ``max_hold`` there. A value that
-    cannot be one (``plausible``) is missing too, and is counted; and should the state of the filter overflow all the
-    same, it starts anew, which is counted. The state at a start is estimated (``start``), so that the plant need not be
-    at rest then.
+    Data are in plant units: the plant's operating point is subtracted inside. A continuous generator is sampled at
+    ``dt``. Missing values (NaN, infinity) never end a run: the last value of that channel is held for the filter, no
+    residual is reported on that sample, and nothing is decided until the filter has settled again; after more than
+    ``max_hold`` incomplete samples in a row the filter starts anew with the next complete sample. A stationary Kalman
+    filter goes on with the values that are there instead, by the exact gain for them: nothing is decided on the
+    incomplete sample itself, and everything on the next one. Nothing is assumed of an input that is missing: the filter
+    learns from the outputs what it did. Samples without any output that can be used (none is there, or a missing input
+    acts on all of them at once) count towards ``max_hold`` there. A value that cannot be one (``plausible``) is missing
+    too, and is counted; and should the state of the filter overflow all the same, it starts anew, which is counted. The
+    state at a start is estimated (``start``), so that the plant need not be at rest then.
 
     Parameters
     ----------
@@ -101,11 +100,10 @@ class Monitor:
     plausible : float, mapping of str to (float, float), or None
         Values outside are missing: marks for "no value" such as ``1e300``, not faults. A number: each channel from the
         middle of the recording that was fitted up to so many times its size there (its range, or its largest absolute
-        value where that is more). A mapping: the smallest and largest value of the
-        channels that it names, in plant units; the others as by default. ``None``, or without a recording: only what
-        would move the residual by more than 1e30 standard deviations (thresholds of
-        :class:`residua.decide.PeakThreshold`) is missing. A sensor that fails to an end of its scale must stay within:
-        what is missing raises no alarm.
+        value where that is more). A mapping: the smallest and largest value of the channels that it names, in plant
+        units; the others as by default. ``None``, or without a recording: only what would move the residual by more
+        than 1e30 standard deviations (thresholds of :class:`residua.decide.PeakThreshold`) is missing. A sensor that
+        fails to an end of its scale must stay within: what is missing raises no alarm.
     start : {"estimated", "rest"}
         How the filter finds its state after a start, and after a gap longer than ``max_hold``. ``"rest"``: as if the
         plant had been at rest at the first sample; what is wrong with that decays, and no more than 1 % of it is left

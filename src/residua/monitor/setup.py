@@ -67,8 +67,11 @@ def chosen_test(
 
 
 def brought_test(design: Any, isolate: IsolationSettings) -> TestSettings:
-    """Return the settings of the test that a design is made for, or that its isolation needs; else a bank of means."""
-    test = design.test if isinstance(design, DesignWithTest) else isolate.own_test or MultiscaleEWMA()
+    """Return the settings of the test that a design is made for, or that its isolation asks for; else a bank of means.
+
+    The test of matched filters is one of likelihoods.
+    """
+    test = design.test if isinstance(design, DesignWithTest) else isolate.own_test(design) or MultiscaleEWMA()
     if not isinstance(test, TestSettings):
         raise ModelError(f"the test of this design must be TestSettings, got {echo(test)}")
     return test
