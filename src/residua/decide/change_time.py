@@ -18,7 +18,7 @@ CONFIDENCE = 0.95
 #: the second number is dated without further samples: what follows depends more and more on the shape.
 LEAST_EVIDENCE, ENOUGH_EVIDENCE = 30.0, 60.0
 #: Samples before a change that are needed to know the noise, and the most that are looked at together.
-LEAST_BEFORE, MOST_TOGETHER = 40, 4096
+LEAST_BEFORE, MOST_TOGETHER = 40, 1024
 #: Largest order of the noise model.
 _MOST_LAGS = 8
 
@@ -78,7 +78,7 @@ def change_time(signal: NDArray[np.float64], quiet: int, last: int) -> ChangeTim
         part = signal[start:]
         part = part[: len(part) // width * width].reshape(-1, width).mean(axis=1)
         change = _with_enough(part, (quiet - start) // width, min((last - start) // width, len(part) - 1))
-        if change is None or change.earliest is not None or start == 0:
+        if start == 0 or (change is not None and change.earliest is not None):
             break
         width *= 4
     if change is None:
@@ -114,12 +114,14 @@ def _dated(signal: NDArray[np.float64], quiet: int, last: int) -> tuple[ChangeTi
     for _ in range(3):
         lags = _autoregression(left)
         profile, fit = _profile(signal, lags, shapes, last)
-        begin = int(np.argmax(profile))
+        previous, begin = begin, int(np.argmax(profile))
         if begin < LEAST_BEFORE or not profile[begin] > 0:
             return None, 0.0
         left = signal - fit
         if np.abs(left).max() <= DATA_ROUNDING * np.abs(signal - signal.mean()).max():  # no noise, and the very shape
             return ChangeTime(begin, begin, begin), np.inf
+        if begin == previous:
+            break
     p = len(lags)
     innovations = np.convolve(left, np.concatenate([[1.0], -lags]))[p : len(left)]
     before, after = innovations[: begin - p], innovations[begin - p :]
