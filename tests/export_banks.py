@@ -29,7 +29,8 @@ def bank_monitor(kind: str, outputs: int, window: int, seed: int) -> rs.Monitor:
     if kind.startswith(("groups", "alone")):
         generator = rs.design.kalman_filter(plant)
         groups: Any = "each" if kind == "alone" else [list(generator.residuals[:1]), list(generator.residuals[1:])]
-        isolate: Any = Directional(window=5) if kind == "groups, by direction" else None
+        window_of_names = None if seed % 2 else 5
+        isolate: Any = Directional(window=window_of_names) if kind == "groups, by direction" else None
         test = replace(test, groups=groups)
     else:
         generator = hand_made_bank(plant, dedicated=kind.startswith("dedicated"))

@@ -40,6 +40,7 @@ TESTS: dict[str, Any] = {
 ISOLATIONS: dict[str, Any] = {
     "none": None,
     "short": Directional(window=3),
+    "clear means": Directional(signature="steady"),
     "long": Directional(window=40, signature="steady"),
 }
 ORDERS = (0, 1, 2, 3, 4, 5, 8, 9)

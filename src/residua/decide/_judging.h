@@ -43,7 +43,8 @@ typedef struct {
 
 typedef struct {
     int kind;
-    Py_ssize_t k, window, groups; /* k: residuals, or members */
+    Py_ssize_t k, window, groups; /* k: residuals, or members; a window of 0: clear means */
+    double clear;                 /* the square of the length of such a mean */
     const flag *codes; /* of each group, which members it fires */
     double share;
     int is_at_once; /* a member that is in alarm counts as fired, whatever the window */
@@ -1133,12 +1134,105 @@ score_lines(const isolation_plan *n, const piece *p, const double *columns, doub
 }
 #endif
 
+#define LONG_MEANS 2
+static const double LONG_WEIGHTS[LONG_MEANS] = {0.125, 0.015625}; /* as residua.decide.clear_mean has them */
+
+/* Put the long means of one sample on, and a longer one in the place of the sample where it is clear, or no shorter. */
+INLINE void
+clear_mean(double *means, double clear, const double *v, double *chosen, Py_ssize_t across, Py_ssize_t k)
+{
+    double longest = square_of(v, k);
+    const int is_zero = longest == 0.0 && all_within(v, k, 0.0);
+    for (Py_ssize_t j = 0; j < k; j++)
+        chosen[j * across] = v[j];
+    for (int s = 0; s < LONG_MEANS; s++) {
+        double *const mean = means + s * k;
+        const double weight = LONG_WEIGHTS[s], factor = (2.0 - weight) / weight;
+        for (Py_ssize_t j = 0; j < k; j++)
+            mean[j] = (1.0 - weight) * mean[j] + weight * v[j];
+        const double square = square_of(mean, k) * factor;
+        if (square > clear || square >= longest) {
+            longest = square;
+            for (Py_ssize_t j = 0; j < k; j++)
+                chosen[j * across] = mean[j];
+        }
+        for (Py_ssize_t j = 0; is_zero && j < k; j++)
+            mean[j] = fabs(mean[j]) < 0x1p-500 ? 0.0 : mean[j];
+    }
+}
+
+/* The same of a piece, of samples that lie in columns and none of which is zero: all samples at once. Behind the columns
+ * are their squares, and room for LONG_MEANS as many and one. */
+INLINE void
+clear_means_of_piece(double *means, double clear, double *restrict chosen, Py_ssize_t time, Py_ssize_t k)
+{
+    double *restrict const longest = chosen + k * time, *restrict const rows = longest + time;
+    double *restrict const taken = rows + LONG_MEANS * k * time;
+    double now[4 * LONG_MEANS];
+    for (Py_ssize_t j = 0; j < LONG_MEANS * k; j++)
+        now[j] = means[j];
+    for (Py_ssize_t i = 0; i < time; i++)
+        for (int s = 0; s < LONG_MEANS; s++)
+            for (Py_ssize_t j = 0; j < k; j++) {
+                now[s * k + j] = (1.0 - LONG_WEIGHTS[s]) * now[s * k + j] + LONG_WEIGHTS[s] * chosen[j * time + i];
+                rows[(s * k + j) * time + i] = now[s * k + j];
+            }
+    for (Py_ssize_t j = 0; j < LONG_MEANS * k; j++)
+        means[j] = now[j];
+    for (int s = 0; s < LONG_MEANS; s++) {
+        const double *restrict const row = rows + s * k * time;
+        const double factor = (2.0 - LONG_WEIGHTS[s]) / LONG_WEIGHTS[s];
+        squares_of_columns(row, taken, time, k);
+        for (Py_ssize_t i = 0; i < time; i++) {
+            const double square = taken[i] * factor;
+            taken[i] = (square > clear) | (square >= longest[i]) ? 1.0 : 0.0;
+            longest[i] = taken[i] > 0.0 ? square : longest[i];
+        }
+        for (Py_ssize_t j = 0; j < k; j++)
+            for (Py_ssize_t i = 0; i < time; i++)
+                chosen[j * time + i] = taken[i] > 0.0 ? row[j * time + i] : chosen[j * time + i];
+    }
+}
+
+/* The same of those samples that are judged: at the others no mean moves on, and what is chosen is zero. */
+INLINE void
+clear_means(const isolation_plan *n, double *means, const piece *p, double *columns, Py_ssize_t k)
+{
+    const Py_ssize_t time = p->time, down = p->apart ? 1 : k, across = p->apart ? p->apart : 1;
+    if (k <= 4 && time >= 8 && all_set(p->usable, time)) {
+        double *const squares = columns + k * time, least = INFINITY;
+        for (Py_ssize_t j = 0; j < k; j++)
+            for (Py_ssize_t i = 0; i < time; i++)
+                columns[j * time + i] = p->q[i * down + j * across];
+        squares_of_columns(columns, squares, time, k);
+        for (Py_ssize_t i = 0; i < time; i++)
+            least = squares[i] < least ? squares[i] : least;
+        if (least > 0.0) {
+            clear_means_of_piece(means, n->clear, columns, time, k);
+            return;
+        }
+    }
+    for (Py_ssize_t i = 0; i < time; i++) {
+        const double *v = p->q + i * down;
+        double one[4];
+        for (Py_ssize_t j = 0; p->apart && j < k; j++)
+            one[j] = v[j * across];
+        if (p->usable[i])
+            clear_mean(means, n->clear, p->apart ? one : v, columns + i, time, k);
+        else
+            for (Py_ssize_t j = 0; j < k; j++)
+                columns[j * time + i] = 0.0;
+    }
+}
+
 INLINE void
 name_by_direction(const isolation_plan *n, window_row row, const piece *p, double *part, double *columns, Py_ssize_t k)
 {
     const Py_ssize_t time = p->time;
-    if (p->apart || (p->scores != NULL && time > 1)) {
-        if (p->apart)
+    if (p->apart || !n->window || (p->scores != NULL && time > 1)) {
+        if (!n->window)
+            clear_means(n, row.values, p, columns, k);
+        else if (p->apart)
             spread_sums_of_judged(row, n->window, p->q, columns, p->usable, time, k, 1, p->apart, 1, time);
         else
             spread_sums_of_judged(row, n->window, p->q, columns, p->usable, time, k, k, 1, 1, time);

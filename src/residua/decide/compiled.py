@@ -86,11 +86,15 @@ class CompiledIsolation:
     Attributes
     ----------
     window : int
+        0 for the mean of :mod:`residua.decide.clear_mean`.
     bases : tuple of ndarray, shape (k, dimension)
+    clear : float
+        The square of the length of such a mean that is clear of noise.
     """
 
     window: int = 1
     bases: tuple[NDArray[np.float64], ...] = field(default=())
+    clear: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

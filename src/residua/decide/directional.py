@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.decide.alarm import Alarm, Candidate
 from residua.decide.checks import check_samples
+from residua.decide.clear_mean import MEMORY, WEIGHTS, MeansState, clear_means, clear_square, no_means
 from residua.decide.compiled import CompiledIsolation
 from residua.decide.isolation import Isolation, IsolationSettings, Scores, check_groups
 from residua.decide.row_norms import row_norms
@@ -21,7 +23,7 @@ from residua.design import ResidualGenerator
 from residua.errors import DataError, FileFormatError, SettingError
 from residua.linear.subspaces.rank import range_basis
 from residua.linear.systems.recursion import ordered_product
-from residua.number_kinds import FINITE, WINDOW, NumberKind
+from residua.number_kinds import FINITE, MAX_WINDOW, WINDOW, NumberKind
 from residua.recording.clock import Clock
 from residua.records import joined
 from residua.visible import echo
@@ -31,6 +33,8 @@ SAME_SIGNATURE = 1e-3
 #: Bases from a file are orthonormal to that.
 _ORTHONORMAL = 1e-6
 _COSINE = "The score is the cosine of the angle between the residual and a signature, judged over the monitor's window."
+#: Of what runs; 0 for the clear mean.
+_WINDOW = NumberKind(f"a whole number from 0 to {MAX_WINDOW}", "i", lambda n: (n >= 0) & (n <= MAX_WINDOW))
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +44,7 @@ class DirectionTest(Isolation):
     Attributes
     ----------
     window : int
+        Samples over which the residual is summed; 0 for the mean of :mod:`residua.decide.clear_mean`.
     groups : tuple of tuple of str
         Faults with the same signature are one group.
     bases : tuple of ndarray, shape (k, dimension)
@@ -48,7 +53,7 @@ class DirectionTest(Isolation):
         Faults without a usable signature.
     """
 
-    NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {"window": WINDOW, "bases": FINITE}
+    NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {"window": _WINDOW, "bases": FINITE}
 
     window: int
     groups: tuple[tuple[str, ...], ...]
@@ -60,15 +65,26 @@ class DirectionTest(Isolation):
         """Dimension of each group's signature."""
         return tuple(basis.shape[1] for basis in self.bases)
 
-    def start(self, plants: int) -> WindowState:
-        """Return the window of the residual before the first sample."""
-        return empty_window(plants, self.window, len(self.bases[0]) if self.bases else 0)
+    @cached_property
+    def clear(self) -> float:
+        """The square of the length of a mean that is clear of noise; 0 with a window."""
+        return 0.0 if self.window else clear_square(len(self.bases[0]) if self.bases else 0)
 
-    def run(self, state: WindowState, block: Block, tested: Tested) -> tuple[WindowState, Scores]:
-        """Return the correlation of the residual, summed over the window, with each signature."""
+    def start(self, plants: int) -> WindowState | MeansState:
+        """Return the window of the residual, or its means, before the first sample."""
+        k = len(self.bases[0]) if self.bases else 0
+        return empty_window(plants, self.window, k) if self.window else no_means(plants, k)
+
+    def run(
+        self, state: WindowState | MeansState, block: Block, tested: Tested
+    ) -> tuple[WindowState | MeansState, Scores]:
+        """Return the correlation of the residual, over the window or as its clear mean, with each signature."""
         if not self.bases:  # nothing to compare a direction with
             return state, Scores(np.zeros((*tested.usable.shape, 0)))
-        sums, window = moving_sum(tested.whitened, state, tested.usable)
+        if isinstance(state, MeansState):
+            sums, after = clear_means(tested.whitened, state, tested.usable, self.clear)
+        else:
+            sums, after = moving_sum(tested.whitened, state, tested.usable)
         size = row_norms(sums)
         usable = tested.usable & (size > 0)
         size = np.where(usable, size, 1.0)
@@ -76,12 +92,12 @@ class DirectionTest(Isolation):
         for g, basis in enumerate(self.bases):
             part = row_norms(ordered_product(sums, basis)) / size
             scores[..., g] = np.where(usable, np.minimum(part, 1.0), np.nan)
-        return window, Scores(scores)
+        return after, Scores(scores)
 
     @property
     def compiled(self) -> CompiledIsolation | None:
         """The bases."""
-        return CompiledIsolation(self.window, self.bases) if type(self) is DirectionTest else None
+        return CompiledIsolation(self.window, self.bases, self.clear) if type(self) is DirectionTest else None
 
     def candidates(self, scores: NDArray[np.float64]) -> tuple[Candidate, ...]:
         """Return the groups ranked by score, best first; none where the direction is not known.
@@ -95,8 +111,8 @@ class DirectionTest(Isolation):
 
     @property
     def samples(self) -> int:
-        """Samples that the residual is averaged over."""
-        return self.window
+        """Samples that the residual is averaged over, at most."""
+        return self.window or MEMORY
 
     @property
     def signatures(self) -> tuple[NDArray[np.float64], ...]:
@@ -105,8 +121,13 @@ class DirectionTest(Isolation):
 
     def words(self, step: float) -> dict[str, str]:
         """Return in words how faults are named."""
-        over = f"{self.window} samples ({self.window * step:g} s)"
-        return {"isolation": f"direction of the residual averaged over {over}"}
+        if self.window:
+            over = f"{self.window} samples ({self.window * step:g} s)"
+            return {"isolation": f"direction of the residual averaged over {over}"}
+        return {
+            "isolation": "direction of the residual: of the longest of its means (weights 1, 1/8, 1/64) that is clear "
+            f"of noise, over some {MEMORY} samples ({MEMORY * step:g} s) at most"
+        }
 
     def statement(self, alarm: Alarm, clock: Clock, window: int) -> Statement:
         """Return the statement about an alarm: the scores, and the angles that they stand for."""
@@ -126,9 +147,10 @@ class DirectionTest(Isolation):
             if not basis.size or not np.abs(basis.T @ basis - np.eye(basis.shape[1])).max() <= _ORTHONORMAL:
                 raise FileFormatError(f"{joined(where, 'bases')}[{k}]: its columns must be orthonormal")
 
-    def check_state(self, state: WindowState, count: int) -> None:
+    def check_state(self, state: WindowState | MeansState, count: int) -> None:
         """Raise where a state from a file cannot be one."""
-        state.check("state.isolation")
+        if isinstance(state, WindowState):
+            state.check("state.isolation")
 
 
 @dataclass(frozen=True)
@@ -137,9 +159,10 @@ class Directional(IsolationSettings):
 
     Parameters
     ----------
-    window : int
-        Judged samples over which the (whitened) residual is averaged before its direction is judged. With
-        ``isolate="auto"`` as many as the longest mean of the test is worth, where that is more: 128 by default.
+    window : int, optional
+        Judged samples over which the (whitened) residual is averaged before its direction is judged. When omitted, its
+        longest mean that noise does not explain: of the sample itself and of exponentially weighted means of weight
+        1/8 and 1/64, so that a large fault has a name at once, and a small one that of a hundred samples.
     signature : {"auto", "subspace", "steady"}
         ``"subspace"``: the line or plane that the residual of a fault never leaves. ``"steady"``: the
         direction that it settles to when the fault is constant. ``"auto"`` takes the line or plane where
@@ -155,13 +178,14 @@ class Directional(IsolationSettings):
     makes: ClassVar[type[Isolation]] = DirectionTest
     NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {"window": WINDOW}
 
-    window: int = 50
+    window: int | None = None
     signature: str = "auto"
 
     def __post_init__(self) -> None:
         """Check the settings."""
-        check_samples(self.window, "window")
-        object.__setattr__(self, "window", int(self.window))
+        if self.window is not None:
+            check_samples(self.window, "window")
+            object.__setattr__(self, "window", int(self.window))
         if self.signature not in ("auto", "subspace", "steady"):
             raise SettingError(f"signature must be 'auto', 'subspace' or 'steady', got {echo(self.signature)}")
 
@@ -176,18 +200,14 @@ class Directional(IsolationSettings):
         """Return the default: what any generator without codes is read by."""
         return None if generator.codes is not None else cls()
 
-    def beside(self, test: TestSettings) -> Directional:
-        """Return the default beside a test: with a window as long as its memory, where that is more."""
-        return replace(self, window=max(self.window, test.memory))
-
-    def kept(self, generator: ResidualGenerator) -> tuple[str, int, int] | None:
+    def kept(self, generator: ResidualGenerator) -> tuple[str, int, int]:
         """Return the window, and that it keeps the residuals."""
-        return f"Directional(window={self.window})", self.window, generator.n_residuals
+        return f"Directional(window={self.window})", self.window or len(WEIGHTS), generator.n_residuals
 
     def check_record(self, content: Mapping[str, Any], where: str) -> None:
         """Raise where what runs has another window."""
-        if content.get("window") != self.window:
-            raise FileFormatError(f"{where}.window must be that of isolate, {self.window}")
+        if content.get("window") != (self.window or 0):
+            raise FileFormatError(f"{where}.window must be that of isolate, {self.window or 0}")
 
 
 def candidates_at(
@@ -291,7 +311,7 @@ def direction_test(
         }
         groups = [part for faults, basis in groups for part in _told_apart(faults, basis, lines)]
     return DirectionTest(
-        settings.window,
+        settings.window or 0,
         tuple(tuple(faults) for faults, _ in groups),
         tuple(basis for _, basis in groups),
         tuple(fault for fault, basis in bases.items() if basis is None),

@@ -304,10 +304,6 @@ class IsolationSettings(Record, ABC):
         """Return what has to be tested by itself, by name; ``None``: the residual as a whole."""
         return None
 
-    def beside(self, test: TestSettings) -> IsolationSettings:
-        """Return the settings that ``isolate="auto"`` takes beside a test; as a rule these themselves."""
-        return self
-
     def own_test(self, design: Any) -> TestSettings | None:
         """Return the settings of the test that a design has beside this isolation; ``None``: the default."""
         return None

@@ -483,11 +483,6 @@ class MultiscaleEWMA(TestSettings):
         return replace(made, promised=float(rate))
 
     @property
-    def memory(self) -> int:
-        """Samples that the longest mean is worth."""
-        return round(2 / self.weights[-1])
-
-    @property
     def remedy(self) -> str:
         """How to get a threshold."""
         return super().remedy if self.source == "data" else f"{super().remedy}, or give the plant noise (with_noise)"

@@ -348,11 +348,6 @@ class TestSettings(Record, ABC):
         return rate_aimed_at(self.false_alarm_rate, rows)
 
     @property
-    def memory(self) -> int:
-        """Samples that the longest mean of the residual is worth; 1 of a test without such means."""
-        return 1
-
-    @property
     def takes_certified(self) -> bool:
         """Whether thresholds that a design has certified are looked at."""
         return False

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.decide.clear_mean import WEIGHTS
 from residua.decide.compiled import CompiledIsolation, CompiledTest
 from residua.errors import ModelError, SettingError
 from residua.export import step_texts as texts
@@ -208,6 +209,7 @@ def _sizes(spec: Specification, judging: Judging, inputs: int) -> dict[str, int]
         "FIRST": 0 if spec.first is None else spec.first.samples,
         "TEST_WINDOW": test.window,
         "NAMING_WINDOW": naming.window,
+        "LONG_MEANS": 0 if naming.window else len(WEIGHTS),
         "PERSISTENCE": test.persistence,
         "RELEASE": test.release,
         "REMEMBERS": int(test.statistic not in ("norm", OF_PARTS)),
@@ -247,7 +249,10 @@ def _sections(judging: Judging) -> list[tuple[str, str]]:
         parts.append(("the window goes on", texts.KEEP))
     parts.append(("the alarm", texts.ALARM))
     if naming.bases:
-        parts.append(("how well each group of faults explains the residual", texts.NAME))
+        parts += [
+            ("the mean of the residual that is compared", texts.AVERAGE if naming.window else texts.CLEAR_MEAN),
+            ("how well each group of faults explains the residual", texts.NAME),
+        ]
     return parts
 
 
@@ -302,11 +307,15 @@ def _constants(
         array("clips", test.lengths[0] if test.lengths else None),
         array("fulls", test.lengths[1] if test.lengths else None),
         array("roots", np.sqrt(np.arange(1.0, test.window + 1))),
+        array("long_weights", WEIGHTS),
+        array("long_old_weights", [1 - weight for weight in WEIGHTS]),
+        array("long_factors", [(2 - weight) / weight for weight in WEIGHTS]),
         array("bases", np.hstack(naming.bases) if naming.bases else None),
         array("group_of_column", columns, "count"),
         array("dimension", [basis.shape[1] for basis in naming.bases], "count"),
         number("root", float(np.sqrt(float(test.window)))),
         number("threshold", test.threshold),
+        number("clear", min(naming.clear, precision.greatest)),
         number("release_level", test.release_level),
         number("allowance", test.allowance),
         number("full", min(2.0 * test.threshold, precision.greatest)),
@@ -342,7 +351,7 @@ def _states(test: CompiledTest, size: dict[str, int]) -> list[Variable]:
         state("test_values", "real", test.window * white, "of the moving sum of the test"),
         state("test_begun", "real", white),
         state("test_filled", "count", None),
-        state("naming_values", "real", size["NAMING_WINDOW"] * white, "of the moving sum of the isolation"),
+        state("naming_values", "real", (size["NAMING_WINDOW"] + size["LONG_MEANS"]) * white, "of the isolation"),
         state("naming_begun", "real", white),
         state("naming_filled", "count", None),
         state("raised", "flag", None, "whether the sums have been over the threshold since they began"),

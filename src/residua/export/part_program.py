@@ -43,6 +43,10 @@ def part_sections(judging: Judging) -> list[tuple[str, str]]:
     if judging.naming.bases:
         made += [
             ("all residuals in units in which their direction is judged", texts.OVERALL),
+            (
+                "the mean of the residual that is compared",
+                texts.AVERAGE_OVERALL if judging.naming.window else texts.CLEAR_MEAN_OVERALL,
+            ),
             ("how well each group of faults explains the residual", texts.NAME_OVERALL),
         ]
     if judging.codes is not None:

@@ -1,6 +1,6 @@
 """What a monitor does on each sample where parts of the residual are tested by themselves; as :mod:`step_texts`."""
 
-from residua.export.step_texts import MOVING_SUM, NAME, NORM, _indented as indented, means
+from residua.export.step_texts import AVERAGE, CLEAR_MEAN, MOVING_SUM, NAME, NORM, _indented as indented, means
 
 #: The residual in the units in which the direction of all of it is judged.
 OVERALL = """
@@ -83,7 +83,9 @@ if decided:
 {_OVER}
 """
 
-NAME_OVERALL = NAME.replace("whitened[", "overall[").replace("WHITE", "OVERALL")
+AVERAGE_OVERALL = AVERAGE.replace("whitened[", "overall[").replace("WHITE", "OVERALL")
+CLEAR_MEAN_OVERALL = CLEAR_MEAN.replace("whitened[", "overall[").replace("WHITE", "OVERALL")
+NAME_OVERALL = NAME.replace("WHITE", "OVERALL")
 
 #: Which parts count as fired: those in alarm for long enough, compared with the one that was the longest.
 CODE = f"""

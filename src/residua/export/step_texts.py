@@ -514,10 +514,43 @@ else:
 alarm = standing
 """
 
-#: How well each group's signature explains the residual, averaged over a window, and the group that does it best:
-#: of scores that agree to three digits the narrower signature, of equally narrow ones the larger score.
-NAME = f"""
-{SUM_OF_JUDGED.replace("WINDOW", "NAMING_WINDOW").replace("window_", "naming_").replace("sums[", "averaged[")}
+#: The longest mean of the residual that is clear of noise.
+CLEAR_MEAN = """
+total = 0.0
+at_rest = True
+for j in range(WHITE):
+    averaged[j] = 0.0
+    if decided:
+        averaged[j] = whitened[j]
+        total = total + whitened[j] * whitened[j]
+        if whitened[j] != 0.0:
+            at_rest = False
+if decided:
+    value = total
+    for s in range(LONG_MEANS):
+        total = 0.0
+        for j in range(WHITE):
+            later = long_old_weights[s] * naming_values[s * WHITE + j] + long_weights[s] * whitened[j]
+            naming_values[s * WHITE + j] = later
+            total = total + later * later
+        total = total * long_factors[s]
+        better = total > clear or total >= value
+        if better:
+            value = total
+        for j in range(WHITE):
+            later = naming_values[s * WHITE + j]
+            if better:
+                averaged[j] = later
+            if at_rest and later < smallest and later > -smallest:
+                naming_values[s * WHITE + j] = 0.0
+"""
+
+#: The sum of the residual over a window.
+AVERAGE = SUM_OF_JUDGED.replace("WINDOW", "NAMING_WINDOW").replace("window_", "naming_").replace("sums[", "averaged[")
+
+#: How well each group's signature explains the averaged residual, and the group that does it best: of scores that agree
+#: to three digits the narrower signature, of equally narrow ones the larger score.
+NAME = """
 total = 0.0
 for j in range(WHITE):
     total = total + averaged[j] * averaged[j]

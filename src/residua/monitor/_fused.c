@@ -95,8 +95,9 @@ row_of_isolation(const Runner *self, Py_ssize_t row)
 {
     const isolation_plan *p = &self->naming;
     window_row out = {NULL, NULL, NULL};
-    if (p->kind != NOBODY && p->window > 1) {
+    if (p->kind != NOBODY && p->window != 1)
         out.values = F8(self, VALUES, row);
+    if (p->kind != NOBODY && p->window > 1) {
         out.begun = F8(self, BEGUN, row);
         out.filled = I8(self, FILLED, row);
     }
@@ -480,7 +481,7 @@ take_all(Runner *self, PyObject *plan, PyObject *state)
     const Py_ssize_t counted = t->kind == PARTS ? t->parts : 1, parts = t->parts ? t->parts : 1;
     const Py_ssize_t state_sizes[STATE_ARRAYS] = {
         n, self->held, 1, 1, 1, 1, 1, 1, n, 1, 1, n * n, 1, t->window * k, k, 1, t->order * k, t->order, kept_sums(t), counted, counted,
-        parts, p->window * p->k, p->k, 1, p->k, p->k, 1, 1, nr, 1, p->groups, p->k};
+        parts, (p->window ? p->window : LONG_MEANS) * p->k, p->k, 1, p->k, p->k, 1, 1, nr, 1, p->groups, p->k};
     const char *const formats[STATE_ARRAYS] = {"d", "d", "il", "?", "il", "lq", "lq", "?",  "d", "d", "?", "d", "lq",
                                                "d", "d", "lq", "d", "?",  "d",  "il", "il", "?", "d", "d", "lq",
                                                "lq", "?", "B", "d", "d", "lq", "d", "?"};
@@ -525,7 +526,8 @@ is_complete(const Runner *self)
         const int needed = (j <= COUNT && !is_seldom) || j == UP || j == ALARM || (norm && j == DOWN)
                            || (norm && self->test.window > 1 && j >= TEST_VALUES && j <= TEST_FILLED)
                            || (!norm && j >= PAST && j <= SUMS)
-                           || (named && self->naming.window > 1 && j >= VALUES && j <= FILLED)
+                           || (named && self->naming.window != 1 && j == VALUES)
+                           || (named && self->naming.window > 1 && (j == BEGUN || j == FILLED))
                            || (kind == CODES && (j == SINCE || j == FIRED))
                            || (self->has_state[LAST_FLAGS] && j > LAST_FLAGS
                                && (j != LAST_SCORES || self->naming.groups) && (j != LAST_CODE || kind == CODES));
@@ -624,6 +626,7 @@ read_plan(Runner *self, const whole *i, const double *d)
     self->naming.k = i[MEMBERS] ? (Py_ssize_t)i[MEMBERS] : t->k;
     self->naming.is_at_once = i[AT_ONCE] != 0;
     self->naming.share = d[SHARE];
+    self->naming.clear = d[CLEAR];
     self->naming.window = (Py_ssize_t)i[ISOLATION_WINDOW];
     self->naming.columns = (Py_ssize_t)i[COLUMNS];
     self->naming.room = (self->naming.columns + 7) / 8 * 8;
@@ -638,7 +641,7 @@ read_plan(Runner *self, const whole *i, const double *d)
     if (self->partial && (self->some.inputs > self->m || self->some.p != self->nr))
         return -1;
     return t->kind < NORM || t->kind > MEANS || t->window < 1 || t->sums != sums[t->kind]
-                   || (self->naming.kind != NOBODY && self->naming.window < 1) || t->knots_of_each == 1
+                   || (self->naming.kind == CODES && self->naming.window < 1) || t->knots_of_each == 1
                    || (t->kind == PARTS && !t->parts) || (t->kind != PARTS && t->kind != MEANS && t->parts)
                    || (t->kind == MEANS) != (t->scales > 0)
                    || (self->naming.kind == CODES && self->naming.k != t->parts)
@@ -958,7 +961,7 @@ make_scratch(const Runner *self, scratch *s, Py_ssize_t time)
     const Py_ssize_t means = t->kind == MEANS ? samples * ((t->scales + 1) * k + 2) : 0;
     const Py_ssize_t history = is_summed ? widest * (t->window - 1 + samples + 16) : lanes + means;
     const Py_ssize_t parts = samples * t->parts, members = self->naming.kind == CODES ? parts : 0;
-    const Py_ssize_t directions = self->naming.kind == DIRECTIONS ? samples * (k + 3) : 0;
+    const Py_ssize_t directions = self->naming.kind == DIRECTIONS ? samples * ((LONG_MEANS + 1) * k + 3) : 0;
     const Py_ssize_t columns = parts ? samples * (self->nr + 1) + parts : 0;
     const Py_ssize_t notes = self->lacks_room ? NOTES * (NOTE_HEAD + self->n) : 0;
     const Py_ssize_t doubles = samples * (self->m + self->nr + 3 * k + 2) + states + small_size(self) + room_e + history

@@ -43,7 +43,7 @@ enum {
     N_SCALES,
     INTEGERS
 };
-enum { THRESHOLD, RELEASE_LEVEL, ALLOWANCE, OLD_WEIGHT, NEW_WEIGHT, DEVIATION, SHARE, MOVED_FROM, NUMBERS };
+enum { THRESHOLD, RELEASE_LEVEL, ALLOWANCE, OLD_WEIGHT, NEW_WEIGHT, DEVIATION, SHARE, MOVED_FROM, CLEAR, NUMBERS };
 
 #define NOTES 64     /* plants in a thread whose restarts and starts are noted before room is made for those of all */
 #define NOTE_HEAD 5  /* numbers of a note before the sums of a start: row, restarts of two kinds, whether it starts, moved */

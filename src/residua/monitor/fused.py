@@ -110,7 +110,7 @@ def _plan(spec: Specification, test: CompiledTest) -> Plan:
     ]  # fmt: skip
     numbers = [
         *(test.threshold, test.release_level, test.allowance, 1 - test.weight, test.weight, test.deviation),
-        *(0.0 if codes is None else codes.share, MOVED_FROM),
+        *(0.0 if codes is None else codes.share, MOVED_FROM, naming.clear),
     ]
     started = (None, None, None) if first is None else (first.rows, first.correction, first.ratios)
     bases = np.hstack(naming.bases) if naming.bases else None

@@ -156,7 +156,6 @@ class Monitor:
         self.design: ResidualGenerator = generator
         self._isolation = chosen_isolation(isolate, generator, design)
         self.test, self._certified = chosen_test(test, design, generator, self._isolation)
-        self._isolation = self._isolation.beside(self.test) if isinstance(isolate, str) else self._isolation
         self._settings = self._isolation.test_of(self.test)
         check_windows(self._settings, self._isolation, self._watched(generator))
         self._bounds = brought_bounds(design, generator)
