@@ -51,6 +51,9 @@ def test_lasting_faults_of_sensors_are_seen() -> None:
     assert np.median([float(row[5]) for row in lasting]) <= 1.3 * np.median([float(row[11]) for row in lasting])
     seen = [row[6] == "yes" for row in table if float(row[4]) > 0]
     assert np.mean(seen) >= 0.9
+    at_once, later = (np.mean([row[k] == "yes" for row in table if float(row[4]) > 0]) for k in (14, 15))
+    assert at_once >= 0.6
+    assert later >= 0.88
 
 
 def test_a_plant_of_the_table_comes_out_again() -> None:

@@ -52,8 +52,8 @@ def clear_means(
     r"""Return the mean that shows the direction of a residual best, at every sample.
 
     :math:`s_k = (1 - \lambda) s_{k-1} + \lambda q_k` has the variance :math:`\lambda / (2 - \lambda)` of white noise. A
-    longer mean takes the place of a shorter one where it is clear of noise or, in its own deviations, no shorter: at once
-    after a large fault the sample, of a small one in the end the mean of a hundred.
+    slower mean takes the place of a quicker one where it is clear of noise or, in its own deviations, no shorter: just
+    after a large fault it is the sample itself, of a small one in the end the mean of a hundred.
 
     Parameters
     ----------

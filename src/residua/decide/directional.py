@@ -17,7 +17,7 @@ from residua.decide.compiled import CompiledIsolation
 from residua.decide.isolation import Isolation, IsolationSettings, Scores, check_groups
 from residua.decide.row_norms import row_norms
 from residua.decide.statement import Statement, angle, statement_by_score
-from residua.decide.test import Block, ResidualTest, Tested, TestSettings, Watched
+from residua.decide.test import Block, ResidualTest, Tested, Watched
 from residua.decide.window import WindowState, empty_window, moving_sum
 from residua.design import ResidualGenerator
 from residua.errors import DataError, FileFormatError, SettingError
