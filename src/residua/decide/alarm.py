@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from residua.decide.code_reading import CodeReading
+from residua.decide.word import Word
 
 #: A lead in score below this is a close call.
 CLOSE_MARGIN = 0.02
@@ -234,6 +235,9 @@ class Alarm:
         Where faults were learnt from recordings: how the residual lies to the direction of each.
     unknown, no_fault : float or None
         By likelihood: the probability of a fault that is not listed, and of none.
+    word : Word or None
+        How well listed faults explain it, by direction and by matched filters; its faults are the first candidates then.
+        Of the twenty longest alarms of a recording.
     """
 
     onset: float
@@ -252,6 +256,7 @@ class Alarm:
     learnt: tuple[LearntMatch, ...] = ()
     unknown: float | None = None
     no_fault: float | None = None
+    word: Word | None = None
 
     @property
     def named(self) -> tuple[tuple[str, ...], ...]:
@@ -281,11 +286,14 @@ class Alarm:
 
         ``"score"``: the scores are a close call. By matched filters instead ``"likelihood"``: the second is not 20
         times less likely; or ``"fit"``: both explain nearly the same, and neither explains the data to within the
-        noise. What is left then exceeds what sets the two apart, so that an error of the model, or a fault that is no
-        step, may have decided, however large the lead in likelihood is. By code always empty.
+        noise: what is left then exceeds what sets the two apart, so that an error of the model, or a fault that is no
+        step, may have decided, however large the lead in likelihood is. ``"word"``: the word names several. By code always
+        empty.
         """
         if self.margin is None or self.reading is not None or self.unknown is not None:
             return ""
+        if self.word is not None:
+            return "word" if len(self.word.faults) > 1 else ""
         if self.lead is None:
             return "score" if self.margin < CLOSE_MARGIN else ""
         if self.lead < CLOSE_LEAD:
@@ -315,6 +323,8 @@ class Alarm:
             "margin": self.margin,
             "candidates": [_candidate(c) for c in self.candidates],
         }
+        if self.word is not None:
+            out |= self.word.to_dict()
         if self.began is not None:
             out["began"] = _began(self.began)
         if any(c.ratio is not None for c in self.candidates):

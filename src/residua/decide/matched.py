@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -36,6 +36,7 @@ from residua.decide.statement import (
     not_apart,
     not_isolated,
     scored,
+    statement_by_word,
     too_short,
 )
 from residua.decide.test import Block, ResidualTest, Tested, TestSettings, Watched
@@ -187,6 +188,11 @@ class MatchedNames(Isolation):
             "isolation": f"the fault and arrival, up to {window} samples ({window * step:g} s) ago, that explain the "
             "innovations best; held once that arrival has left the window"
         }
+
+    @property
+    def has_words(self) -> bool:
+        """Yes."""
+        return True
 
     def statement(self, alarm: Alarm, clock: Clock, window: int) -> Statement:
         """Return the statement about an alarm: by how much the likelihood leads, and when the fault arrived."""
@@ -633,6 +639,12 @@ def named_by_match(
 
 def statement_by_likelihood(alarm: Alarm, clock: Clock, window: int) -> Statement:
     """Return the statement about an alarm whose candidates are ranked by their likelihood."""
+    arrived = "It arrived before the window of the matched filters, or grew slowly."
+    if alarm.arrival is not None:
+        arrived = f"Estimated arrival {clock.at(alarm.arrival)}, as a step."
+    if alarm.word is not None:
+        said = statement_by_word(alarm, alarm.word, clock)
+        return replace(said, sentences=(*said.sentences, arrived))
     candidates = scored(alarm)
     if not candidates:
         return not_isolated(alarm, clock)
@@ -642,10 +654,7 @@ def statement_by_likelihood(alarm: Alarm, clock: Clock, window: int) -> Statemen
         confidence = {"likelihood": "close call", "fit": "inexact match"}.get(alarm.doubt, surely)
     if alarm.samples < window:
         confidence = "short alarm"
-    arrived = "It arrived before the window of the matched filters, or grew slowly."
-    if alarm.arrival is not None:
-        arrived = f"Estimated arrival {clock.at(alarm.arrival)}, as a step."
-    sentences = (_comparison(alarm, confidence), arrived, *not_apart(candidates[0]))
+    sentences = (_comparison(alarm, confidence), arrived, *not_apart(candidates[0].faults))
     lines = too_short(alarm, window) or _doubt(alarm)
     return Statement(headline_of(alarm, clock, confidence), confidence, margin, sentences, lines, rules=MATCH_RULES)
 

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from residua.decide.alarm import CLOSE_MARGIN, Alarm, Candidate, Size
+from residua.decide.word import RULES as RULES_OF_WORDS, Word
 from residua.recording.clock import Clock
 from residua.words import counted, listing, number, score, some
 
@@ -86,18 +87,29 @@ def statement_by_score(
 
     ``beside`` says more of each score, ``meaning`` what a score is.
     """
+    if alarm.word is not None:
+        return statement_by_word(alarm, alarm.word, clock)
     candidates = scored(alarm)
     if not candidates:
         return not_isolated(alarm, clock)
     confidence, margin = how_sure(candidates)
     if alarm.samples < window:
         confidence = "short alarm"
-    sentences = [_comparison(candidates, confidence, margin, beside), *not_apart(candidates[0])]
+    sentences = [_comparison(candidates, confidence, margin, beside), *not_apart(candidates[0].faults)]
     lines = too_short(alarm, window)
     if not lines and alarm.doubt == "score":
         lines = (f"a close call: the first two are {abs(alarm.margin or 0.0):.3f} apart",)
     rules = f"{meaning} {RULES}".strip()
     return Statement(headline_of(alarm, clock, confidence), confidence, margin, tuple(sentences), lines, rules=rules)
+
+
+def statement_by_word(alarm: Alarm, word: Word, clock: Clock) -> Statement:
+    """Return the statement about an alarm by how well the listed faults explain it."""
+    apart = [line for group in word.faults[:1] for line in not_apart(group)]
+    said = (*word.sentences, *apart)
+    return Statement(
+        word.headline(raised_text(alarm, clock)), word.kind, None, said, (word.line,), rules=RULES_OF_WORDS
+    )
 
 
 def scored(alarm: Alarm) -> list[Candidate]:
@@ -137,9 +149,9 @@ def too_short(alarm: Alarm, window: int) -> tuple[str, ...]:
     return (f"shorter than the {window} samples that a name is judged by: not sure of its name",)
 
 
-def not_apart(best: Candidate) -> list[str]:
-    """Return a sentence about the faults that a candidate stands for, if they are several."""
-    return [f"This monitor cannot tell {some(best.faults)} apart."] if len(best.faults) > 1 else []
+def not_apart(faults: Sequence[str]) -> list[str]:
+    """Return a sentence about the faults that one name stands for, if they are several."""
+    return [f"This monitor cannot tell {some(faults)} apart."] if len(faults) > 1 else []
 
 
 def _comparison(

@@ -17,6 +17,7 @@ from residua.live.readings import Layout
 from residua.live.state_bytes import state_from_bytes
 from residua.monitor.beginning import with_beginnings
 from residua.monitor.diagnosis import Diagnosis
+from residua.monitor.explaining import explainer_of, with_words
 from residua.monitor.fleet_block import fingerprint_of
 from residua.monitor.fused import run_block
 from residua.monitor.monitor import Monitor
@@ -151,7 +152,9 @@ class Judged:
     def dated(self, alarms: Sequence[Alarm], since: float) -> tuple[Alarm, ...]:
         """Return alarms with when they began, those that were raised since a time."""
         decisions = self._parts[0].of(0)
-        return with_beginnings(alarms, decisions.residuals, decisions.tested.usable, self._times[0], since)
+        explainer = explainer_of(self.model.spec, self.model.generator, self.model.monitor._check)
+        rows = decisions.residuals, decisions.tested.usable
+        return with_words(with_beginnings(alarms, *rows, self._times[0], since), *rows, explainer, since)
 
     def diagnosis(self, dated: bool) -> Diagnosis:
         """Return the diagnosis of all rows."""
@@ -160,7 +163,8 @@ class Judged:
         recorded = Recorded(self._times[0], self._values[0], "", EPOCH if dated else "", compared)
         decisions, filtered = self._parts[0].of(0), self._state.filter
         bounds = model.monitor._bounds
-        return diagnosis_from(decisions, recorded, model.spec, model.generator, filtered, 0, (), bounds)
+        check = model.monitor._check
+        return diagnosis_from(decisions, recorded, model.spec, model.generator, filtered, 0, (), bounds, check)
 
 
 def name_of(alarm: Alarm) -> str:

@@ -15,6 +15,7 @@ from residua.decide.member_bounds import MemberBounds
 from residua.design import ResidualGenerator
 from residua.monitor.beginning import with_beginnings
 from residua.monitor.diagnosis import Diagnosis
+from residua.monitor.explaining import explainer_of, with_words
 from residua.monitor.fit_check import FitCheck
 from residua.monitor.inputs import settling_reason
 from residua.monitor.running import Decisions
@@ -75,6 +76,8 @@ def diagnosis_from(
     tested, named, test, isolation = decisions.tested, decisions.named, spec.test, spec.isolation
     seen = Seen(recorded.time, decisions.residuals, tested, named, generator, test)
     alarms = with_beginnings(alarms_of(seen, isolation), decisions.residuals, tested.usable, recorded.time)
+    explainer = explainer_of(spec, generator, check)
+    alarms = with_words(alarms, decisions.residuals, tested.usable, explainer)
     band, share = test.bands()
     return Diagnosis(
         time=recorded.time,
@@ -120,6 +123,7 @@ def diagnosis_from(
         window=isolation.samples_to_be_sure(test),
         codes=isolation.coding,
         isolation=isolation,
+        explainer=explainer,
         tested=test.groups_of_residuals,
         member_thresholds=test.part_thresholds,
         horizon=test.horizon,
