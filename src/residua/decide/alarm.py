@@ -287,8 +287,8 @@ class Alarm:
         ``"score"``: the scores are a close call. By matched filters instead ``"likelihood"``: the second is not 20
         times less likely; or ``"fit"``: both explain nearly the same, and neither explains the data to within the
         noise: what is left then exceeds what sets the two apart, so that an error of the model, or a fault that is no
-        step, may have decided, however large the lead in likelihood is. ``"word"``: the word names several. By code always
-        empty.
+        step, may have decided, however large the lead in likelihood is. ``"word"``: the word names several. By code
+        always empty.
         """
         if self.margin is None or self.reading is not None or self.unknown is not None:
             return ""

@@ -91,7 +91,7 @@ def _colour(test: ResidualTest, run: FaultFreeRun) -> tuple[float, ...]:
     if is_selection(test.metric) or test.metric.shape[0] != test.metric.shape[1]:
         return ()
     changes_at = np.flatnonzero(np.diff(run.usable.astype(np.int8)) != 0) + 1
-    bounds = np.unique([0, *changes_at, *run.seams, len(run.usable)]).tolist()
+    bounds = sorted({0, *changes_at.tolist(), *run.seams, len(run.usable)})
     white = np.where(run.usable[:, None], run.residuals - test.center, 0.0) @ test.metric
     return colour_of(white, [slice(*part) for part in pairwise(bounds) if run.usable[part[0]]])
 
