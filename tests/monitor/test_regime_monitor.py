@@ -83,7 +83,7 @@ def test_one_model_for_all_modes_does_not_see_what_a_model_for_each_sees(monitor
 
 def test_an_alarm_counts_in_its_own_mode(monitor: rs.RegimeMonitor) -> None:
     """It stands on while the plant is in another mode, whose own monitor says that all is well there."""
-    rows = switched(38, visits((0, 0, 200), (1, 0, 400), (0, 0, 200), (1, 0, 100)))
+    rows = switched(39, visits((0, 0, 200), (1, 0, 400), (0, 0, 200), (1, 0, 100)))
     rows[150:200, NAMES.index("supply")] += 20 * NOISE
     rows[700:760, NAMES.index("room")] += 20 * NOISE
     rows[760:800, NAMES.index("room")] += 20 * NOISE

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.decide.multiscale_fit import averaged
+from residua.decide.multiscale_fit import averaged, lengths_at
 from residua.decide.row_norms import row_squares
 
 #: Weights of the two long means; the first mean is the sample itself.
 WEIGHTS = (1 / 8, 1 / 64)
 #: Samples that the longest mean is worth.
 MEMORY = 127
-#: Chance with which white noise alone makes a mean as long as one that is clear.
-_CHANCE = 1e-5
+#: Normal score of the length from which a mean is clear of noise: one in 100,000 of noise alone.
+_CLEAR = 4.26
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,9 +41,7 @@ def no_means(plants: int, k: int) -> MeansState:
 
 def clear_square(k: int) -> float:
     """Return the square of the length, in deviations, from which a mean of k residuals is clear of noise."""
-    from scipy.special import chdtri
-
-    return float(chdtri(k, _CHANCE)) if k else np.inf
+    return float(lengths_at(_CLEAR, [k])[0] ** 2) if k else np.inf
 
 
 def clear_means(
