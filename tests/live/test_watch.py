@@ -156,7 +156,7 @@ def test_a_plant_that_is_reset_begins_anew(tmp_path: Path) -> None:
     watch = opened(path, model, ["a"])
     fed(watch, ["a"], 5000.0 + np.arange(1000.0), rows[:1000])
     watch.store.commit(watch.reset("a"))
-    assert [one["kind"] for one in told(watch, "a")] == ["raised", "ended"]
+    assert [one["kind"] for one in told(watch, "a")] == ["raised", "confirmed", "ended"]
     for first in range(0, 2200, 300):
         part = slice(first, first + 300)
         fed(watch, ["a"], np.arange(2200.0)[part], rows[part])
@@ -164,6 +164,6 @@ def test_a_plant_that_is_reset_begins_anew(tmp_path: Path) -> None:
             watch.store.close()
             watch = opened(path, model)
     watch.store.commit(watch.standing())
-    later = [one for one in told(watch, "a")[3:] if one["kind"] in ("ended", "standing")]
+    later = [one for one in told(watch, "a")[4:] if one["kind"] in ("ended", "standing")]
     wanted = alarms_of_run(monitor(), rows, np.arange(2200.0))
     assert [(one["raised"], one["onset"]) for one in later] == [(one["raised"], one["onset"]) for one in wanted]

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.word import EITHER, GOOD, POOR, TOO_EARLY, Word
+from residua.tolerances import DATA_ROUNDING, TINY
 
 if TYPE_CHECKING:
     from residua.design import ResidualGenerator
@@ -29,13 +30,11 @@ _SAME, _COMPARED = 0.9995, 200
 #: Groups of faults that are named together at most.
 _MOST_CLOSE = 3
 #: Evidence from which a fault is judged; what another may fall short of the best, of its evidence, and yet count.
-_EVIDENCE, _APART, _APART_SHARE = 80.0, 20.0, 0.01
-#: What is left may be so many deviations more, or less, than noise, and that share of the evidence.
-_MORE, _LESS, _SHARE_LEFT = 3.5, -4.5, 0.01
+_EVIDENCE, _APART, _PART = 80.0, 20.0, 0.01
+#: What is left may be so many deviations more than noise, or that part of the evidence, or so many less.
+_MORE, _LESS = 3.5, -4.5
 #: Lengths of the sums by which the colour of fault-free residuals is measured.
 BLOCKS = (1, 5, 20, 100, 250)
-#: Columns of a fit that are taken for dependent on those before.
-_DEPENDENT = 1e-9
 
 
 def colour_of(white: NDArray[np.float64], parts: Sequence[slice]) -> tuple[float, ...]:
@@ -94,7 +93,7 @@ class Explainer:
         cosines = np.abs(flat @ flat.T) / np.maximum(np.outer(size, size), np.finfo(float).tiny)
         groups: list[list[int]] = []
         for j in range(len(names)):
-            if not size[j] > _DEPENDENT * size.max(initial=0.0):
+            if not size[j] > DATA_ROUNDING * size.max(initial=0.0):
                 continue
             same = next((group for group in groups if cosines[group[0], j] > _SAME), None)
             if same is None:
@@ -120,7 +119,7 @@ class Explainer:
         after = len(residuals) - before
         if not listed:
             return Word(POOR, (), after=after)
-        variance = dict(zip(BLOCKS, self.colour or (1.0,) * len(BLOCKS), strict=True))
+        variance: dict[int, float] = dict(zip(BLOCKS, self.colour or (1.0,) * len(BLOCKS), strict=True))
         usable = usable & np.isfinite(residuals).all(axis=1)
         white = np.where(usable[:, None], residuals - self.center, 0.0) @ self.whitening
         fits = _fits(white, usable, responses, before)
@@ -128,7 +127,7 @@ class Explainer:
         level = evidence - _CHARGE * np.maximum(fits.terms - 1, 0)
         order = np.argsort(-level[:listed], kind="stable").tolist()
         best = order[0]
-        apart = _APART + _APART_SHARE * float(evidence[best])
+        apart = _APART + _PART * float(evidence[best])
         other = listed + int(np.argmax(level[listed:])) if len(names) > listed else None
         beyond = float(np.sum(white**2)) - float(usable.sum()) * white.shape[1]
         made = Word(
@@ -136,7 +135,7 @@ class Explainer:
             (names[best],),
             after=after,
             evidence=float(evidence[best]),
-            share=float(np.clip(fits.evidence[best] / max(beyond, 1e-300), 0.0, 1.0)),
+            share=float(np.clip(fits.evidence[best] / max(beyond, TINY), 0.0, 1.0)),
             size=float(fits.sizes[best]),
             deviation=float(fits.deviations[best] * np.sqrt(variance[20])),
         )
@@ -149,7 +148,7 @@ class Explainer:
         if other is not None and level[other] > level[best] + apart:
             kind = POOR if level[other] > _EVIDENCE else TOO_EARLY
             return replace(made, kind=kind, unlisted=unlisted)
-        if ((rareness > _MORE) & (excess > _SHARE_LEFT * evidence[best])).any():
+        if ((rareness > _MORE) & (excess > _PART * evidence[best])).any():
             return replace(made, kind=POOR, unlisted=unlisted)
         close = [g for g in order if level[g] >= level[best] - apart]
         if level[best] < _EVIDENCE or fits.is_spike[best] or len(close) > _MOST_CLOSE:
@@ -198,7 +197,7 @@ def _fits(e: NDArray[np.float64], usable: NDArray[np.bool_], responses: NDArray[
     starts = np.zeros((2, n), dtype=bool)
     starts[:, ::_EACH] = True
     starts[0, max(0, before - _CLOSE) :] = True
-    floor = _DEPENDENT * energies.max(axis=(1, 2), keepdims=True)
+    floor = DATA_ROUNDING * energies.max(axis=(1, 2), keepdims=True)
 
     def along(rows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the products of rows of each fault with its shifted responses, (faults, 2, starts)."""
@@ -211,10 +210,10 @@ def _fits(e: NDArray[np.float64], usable: NDArray[np.bool_], responses: NDArray[
     terms, evidence = np.zeros(count, dtype=np.int64), np.zeros(count)
     sizes, deviations = np.zeros(count), np.full(count, np.inf)
     for term in range(_TERMS):
-        gains = np.where(starts & (norms > floor), products**2 / np.maximum(norms, floor + 1e-300), 0.0)
+        gains = np.where(starts & (norms > floor), products**2 / np.maximum(norms, floor + TINY), 0.0)
         if not term:  # the best step by itself
             at = np.argmax(gains[:, 0], axis=1)
-            norm = np.maximum(norms[np.arange(count), 0, at], 1e-300)
+            norm = np.maximum(norms[np.arange(count), 0, at], TINY)
             sizes, deviations = products[np.arange(count), 0, at] / norm, 1 / np.sqrt(norm)
         place = np.argmax(gains.reshape(count, -1), axis=1)
         goes_on = (gains.reshape(count, -1)[np.arange(count), place] >= _GAIN) & (terms == term)

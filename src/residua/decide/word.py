@@ -35,7 +35,7 @@ class Word:
     quieter : bool
         Whether what is left is less than the noise of the fit: a frozen sensor, or other units.
     after : int
-        Samples after the alarm that it rests on.
+        Samples of the alarm that it rests on.
     evidence : float
         Twice the logarithm of the likelihood ratio of the first fault against none, in the colour of the noise.
     share : float
@@ -88,7 +88,7 @@ class Word:
         """What the word rests on."""
         if not self.names:
             return ()
-        said = f"By {self.after} samples after the alarm {self.names[0]} explains {100 * self.share:.0f} % of what the "
+        said = f"By {self.after} samples of the alarm {self.names[0]} explains {100 * self.share:.0f} % of what the "
         said += "residual has beyond noise"
         if math.isfinite(self.size) and math.isfinite(self.deviation):
             said += f"; as one step its size is {number(self.size, 3)} ± {number(self.deviation, 2)}"

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from residua.decide.alarm import Alarm
 from residua.decide.isolation import Seen
-from residua.decide.statement import SURE
 from residua.errors import NotFittedError, SettingError
 from residua.live.readings import Layout
 from residua.live.state_bytes import state_from_bytes
@@ -101,7 +100,7 @@ class WatchedModel:
             {
                 "plant_name": self.generator.plant.name,
                 "name": name_of(alarm),
-                "sure": sure_of(statement.confidence),
+                "sure": statement.confidence,
                 "text": [statement.headline, *statement.sentences],
                 **out,
             }
@@ -141,20 +140,19 @@ class Judged:
         """The time of the last row."""
         return float(self._times[0][-1])
 
-    def alarms(self) -> tuple[Alarm, ...]:
-        """Return the alarms, but for when they began, which takes the time of all the rest and more."""
+    def alarms(self, since: float) -> tuple[Alarm, ...]:
+        """Return the alarms, with words of those since a time; when they began takes the time of all the rest."""
         spec, decisions = self.model.spec, self._parts[0].of(0)
         seen = Seen(
             self._times[0], decisions.residuals, decisions.tested, decisions.named, self.model.generator, spec.test
         )
-        return alarms_of(seen, spec.isolation)
+        explainer = explainer_of(spec, self.model.generator, self.model.monitor._check)
+        return with_words(alarms_of(seen, spec.isolation), seen.residuals, seen.tested.usable, explainer, since)
 
     def dated(self, alarms: Sequence[Alarm], since: float) -> tuple[Alarm, ...]:
         """Return alarms with when they began, those that were raised since a time."""
         decisions = self._parts[0].of(0)
-        explainer = explainer_of(self.model.spec, self.model.generator, self.model.monitor._check)
-        rows = decisions.residuals, decisions.tested.usable
-        return with_words(with_beginnings(alarms, *rows, self._times[0], since), *rows, explainer, since)
+        return with_beginnings(alarms, decisions.residuals, decisions.tested.usable, self._times[0], since)
 
     def diagnosis(self, dated: bool) -> Diagnosis:
         """Return the diagnosis of all rows."""
@@ -170,11 +168,6 @@ class Judged:
 def name_of(alarm: Alarm) -> str:
     """Return the faults that an alarm is put down to, in words; empty if nobody is named."""
     return listing(" or ".join(group) for group in alarm.named)
-
-
-def sure_of(confidence: str) -> str:
-    """Return how sure a name is, in words."""
-    return "too early to be sure" if confidence == "short alarm" else SURE.get(confidence, confidence)
 
 
 def clock_of(dated: bool, dt: float) -> Clock:
@@ -193,4 +186,4 @@ def _finite(value: Any) -> Any:
     return value
 
 
-__all__ = ["EPOCH", "Judged", "WatchedModel", "clock_of", "name_of", "sure_of"]
+__all__ = ["EPOCH", "Judged", "WatchedModel", "clock_of", "name_of"]

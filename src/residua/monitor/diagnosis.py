@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.decide.alarm import CLOSE_LEAD, CLOSE_MARGIN, Alarm, Beginning, Candidate, PresentFault
+from residua.decide.alarm import Alarm, Beginning, Candidate, PresentFault
 from residua.decide.explanation import FINAL, Explainer
 from residua.decide.isolation import Isolation, NoNames
-from residua.decide.matched import NO_FIT
 from residua.decide.matched_hold import Match
 from residua.decide.sizes import estimates_of
 from residua.decide.statement import (
@@ -43,7 +42,7 @@ if TYPE_CHECKING:
     from residua.design import ResidualGenerator
 
 
-__all__ = ["CLOSE_LEAD", "CLOSE_MARGIN", "NO_FIT", "Alarm", "Candidate", "Diagnosis"]
+__all__ = ["Alarm", "Candidate", "Diagnosis"]
 
 #: The words for a fault that a single estimate shows.
 NO_DIRECTION = "one estimate has no direction: any of these would look like this"
@@ -316,7 +315,7 @@ class Diagnosis:
         return self.isolation.statement(alarm, self.clock, self.window)
 
     def word(self, alarm: Alarm, after: int = FINAL) -> Word | None:
-        """Return how well listed faults explain an alarm, by the samples up to so many after it.
+        """Return how well listed faults explain an alarm, by so many of its samples and those before it.
 
         Parameters
         ----------

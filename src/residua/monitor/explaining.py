@@ -36,8 +36,8 @@ def word_of(
     explainer: Explainer,
     after: int = FINAL,
 ) -> Word:
-    """Return the word for an alarm by the samples up to so many after it."""
-    begin, stop = max(0, alarm.start - BEFORE), min(alarm.start + after, len(residuals))
+    """Return the word for an alarm by so many of its samples, and those before it."""
+    begin, stop = max(0, alarm.start - BEFORE), min(alarm.start + after, alarm.stop)
     return explainer.word(residuals[begin:stop], usable[begin:stop], alarm.start - begin)
 
 
@@ -60,21 +60,26 @@ def with_words(
     since : float
         Only those that were raised from then on.
     """
-    out = list(alarms)
-    for number, alarm in longest_alarms(alarms, SHOWN_ALARMS) if explainer is not None else ():
-        if alarm.raised >= since:
-            word = word_of(alarm, residuals, usable, explainer)
-            out[number - 1] = replace(alarm, word=word, candidates=_in_its_order(alarm.candidates, word))
-    return tuple(out)
+    if explainer is None:
+        return tuple(alarms)
+    earlier = [alarm for alarm in alarms if alarm.raised < since]
+    out = [alarm for alarm in alarms if alarm.raised >= since]
+    for number, alarm in longest_alarms(out, SHOWN_ALARMS):
+        word = word_of(alarm, residuals, usable, explainer)
+        out[number - 1] = _worded(alarm, word)
+    return (*earlier, *out)
 
 
-def _in_its_order(candidates: Sequence[Candidate], word: Word) -> tuple[Candidate, ...]:
-    """Return candidates, those that a word names first, in its order."""
+def _worded(alarm: Alarm, word: Word) -> Alarm:
+    """Return an alarm with a word, and the candidates that it names first, in its order."""
 
     def place(candidate: Candidate) -> int:
         return next((k for k, group in enumerate(word.faults) if set(group) & set(candidate.faults)), len(word.faults))
 
-    return tuple(sorted(candidates, key=place))
+    candidates = tuple(sorted(alarm.candidates, key=place))
+    arrival = candidates[0].arrival if candidates else None
+    onset = alarm.onset if arrival is None else arrival
+    return replace(alarm, word=word, candidates=candidates, arrival=arrival, onset=onset)
 
 
 __all__ = ["explainer_of", "with_words", "word_of"]

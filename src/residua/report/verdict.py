@@ -45,10 +45,9 @@ class Verdict:
     headline : str
     sentences : tuple of str
     confidence : str
-        ``"clear lead"``, ``"moderate lead"``, ``"close call"``, ``"no good match"``, ``"short alarm"``,
-        ``"not isolated"``; by matched filters also ``"inexact match"``; by code ``"exact code"``,
-        ``"exact codes"`` (of several faults), ``"degraded code"``, ``"nearest code"``, ``"no code"``,
-        ``"unsteady code"``, ``"short alarm"``; or empty.
+        ``"good match"``, ``"either"``, ``"poor match"``, ``"too early"``; ``"likely"`` where the noise is not known;
+        ``"not isolated"``; by code ``"exact code"``, ``"exact codes"`` (of several faults), ``"degraded code"``,
+        ``"nearest code"``, ``"no code"``, ``"unsteady code"``; or empty.
     margin : float or None
         Lead of the best candidate over the next in score.
     present : tuple of tuple of str
