@@ -11,8 +11,8 @@ from residua.decide.word import EITHER, POOR, RULES as RULES_OF_WORDS, TOO_EARLY
 from residua.recording.clock import Clock
 from residua.words import counted, listing, number, score, some
 
-#: Below this score no listed fault explains the residual well (it points more than 45 degrees away).
-POOR_SCORE = 0.70
+#: Below this score no listed fault explains the residual well: it points more than 26 degrees away.
+POOR_SCORE = 0.90
 #: Alarms that are printed at most, the longest ones; and those whose beginning is dated.
 SHOWN_ALARMS = 20
 
