@@ -140,7 +140,7 @@ class Explainer:
             deviation=float(fits.deviations[best] * np.sqrt(variance[20])),
         )
         if before < BEFORE or int(usable[:before].sum()) < _LEAST_BEFORE:
-            return replace(made, kind=TOO_EARLY)
+            return replace(made, kind=TOO_EARLY, from_start=True)
         excess, rareness = _left(fits.left[best], usable, variance)
         if rareness[0] < _LESS:
             return replace(made, kind=POOR, quieter=True)

@@ -34,6 +34,8 @@ class Word:
         What nobody listed and explains it as well, or better; empty if nothing does.
     quieter : bool
         Whether what is left is less than the noise of the fit: a frozen sensor, or other units.
+    from_start : bool
+        Whether it was there when judging began, or too soon after to be compared with what was before.
     after : int
         Samples of the alarm that it rests on.
     evidence : float
@@ -48,6 +50,7 @@ class Word:
     faults: tuple[tuple[str, ...], ...]
     unlisted: str = ""
     quieter: bool = False
+    from_start: bool = False
     after: int = 0
     evidence: float = 0.0
     share: float = 0.0
@@ -69,7 +72,8 @@ class Word:
             *others, last = [*self.names, *([f"something not listed, such as {self.unlisted}"] * bool(self.unlisted))]
             return f"either {', '.join(others)} or {last}"
         if self.kind == TOO_EARLY:
-            return "too early to be sure of the name" + (f"; so far {first}" if first else "")
+            why = ", for it was there when judging began or soon after" if self.from_start else ""
+            return f"too early to be sure of the name{why}" + (f"; so far {first}" if first else "")
         why = "it is quieter than in the fit, as of a frozen sensor or in other units" if self.quieter else _NONE
         nearest = f"; nearest is {first}" if first else ""
         better = f", and {self.unlisted}, which is not listed, explains it better" if self.unlisted and first else ""

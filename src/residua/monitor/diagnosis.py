@@ -147,6 +147,8 @@ class Diagnosis:
         Whether its thresholds are certified by the design.
     false_alarms : str
         How rare false alarms are, in one line by :attr:`residua.Monitor.fit_check`; empty without a fit.
+    is_unlike_the_fit : bool
+        Whether a channel never comes near what it was in the recordings of the fit; the notes say which.
     predicted : bool
         Whether the filter, a Kalman filter, went on with those outputs of a sample that were there; else values were
         held.
@@ -208,6 +210,7 @@ class Diagnosis:
     horizon: int = 0
     certified: bool = False
     false_alarms: str = ""
+    is_unlike_the_fit: bool = False
     predicted: bool = False
     averaged: int = 1
     band_share: float = 0.0

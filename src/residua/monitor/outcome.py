@@ -78,6 +78,7 @@ def diagnosis_from(
     alarms = with_beginnings(alarms_of(seen, isolation), decisions.residuals, tested.usable, recorded.time)
     explainer = explainer_of(spec, generator, check)
     alarms = with_words(alarms, decisions.residuals, tested.usable, explainer)
+    unlike = tuple(_unlike_the_fit(check, generator.plant, recorded.signals, decisions.aside))
     band, share = test.bands()
     return Diagnosis(
         time=recorded.time,
@@ -105,6 +106,7 @@ def diagnosis_from(
         compared=recorded.compared,
         notes=(
             *notes,
+            *unlike,
             *_notes(spec, generator, tested.usable, decisions.missing),
             *_gap_notes(spec, generator, decisions, recorded),
             *_aside_notes(spec, generator, decisions),
@@ -129,6 +131,7 @@ def diagnosis_from(
         horizon=test.horizon,
         certified=test.is_certified,
         false_alarms=check.false_alarms if check else "",
+        is_unlike_the_fit=bool(unlike),
     )
 
 
@@ -272,11 +275,11 @@ def _start_notes(spec: Specification, moved: float) -> tuple[str, ...]:
     )
 
 
-def unlike_the_fit(
+def _unlike_the_fit(
     check: FitCheck | None, plant: Plant, signals: NDArray[np.float64], aside: NDArray[np.bool_]
 ) -> list[str]:
     """Say which channels never come near what they were in the recordings that were fitted."""
-    if check is None or not check.mean:
+    if check is None or not check.mean or not len(signals):
         return []
     apart = rows_apart(len(signals))
     seen = np.where(aside[::apart], np.nan, signals[::apart])

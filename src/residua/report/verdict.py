@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,6 +27,8 @@ BEGAN_RULE = (
     "time, in noise that goes on as before. A fault that no residual answers to at first, since a control loop makes "
     "up for it, or that grows out of the noise in another way, may have begun well before the interval."
 )
+
+_UNLIKE = "The data are unlike those of the fit, in other units or at another operating point."
 
 #: What is said of an alarm by certified thresholds.
 CERTAIN = (
@@ -76,6 +78,13 @@ def verdict(diagnosis: Diagnosis) -> Verdict:
     -------
     Verdict
     """
+    found = _verdict(diagnosis)
+    if diagnosis.is_unlike_the_fit:
+        return replace(found, headline=f"{_UNLIKE} {found.headline}")
+    return found
+
+
+def _verdict(diagnosis: Diagnosis) -> Verdict:
     decided = int(diagnosis.decided.sum())
     if diagnosis.alarms:
         return _fault(diagnosis)
