@@ -278,8 +278,9 @@ class Said(NamedTuple):
 
 def said_by_score(found: Diagnosis, alarm: Alarm) -> Said:
     """Return the word of a whole alarm by its scores, as it was before there was a rule of words."""
-    names = tuple(candidate.faults for candidate in alarm.candidates)
-    scores = [candidate.score for candidate in alarm.candidates]
+    candidates = sorted(alarm.candidates, key=lambda one: -one.score)  # a word puts its own first
+    names = tuple(candidate.faults for candidate in candidates)
+    scores = [candidate.score for candidate in candidates]
     if alarm.samples < found.window or not names:
         return Said("too early", names[:1])
     if scores[0] < POOR:
