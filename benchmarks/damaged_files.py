@@ -45,7 +45,6 @@ for _folder in (Path(__file__).parent, Path(__file__).parent.parent / "tests"):
 from damage import LONG, damaged_bytes, damaged_table, damaged_text
 
 import residua as rs
-from older_files import as_version
 from residua.decide import Directional, NormThreshold, Structured
 from residua.design import GeneticSearch
 from residua.errors import ResiduaError
@@ -162,11 +161,6 @@ def saved(monitor: rs.Monitor) -> bytes:
 def edited(content: bytes) -> bytes:
     """Return the file of a monitor that says that it was edited."""
     return json.dumps(json.loads(content) | {"checksum": None}).encode()
-
-
-def of_version_5(content: bytes) -> bytes:
-    """Return the file of a monitor as it was before there were checksums."""
-    return json.dumps(as_version(5, json.loads(content))).encode()
 
 
 FAULTY = signals(60, 3, fault=0.5)
@@ -462,7 +456,6 @@ def kinds() -> dict[str, Callable[[], Kind]]:
         ("plant (TOML)", ".toml", plants, text, read_plant),
         ("monitor (JSON)", ".json", whole, tables, loaded_whole),
         ("monitor, said to be edited", ".json", lambda: tuple(map(edited, whole())), (keep_edited,), loaded_unchecked),
-        ("monitor of version 5", ".json", lambda: tuple(map(of_version_5, whole())), tables, loaded_unchecked),
         ("design (JSON)", ".json", lambda: tuple(map(saved, designs())), tables, loaded_whole),
         ("checkpoint (JSON)", ".json", lambda: (checkpoint(),), tables, read_checkpoint),
         ("CSV", ".csv", csv_files, text, read_recording),

@@ -123,22 +123,33 @@ class Simulated:
         self, rng: np.random.Generator, rows: int, fault: str = "", size: float = 0.0
     ) -> tuple[NDArray, NDArray]:
         """Return inputs and outputs; a fault begins after the healthy rows."""
+        r, w = self.signals(rng, 1, rows + LEAD)
+        f = np.zeros((1, rows + LEAD, len(self.plant.faults)))
+        if fault:
+            f[0, LEAD + HEALTHY :, self.plant.faults.index(fault)] = size
+        u, y = self.respond(r, w, f)
+        return u[0, LEAD:], y[0, LEAD:]
+
+    def signals(self, rng: np.random.Generator, count: int, rows: int) -> tuple[NDArray, NDArray]:
+        """Return inputs and noise of some recordings, both of shape (count, rows, channels)."""
         plant = self.plant
-        n_w = plant.Bw.shape[1]
-        r = np.repeat(rng.uniform(-1, 1, ((rows + LEAD) // 50 + 1, len(plant.inputs))), 50, axis=0)[: rows + LEAD]
-        w = rng.standard_normal((rows + LEAD, n_w))
-        f = np.zeros(rows + LEAD)
-        f[LEAD + HEALTHY :] = size
-        column = plant.faults.index(fault) if fault else 0
-        Bf, Df = plant.Bf[:, column], plant.Df[:, column]
-        K = self.gain()
-        x = np.zeros(plant.n_states)
-        u, y = np.empty((rows + LEAD, len(plant.inputs))), np.empty((rows + LEAD, plant.n_outputs))
-        for t in range(rows + LEAD):
-            u[t] = r[t] - K @ x
-            y[t] = plant.C @ x + plant.Du @ u[t] + plant.Dw @ w[t] + Df * f[t]
-            x = plant.A @ x + plant.Bu @ u[t] + plant.Bw @ w[t] + Bf * f[t]
-        return u[LEAD:], y[LEAD:]
+        held = rng.uniform(-1, 1, (count, rows // 50 + 1, len(plant.inputs)))
+        w = rng.standard_normal((count, rows, plant.Bw.shape[1]))
+        return np.repeat(held, 50, axis=1)[:, :rows], w
+
+    def respond(self, r: NDArray, w: NDArray, f: NDArray, A: NDArray | None = None) -> tuple[NDArray, NDArray]:
+        """Return inputs and outputs of some recordings from rest: by inputs, noise and faults over time.
+
+        ``A`` is there instead of the plant's, for each recording.
+        """
+        plant, K = self.plant, self.gain()
+        closed = (plant.A if A is None else A) - plant.Bu @ K
+        moved = r @ plant.Bu.T + w @ plant.Bw.T + f @ plant.Bf.T
+        x = np.zeros_like(moved)
+        for t in range(1, x.shape[1]):
+            x[:, t] = (closed @ x[:, t - 1, :, None])[..., 0] + moved[:, t - 1]
+        u = r - x @ K.T
+        return u, x @ plant.C.T + u @ plant.Du.T + w @ plant.Dw.T + f @ plant.Df.T
 
     def gain(self) -> NDArray[np.float64]:
         """Return the gain of the inner loop; zero for a stable plant."""

@@ -14,7 +14,7 @@ from residua.live.events import Event
 
 def events(count: int = 3, plant: str = "north") -> list[Event]:
     """Return events of one plant, one after another."""
-    content = {"name": "leak 3", "text": ["Fault found: leak 3."], "sure": "a clear lead"}
+    content = {"name": "leak 3", "text": ["Fault found: leak 3."], "sure": "good match"}
     return [Event(k, plant, k, "raised", 40.0 + k, "2026-11-24T06:00:00+00:00", content) for k in range(1, count + 1)]
 
 

@@ -36,9 +36,9 @@ def test_a_short_alarm_is_named_with_caution(made: Path, tmp_path: Path, residua
     status, out, _ = residua("run", tmp_path / "m.json", write_csv(tmp_path / "blip.csv", rows))
     assert status == 1
     assert "Fault found" not in out
-    assert "too short to be sure of the name; nearest: level 1 sensor." in out.splitlines()[0]
-    assert "level 1 sensor (short)" in out
-    assert "(short)" not in residua("run", made / "monitor.json", made / "faulty.csv")[1]
+    assert "too early to be sure of the name; so far level 1 sensor." in out.splitlines()[0]
+    assert "too early" in out.splitlines()[2]
+    assert "too early" not in residua("run", made / "monitor.json", made / "faulty.csv")[1]
 
 
 def test_run_without_a_fault(made: Path, residua: Residua) -> None:

@@ -81,7 +81,7 @@ def test_dates_commas_and_names(made: Path, tmp_path: Path, residua: Residua) ->
     assert (status, plain[0]) == (1, 1)
     assert "times count from 2026-04-03T10:00" in out
     verdicts = [text.splitlines()[0].split(", alarm raised at ")[0] for text in (out, plain[1])]
-    assert verdicts == ["Fault found: level 1 sensor"] * 2
+    assert verdicts == ["Fault found: level 1 sensor, a good match"] * 2
     assert "2026-04-03 10:03:2" in out.splitlines()[0]  # 208 s after 10 o'clock: the clock of the file
     assert "times count from 2026-03-04" in residua(*run, "--month-first")[1]
     assert residua(*run, "--time-format", "%d/%m/%Y %H:%M:%S")[0] == 1

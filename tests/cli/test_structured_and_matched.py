@@ -180,7 +180,7 @@ def test_matched_filters_tell_arrival_and_size(made: Path, tmp_path: Path, resid
     assert re.search(r"^pump actuator +stays +[\d.]+ +[\d.]+ +- +leak$", out, flags=re.MULTILINE)
     status, out, _ = run(made, tmp_path, residua)
     assert status == 1
-    assert "Fault found: level 1 sensor, alarm raised at 202 s." in out
+    assert "Fault found: level 1 sensor, a good match, alarm raised at 202 s." in out
     found = re.search(r"Estimated size of level 1 sensor: ([\d.]+) ± ([\d.]+)", out)
     assert found is not None
     assert float(found[1]) == pytest.approx(0.5, abs=4 * float(found[2]))

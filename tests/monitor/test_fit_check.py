@@ -149,7 +149,15 @@ def test_the_check_is_saved(tmp_path: Path) -> None:
     content["checksum"] = None
     (tmp_path / "older.json").write_text(dumps(content), encoding="utf-8")
     assert rs.Monitor.load(tmp_path / "older.json").fit_check is None
-    content["fit_check"] = {"held_out": None, "changes": [], "left_out": -1, "recordings": 1}
+    content["fit_check"] = {
+        "held_out": None,
+        "changes": [],
+        "left_out": -1,
+        "recordings": 1,
+        "rows": 0,
+        "aimed": None,
+        "promised": None,
+    } | {name: [] for name in ("mean", "spread", "units", "doubts", "colour")}
     (tmp_path / "wrong.json").write_text(dumps(content), encoding="utf-8")
     with pytest.raises(FileFormatError, match=r"fit_check\.left_out"):
         rs.Monitor.load(tmp_path / "wrong.json")

@@ -179,19 +179,6 @@ def test_a_snapshot_has_the_same_bytes_without_the_kernel(kind: str, monkeypatch
     assert made[0] == made[1]
 
 
-def test_a_snapshot_without_the_last_code_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As those of earlier versions are: which members counted as fired is known again with the next sample."""
-    u, y = data(3, 60, 2)
-    fleet, columns = rs.Fleet(monitor("bank"), plants=[1, 2, 3]), snapshot._columns
-    fleet.run(u[:, :50], y[:, :50])
-    with monkeypatch.context() as patch:
-        patch.setattr(snapshot, "_columns", lambda block: {k: v for k, v in columns(block).items() if k != "last.code"})
-        again = rs.Fleet.restore(fleet.snapshot(), monitor("bank"))
-    fleet.tick(None, u[:, 50], y[:, 50])
-    again.tick(None, u[:, 50], y[:, 50])
-    assert again.snapshot() == fleet.snapshot()
-
-
 @pytest.mark.parametrize(
     ("skipped", "words"),
     [
@@ -210,15 +197,6 @@ def test_skipped_samples_that_somebody_made_up_are_refused(
     monkeypatch.setattr(snapshot, "_columns", lambda block: columns(block) | {"skipped": np.array(skipped)})
     with pytest.raises(FileFormatError, match=words):
         rs.Fleet.restore(taken(), monitor("norm"))
-
-
-def test_a_snapshot_without_skipped_samples_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As those of earlier versions are."""
-    columns = snapshot._columns
-    with monkeypatch.context() as patch:
-        patch.setattr(snapshot, "_columns", lambda block: {k: v for k, v in columns(block).items() if k != "skipped"})
-        content = taken()
-    assert rs.Fleet.restore(content, monitor("norm")).snapshot() == taken()
 
 
 def test_plants_come_and_go() -> None:
@@ -324,7 +302,7 @@ def taken() -> bytes:
         (lambda b: b"", "no snapshot"),
         (lambda b: b"PK" + b[2:], "no snapshot"),
         (lambda b: b[:100] + bytes([b[100] ^ 1]) + b[101:], "was changed"),
-        (lambda b: b[:8] + b"\x03" + b[9:], "version 3, this residua reads versions 1 and 2"),
+        (lambda b: b[:8] + b"\x02" + b[9:], "version 2, this residua reads version 3"),
         (lambda b: b + b"x", "was changed"),
     ],
 )

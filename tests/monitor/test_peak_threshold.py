@@ -27,7 +27,6 @@ from dedicated_examples import (
     recording,
     three_drifts,
 )
-from older_files import as_version
 from residua.decide import (
     BankTest,
     Directional,
@@ -418,26 +417,6 @@ def test_a_loaded_monitor_still_knows_what_is_certified(tmp_path: Path) -> None:
     assert loaded.norm_test.basis.startswith("certified by the design over its uncertainty set; 2746 fault-free")
     with pytest.raises(DataError, match="certified"):
         loaded.fit(None, recording(30.0, size=2.0))
-
-
-@pytest.mark.parametrize("version", [3, 4])
-def test_files_of_earlier_versions_are_still_read(tmp_path: Path, version: int) -> None:
-    plant = sampled_plant(0)
-    first = rs.Monitor(hand_made_bank(plant, dedicated=True), test=NormThreshold(window=4))
-    u, y = noisy(plant, faults={plant.faults[0]: 3.0, plant.faults[2]: -2.0})
-    first.fit(*noisy(plant, 3000, seed=99)).update(u[:1000], y[:1000])
-    first.save(tmp_path / "m.json")
-    content = as_version(version, json.loads((tmp_path / "m.json").read_text()))
-    (tmp_path / "old.json").write_text(json.dumps(content))
-    second = rs.Monitor.load(tmp_path / "old.json")
-    assert second.test == first.test
-    one, other = first.update(u[1000:1200], y[1000:1200]), second.update(u[1000:1200], y[1000:1200])
-    assert one.statistic.tobytes() == other.statistic.tobytes()
-    assert one.code.tobytes() == other.code.tobytes()
-    known, unknown = first.step(u[1200], y[1200]), second.step(u[1200], y[1200])
-    assert known.reading == unknown.reading
-    assert len(known.present) == 2
-    assert unknown.present == (), "the old file does not tell since when they fire"
 
 
 @pytest.mark.parametrize(

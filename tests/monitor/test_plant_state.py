@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import json
 import pickle
 from dataclasses import replace
 from pathlib import Path
@@ -16,14 +15,10 @@ import residua as rs
 from fused_examples import recording, same, specification
 from residua.decide import CUSUM, Directional, NormThreshold
 from residua.decide.persistence import LAST_COUNT
-from residua.live.state_bytes import state_from_bytes, state_to_bytes
 from residua.monitor import fused
 from residua.monitor.fused import run_block
 from residua.monitor.plant_records import SELDOM, bytes_of_record, takes_no_memory
-from residua.monitor.running import State, initial_state, rows_of, run_reference
-from residua.monitor.specification import Specification
-
-SAVED = Path(__file__).parent / "saved"
+from residua.monitor.running import State, initial_state, run_reference
 
 
 def fleet(plants: int, **settings: Any) -> rs.Fleet:
@@ -177,47 +172,6 @@ def test_room_is_made_for_what_there_is_and_goes_with_the_start() -> None:
 
 
 # ------------------------------------------------------------------------------ layouts of earlier versions
-
-
-def told() -> dict[str, Any]:
-    return json.loads((SAVED / "expected8.json").read_text())
-
-
-def values(rows: Any) -> np.ndarray:
-    return np.array([[np.nan if v is None else v for v in row] for row in rows], dtype=float)
-
-
-@pytest.mark.parametrize("kernel", [True, False])
-@pytest.mark.parametrize("kind", ["norm", "cusum", "observer"])
-def test_what_earlier_versions_wrote_goes_on(kind: str, kernel: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The files hold 40 samples; the versions that wrote them decided what came after."""
-    if not kernel:
-        monkeypatch.setattr(fused, "_kernel", None)
-    after = told()
-    monitor = rs.Monitor.load(SAVED / f"version8-{kind}.json")
-    assert monitor.notes == ()
-    spec: Specification = monitor._specification()
-    one = rs.Fleet.restore((SAVED / f"version1-{kind}.fleet").read_bytes(), monitor)
-    stored = state_from_bytes((SAVED / f"version1-{kind}.state").read_bytes(), spec)
-    same(stored, rows_of(state_of(one), np.array([1])), "state")
-    same(state_from_bytes(state_to_bytes(stored), spec), stored, "state")
-    u, y = (np.stack([values(plant) for plant in after[name]]) for name in ("u", "y"))
-    made = monitor.update(u[1], y[1])
-    statistic = np.empty(u.shape[:2])
-    for k in range(u.shape[1]):
-        tick = one.tick(None, u[:, k], y[:, k])
-        assert tick.alarm.tolist() == after[kind]["alarm"][k]
-        statistic[:, k] = tick.statistic
-    # a start is a least squares problem, which the LAPACK of another processor rounds otherwise: 5e-10 was seen
-    np.testing.assert_allclose(statistic, values(after[kind]["statistic"]).T, rtol=1e-8)
-    np.testing.assert_array_equal(made.statistic[0], statistic[1])  # type: ignore[union-attr]
-
-
-def test_a_snapshot_of_before_with_another_shape_is_refused() -> None:
-    monitor = rs.Monitor.load(SAVED / "version8-norm.json")
-    other = rs.Monitor(monitor.design, test=NormThreshold(persistence=3))
-    with pytest.raises(rs.errors.FileFormatError, match="another monitor"):
-        rs.Fleet.restore((SAVED / "version1-norm.fleet").read_bytes(), other)
 
 
 @pytest.mark.parametrize("how", ["file", "copy", "pickle"])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +10,6 @@ import pytest
 from hypothesis import example, given, settings, strategies as st
 
 import residua as rs
-from older_files import as_version
 from residua.decide import Matched, NormThreshold, PeakThreshold
 from residua.errors import SettingError
 from residua.monitor.fused import run_block
@@ -199,17 +197,3 @@ def test_limits_and_settings_are_saved(tmp_path: Path) -> None:
         loaded = rs.Monitor.load(tmp_path / "m.json")
         assert loaded.plausible == one.plausible
         assert loaded._specification().plausible.tobytes() == one._specification().plausible.tobytes()
-
-
-def test_monitors_of_the_version_before_go_on_and_are_guarded(tmp_path: Path) -> None:
-    one = rs.Monitor(rs.design.kalman_filter(plant()), test=rs.decide.NormThreshold()).fit(*recording(2000, seed=9))
-    u, y = recording()
-    one.update(u[:100], y[:100])
-    one.save(tmp_path / "m.json")
-    content = as_version(5, json.loads((tmp_path / "m.json").read_text()))
-    (tmp_path / "old.json").write_text(json.dumps(content))
-    loaded = rs.Monitor.load(tmp_path / "old.json")
-    expected, found = one.update(u[100:200], y[100:200]), loaded.update(u[100:200], y[100:200])
-    assert found.statistic.tobytes() == expected.statistic.tobytes()
-    y[300, 0] = 1e300
-    assert loaded.update(u[200:], y[200:]).usable[0, -100:].all()

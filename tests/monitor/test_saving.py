@@ -16,14 +16,12 @@ import pytest
 
 import residua as rs
 from effort import cases, rounds
-from older_files import as_version
 from residua.decide import NormThreshold
 from residua.decide.matched_hold import HeldState
 from residua.errors import AccuracyError, FileFormatError, SettingError
 from residua.library import three_tank
 from residua.linear import RankDecision
 from residua.monitor.design_records import generator_in, generator_out
-from residua.records import array_out
 from residua.report.tables import evidence_html
 
 
@@ -425,34 +423,6 @@ def test_an_entry_that_is_there_twice_is_refused(tmp_path: Path) -> None:
         rs.Monitor.load(path)
 
 
-@pytest.mark.parametrize("version", [3, 4, 5])
-def test_files_of_earlier_versions_are_read(version: int, tmp_path: Path) -> None:
-    path = tmp_path / "m.json"
-    monitor = fitted(start="rest")  # as all of them did before version 6
-    monitor.save(path)
-    path.write_text(json.dumps(as_version(version, json.loads(path.read_text()))))
-    loaded = rs.Monitor.load(path)
-    assert loaded.notes == ()
-    assert_same(monitor.update(*recording(50, 3)), loaded.update(*recording(50, 3)))
-    with_checksum = json.loads(path.read_text()) | {"checksum": None}
-    path.write_text(json.dumps(with_checksum))
-    with pytest.raises(FileFormatError, match="'checksum' is unknown"):
-        rs.Monitor.load(path)
-
-
-def test_rounding_in_the_signatures_of_an_older_file_is_no_answer_to_a_fault(tmp_path: Path) -> None:
-    plant = rs.Plant([[-1, 0], [0, -2]], [[1], [1]], np.eye(2)).with_faults({"a": [1, 0], "b": [1, 1]})
-    design = rs.design.detection_filter(plant)
-    path = tmp_path / "m.json"
-    rs.Monitor(design, dt=0.1, test=NormThreshold(threshold=1.0)).save(path)
-    content = json.loads(path.read_text())
-    for name in ("design", "sampled"):
-        content[name]["subspaces"]["a"] = array_out(np.array([[1.0], [1e-17]]))
-    path.write_text(json.dumps(as_version(5, content)))
-    read = rs.Monitor.load(path).generator
-    np.testing.assert_array_equal(read.structure, [[True, True], [False, True]])
-
-
 @pytest.mark.parametrize("window", [5, 10**6])
 def test_windows_that_do_not_belong_together_are_refused_before_anything_is_made_of_them(
     window: int, tmp_path: Path
@@ -474,32 +444,6 @@ def test_windows_that_do_not_belong_together_are_refused_before_anything_is_made
         path.write_text(json.dumps(content))
         with pytest.raises(FileFormatError, match=words):
             rs.Monitor.load(path)
-
-
-SAVED = Path(__file__).parent / "saved"
-
-
-@pytest.mark.parametrize("kind", ["direction", "groups", "none", "bank", "peak", "matched"])
-@pytest.mark.parametrize("version", [6, 7])
-def test_files_of_earlier_versions_go_on_with_the_same_bits(version: int, kind: str, tmp_path: Path) -> None:
-    """The files were written by these versions, each while it was the latest, and version 6 decided what came after."""
-    told = json.loads((SAVED / "expected.json").read_text())
-    path = SAVED / f"version{version}-{kind}.json"
-    monitor = rs.Monitor.load(path)
-    assert monitor.notes == ()
-    monitor.save(tmp_path / "today.json")
-    after = told["after"][kind]
-    for one in (monitor, rs.Monitor.load(tmp_path / "today.json")):
-        found = one.update(np.array(told["u"]), np.array(told["y"]))
-        assert found.residuals[0, ::15].ravel().tolist() == after["residuals"]
-        assert np.packbits(found.alarm[0]).tolist() == after["alarm"]
-        assert [None if v != v else v for v in found.scores[0, -1].tolist()] == after["scores"]
-        assert [None if v != v else v for v in found.statistic[0, ::9].tolist()] == after["statistic"]
-    edited = json.loads(path.read_text())
-    edited["max_hold"] += 1
-    (tmp_path / "edited.json").write_text(json.dumps(edited))
-    with pytest.raises(FileFormatError, match="checksum"):
-        rs.Monitor.load(tmp_path / "edited.json")
 
 
 def test_a_design_that_leaks_is_not_loaded() -> None:

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 import residua as rs
-from dedicated_examples import D1, D2, DT, MEMBERS, A, K, dedicated_bank, recording
-from older_files import as_version
+from dedicated_examples import D1, D2, DT, A, K, dedicated_bank, recording
 from residua.decide import NormThreshold, PeakThreshold
 from residua.errors import DataError
 from residua.linear import StateSpace
@@ -96,23 +92,6 @@ def test_a_recording_that_is_too_short_says_why() -> None:
     assert "because of its slowest pole" in str(found)
     with pytest.raises(DataError, match="because of its slowest pole"):
         rs.Monitor(BANK).fit(None, recording(0.5))
-
-
-def test_a_monitor_that_was_saved_with_a_shorter_wait_keeps_it(tmp_path: Path) -> None:
-    """As files of before this was changed have it, of every version."""
-    first = rs.Monitor(BANK)
-    first.save(tmp_path / "m.json")
-    content = json.loads((tmp_path / "m.json").read_text())
-    assert content["settle"] is None
-    content = as_version(5, content)
-    content["running"]["settle"] = samples_until(0.01)
-    (tmp_path / "old.json").write_text(json.dumps(content))
-    loaded = rs.Monitor.load(tmp_path / "old.json")
-    assert loaded.settling_samples == samples_until(0.01)
-    found = loaded.run(None, recording(5.0))
-    assert isinstance(found, rs.Diagnosis)
-    assert int(np.argmax(found.decided)) == samples_until(0.01)
-    assert found.members == MEMBERS
 
 
 def test_a_filter_without_slow_poles_forgets_as_late_as_it_has_states():

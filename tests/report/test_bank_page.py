@@ -87,7 +87,7 @@ def test_the_answers_have_their_own_words(one: rs.Diagnosis) -> None:
         wavering = replace(changed, read_share=0.3)
         assert verdict(replace(one, alarms=(wavering,), codes=test)).confidence == "unsteady code"
         short = replace(changed, stop=810)
-        assert verdict(replace(one, alarms=(short,), codes=test)).confidence == "short alarm"
+        assert verdict(replace(one, alarms=(short,), codes=test)).confidence == "too early"
 
 
 def test_the_code_table_shows_what_fired(one: rs.Diagnosis) -> None:

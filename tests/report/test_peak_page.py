@@ -54,7 +54,7 @@ def test_a_short_alarm_of_several_is_told_with_caution() -> None:
     y[-12:] += 3.0
     assert verdict(run(y)).headline.startswith("3 faults found: XNH sensor (fired from 29.88 s), XNL sensor")
     found = verdict(run(y, rs.Monitor(BANK, test=NormThreshold()).fit(None, normal)))
-    assert found.confidence == "short alarm"
+    assert found.confidence == "too early"
     assert re.search(r"too short to be sure of the names; read as \w+ sensor \(fired from 29.9 s\), ", found.headline)
 
 

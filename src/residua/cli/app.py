@@ -15,7 +15,7 @@ from residua import __version__
 from residua.cli import identify_command, learn_command, live_command, plant_commands, screen, validate_command
 from residua.cli.checks import FalseAlarmRate, check_outputs, check_recordings
 from residua.cli.design_command import Commands, thresholds
-from residua.cli.guard import FAULT, NO_FAULT, GuardedGroup, in_cli_words, warn
+from residua.cli.guard import FAULT, NO_FAULT, UNLIKE, GuardedGroup, in_cli_words, warn
 from residua.cli.recording_options import (
     Columns,
     DayFirst,
@@ -45,7 +45,7 @@ from residua.visible import echo
 app = typer.Typer(
     cls=Commands,
     help="Model-based fault detection and isolation: from a plant file and a recording to the faulty component.",
-    epilog="Exit status: 0 done, or no alarm; 1 an alarm was raised; 2 error. "
+    epilog="Exit status: 0 done, or no alarm; 1 an alarm was raised; 2 error; 3 no alarm, on data unlike the fit. "
     "RESIDUA_TRACEBACK=1 shows where an error comes from.",
     no_args_is_help=True,
     add_completion=False,
@@ -194,7 +194,7 @@ def run(
     transpose: Transpose = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing; the exit status tells.")] = False,
 ) -> None:
-    """Look for faults in a recording: exit status 0 no alarm, 1 an alarm, however short, 2 error."""
+    """Look for faults in a recording: exit status 0 no alarm, 1 an alarm, 2 error, 3 data unlike those of the fit."""
     check_input(monitor, "a monitor")
     check_input(recording, "a recording")
     check_outputs([report, alarms, residuals], [monitor, recording])
@@ -217,7 +217,8 @@ def run(
                 f"{recording}: no sample could be judged, so this is not a verdict: {len(diagnosis.time)} samples, "
                 f"{diagnosis.n_missing} of them incomplete; {diagnosis.why_undecided}{settles}"
             )
-        raise typer.Exit(FAULT if diagnosis.fault_detected else NO_FAULT)
+        quiet_status = UNLIKE if diagnosis.is_unlike_the_fit else NO_FAULT
+        raise typer.Exit(FAULT if diagnosis.fault_detected else quiet_status)
 
 
 #: Bytes of a file from which on it is read piece by piece: about 300 MB of memory at once otherwise.

@@ -257,11 +257,16 @@ def show_diagnosis(diagnosis: Diagnosis) -> None:
     if diagnosis.alarms:
         shown = longest_alarms(diagnosis.alarms, SHOWN_ALARMS)
         worth = "probability" if any(_judged(alarm.candidates) for _, alarm in shown) else "score"
+        worded = any(alarm.word for _, alarm in shown)
         show_table(
-            ["alarm", "began", "raised", "ended", "samples", "most likely", worth, "next", worth],
-            [_alarm_row(k, alarm, diagnosis) for k, alarm in shown],
+            ["alarm", "began", "raised", "ended", "samples", "most likely", worth, "next", worth]
+            + ["how sure"] * worded,
+            [
+                _alarm_row(k, alarm, diagnosis) + [alarm.word.kind if alarm.word else None] * worded
+                for k, alarm in shown
+            ],
         )
-        if any(alarm.candidates and alarm.samples < window for _, alarm in shown):
+        if any(alarm.candidates and not alarm.word and alarm.samples < window for _, alarm in shown):
             say(f"(short): fewer samples than the {window} that a name is judged by: too short to be sure of the name")
         if len(diagnosis.alarms) > SHOWN_ALARMS:
             say(f"{left_out_text(diagnosis.alarms, SHOWN_ALARMS)} (--alarms writes all of them)")
@@ -296,7 +301,7 @@ def _alarm_row(k: int, alarm: Alarm, diagnosis: Diagnosis) -> list[object]:
         k,
         *alarm_times(alarm, diagnosis.clock),
         alarm.samples,
-        best.name + (" (short)" if alarm.samples < window else "") if best else _unnamed(alarm),
+        best.name + (" (short)" if alarm.samples < window and not alarm.word else "") if best else _unnamed(alarm),
         _worth(best) if best else None,
         tied_name(alarm.candidates, 2) if following else None,
         _worth(following) if following else None,

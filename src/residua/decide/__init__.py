@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from residua.decide.test import Block, FaultFreeRun, ResidualTest, Tested, TestSettings, Watched
     from residua.decide.whitening import whitening_matrix
     from residua.decide.window import WindowState, empty_window, moving_sum
+    from residua.decide.word import Word
     from residua.monitor.residual_report import residual_report
     from residua.validate.detectability import detectability
 
@@ -98,6 +99,7 @@ __all__ = [
     "Tested",
     "Watched",
     "WindowState",
+    "Word",
     "code_likelihoods",
     "consistent_faults",
     "correlation",
@@ -149,6 +151,7 @@ hand_on(
         "residua.decide.structured": ("CodeReading", "CodeTest", "Structured", "read_code", "read_codes"),
         "residua.decide.test": ("Block", "FaultFreeRun", "ResidualTest", "Tested", "TestSettings", "Watched"),
         "residua.decide.whitening": ("whitening_matrix",),
+        "residua.decide.word": ("Word",),
         "residua.decide.window": ("WindowState", "empty_window", "moving_sum"),
         "residua.monitor.residual_report": ("residual_report",),
         "residua.validate.detectability": ("detectability",),

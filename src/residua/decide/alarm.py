@@ -6,12 +6,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from residua.decide.code_reading import CodeReading
+from residua.decide.word import Word
 
-#: A lead in score below this is a close call.
+#: A lead in score below this tells nothing.
 CLOSE_MARGIN = 0.02
-
-#: By matched filters, a lead in twice the logarithm of the likelihood below this (20 to 1) is a close call.
-CLOSE_LEAD = 6.0
 
 
 @dataclass(frozen=True)
@@ -234,6 +232,9 @@ class Alarm:
         Where faults were learnt from recordings: how the residual lies to the direction of each.
     unknown, no_fault : float or None
         By likelihood: the probability of a fault that is not listed, and of none.
+    word : Word or None
+        How well listed faults explain it, by direction and by matched filters; those that it names are the first
+        candidates. Of the twenty longest alarms of a recording.
     """
 
     onset: float
@@ -252,6 +253,7 @@ class Alarm:
     learnt: tuple[LearntMatch, ...] = ()
     unknown: float | None = None
     no_fault: float | None = None
+    word: Word | None = None
 
     @property
     def named(self) -> tuple[tuple[str, ...], ...]:
@@ -279,19 +281,13 @@ class Alarm:
     def doubt(self) -> str:
         """What makes the first name doubtful against the second one; empty if nothing does.
 
-        ``"score"``: the scores are a close call. By matched filters instead ``"likelihood"``: the second is not 20
-        times less likely; or ``"fit"``: both explain nearly the same, and neither explains the data to within the
-        noise. What is left then exceeds what sets the two apart, so that an error of the model, or a fault that is no
-        step, may have decided, however large the lead in likelihood is. By code always empty.
+        ``"word"``: the word names several. Without a word ``"score"``: the scores are close. By code always empty.
         """
+        if self.word is not None:
+            return "word" if len(self.word.faults) > 1 else ""
         if self.margin is None or self.reading is not None or self.unknown is not None:
             return ""
-        if self.lead is None:
-            return "score" if self.margin < CLOSE_MARGIN else ""
-        if self.lead < CLOSE_LEAD:
-            return "likelihood"
-        first, second = (c.score**2 for c in self.candidates[:2])
-        return "fit" if self.margin < CLOSE_MARGIN and 1 - first > first - second else ""
+        return "score" if self.margin < CLOSE_MARGIN else ""
 
     @property
     def lead(self) -> float | None:
@@ -315,6 +311,8 @@ class Alarm:
             "margin": self.margin,
             "candidates": [_candidate(c) for c in self.candidates],
         }
+        if self.word is not None:
+            out |= self.word.to_dict()
         if self.began is not None:
             out["began"] = _began(self.began)
         if any(c.ratio is not None for c in self.candidates):

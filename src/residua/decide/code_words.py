@@ -5,6 +5,7 @@ from __future__ import annotations
 from residua.decide.alarm import Alarm
 from residua.decide.code_reading import LISTED, CodeReading
 from residua.decide.statement import Statement, capital, raised_text, too_short
+from residua.decide.word import TOO_EARLY
 from residua.recording.clock import Clock
 from residua.words import listing, percent
 
@@ -56,7 +57,7 @@ def _one(
     also = f", or {listing(shown, 'or')} with members silent" if more else ""
     if alarm.samples < window:
         headline = f"{capital(when)}, too short to be sure of the name; read as {name}{also}."
-        return headline, "short alarm", alarm.margin, tuple(sentences)
+        return headline, TOO_EARLY, alarm.margin, tuple(sentences)
     off = "" if reading.answer == "exact" else f" ({reading.answer} code)"
     steady = alarm.read_share is None or alarm.read_share >= STEADY_SHARE
     confidence = f"{reading.answer if steady else 'unsteady'} code"
@@ -93,5 +94,5 @@ def _several(alarm: Alarm, reading: CodeReading, window: int, clock: Clock) -> t
     )
     if alarm.samples < window:
         headline = f"{capital(raised_text(alarm, clock))}, too short to be sure of the names; read as {names}."
-        return headline, "short alarm", None, tuple(sentences)
+        return headline, TOO_EARLY, None, tuple(sentences)
     return f"{len(reading.together)} faults found: {names}.", "exact codes", None, tuple(sentences)

@@ -115,6 +115,11 @@ class DirectionTest(Isolation):
         return self.window or MEMORY
 
     @property
+    def has_words(self) -> bool:
+        """Yes."""
+        return True
+
+    @property
     def signatures(self) -> tuple[NDArray[np.float64], ...]:
         """The bases."""
         return self.bases

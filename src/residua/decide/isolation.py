@@ -219,6 +219,11 @@ class Isolation(Record, ABC):
         return ()
 
     @property
+    def has_words(self) -> bool:
+        """Whether alarms get a word by what the responses to faults explain: of names by direction or response."""
+        return False
+
+    @property
     def coding(self) -> Any:
         """The codes that members are read against, a :class:`residua.decide.CodeTest`; or ``None``."""
         return None

@@ -23,7 +23,7 @@ from residua.decide.learnt_faults import (
 )
 from residua.decide.member_bounds import MemberBounds
 from residua.decide.row_norms import row_norms
-from residua.decide.statement import POOR_SCORE, Statement, raised_text, statement_by_score
+from residua.decide.statement import Statement, raised_text, statement_by_score
 from residua.decide.structured import CodeTest
 from residua.decide.test import Block, ResidualTest, Tested
 from residua.decide.whitened_norm import whitened_residuals
@@ -33,8 +33,10 @@ from residua.linear.systems.recursion import ordered_product
 from residua.recording.clock import Clock
 from residua.words import counted, listing
 
+#: From this score on a fault of the model is believed where no learnt one agrees.
+_BELIEVED = 0.70
 #: How far off its direction a residual may be at most, in degrees, however noisy it is: as for any signature.
-FARTHEST = math.degrees(math.acos(POOR_SCORE))
+FARTHEST = math.degrees(math.acos(_BELIEVED))
 #: Says of each learnt fault what it was learnt from.
 _MEANING = (
     "The score is the cosine of the angle between the residual and a signature, over the monitor's window. A learnt "
@@ -179,7 +181,7 @@ class LearntDirections(Isolation):
                 ranked = [first, *(c for c in ranked if c is not first)]
         best = ranked[0] if ranked else None
         believed = best is not None and (
-            best.faults[0] in agree or (best.score >= POOR_SCORE and best.score > excluded - CLOSE_MARGIN)
+            best.faults[0] in agree or (best.score >= _BELIEVED and best.score > excluded - CLOSE_MARGIN)
         )
         return replace(named, candidates=tuple(ranked) if believed else (), learnt=matches)
 

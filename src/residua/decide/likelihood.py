@@ -18,11 +18,12 @@ from residua.decide.fault_posterior import Belief, FaultFilter
 from residua.decide.isolation import Isolation, IsolationSettings, Named, Scores, Seen, check_groups
 from residua.decide.multiscale_ewma import MultiscaleEWMA
 from residua.decide.sizes import sizes_over, with_sizes
-from residua.decide.statement import Statement, headline_of, not_apart, not_isolated, scored, too_short
+from residua.decide.statement import LIKELY, Statement, headline_of, not_apart, not_isolated, scored, too_short
 from residua.decide.stream_settings import StreamSettings
 from residua.decide.stream_test import StreamTest
 from residua.decide.test import Block, ResidualTest, Tested, TestSettings, Watched
 from residua.decide.whitened_norm import whitened_residuals
+from residua.decide.word import EITHER, POOR
 from residua.design import ResidualGenerator
 from residua.errors import FileFormatError, SettingError
 from residua.linear.subspaces.whitening import VARIANCE_FLOOR
@@ -35,8 +36,6 @@ from residua.words import number
 
 #: A p-value from which on faults are called not distinguishable, and below which one does not explain a residual.
 LEVEL = 0.05
-#: A probability from which on a name is called clear.
-_CLEAR = 0.95
 #: Combinations of residuals of which less variance than that is left, of whitened ones, move too little for a model.
 _STILL = VARIANCE_FLOOR**0.5
 _RULES = (
@@ -301,11 +300,7 @@ def statement_by_probability(alarm: Alarm, clock: Clock) -> Statement:
         if (c.pair_p_value or 0.0) >= LEVEL and (c.probability or 0.0) >= LEVEL * sure
     )
     unknown, none = alarm.unknown or 0.0, alarm.no_fault or 0.0
-    confidence = "clear lead" if sure >= _CLEAR else "moderate lead"
-    if max(unknown, none) > sure:
-        confidence = "no good match"
-    elif same:
-        confidence = "close call"
+    confidence = POOR if max(unknown, none) > sure else EITHER if same else LIKELY
     first = f"Probability {number(sure, 3)} of {best.name}, {number(unknown, 3)} of a fault that is not listed, "
     first += f"{number(none, 3)} of none."
     sentences, lines = [first], []
@@ -325,7 +320,7 @@ def statement_by_probability(alarm: Alarm, clock: Clock) -> Statement:
         headline_of(alarm, clock, confidence),
         confidence,
         margin,
-        (*sentences, *not_apart(best)),
+        (*sentences, *not_apart(best.faults)),
         tuple(lines),
         rules=_RULES,
     )

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.decide.alarm import CLOSE_LEAD, CLOSE_MARGIN, Alarm, Candidate, Size
+from residua.decide.alarm import Alarm, Candidate, Size
 from residua.decide.checks import check_samples, is_number
 from residua.decide.isolation import (
     Isolation,
@@ -27,17 +27,7 @@ from residua.decide.matched_level import Likelihoods, LikelihoodThreshold
 from residua.decide.matched_responses import MatchedTest, match_after, match_block, summed
 from residua.decide.norm_threshold import NormThreshold
 from residua.decide.sizes import fault_unit
-from residua.decide.statement import (
-    POOR_SCORE,
-    SURE,
-    Statement,
-    headline_of,
-    how_sure,
-    not_apart,
-    not_isolated,
-    scored,
-    too_short,
-)
+from residua.decide.statement import Statement, scored, statement_by_score
 from residua.decide.test import Block, ResidualTest, Tested, TestSettings, Watched
 from residua.decide.whitened_norm import NormSettings
 from residua.design import ResidualGenerator
@@ -49,7 +39,6 @@ from residua.number_kinds import SHARE, WINDOW, NumberKind
 from residua.recording.clock import Clock
 from residua.records import Record, record
 from residua.visible import echo
-from residua.words import lead_text, score
 
 #: Largest correlation between samples, relative, with which residuals still count as white.
 _WHITE = 1e-6
@@ -57,29 +46,10 @@ _WHITE = 1e-6
 #: Windows of samples of which likelihoods are computed at once: a window before them is computed for nothing.
 _PIECE = 8
 
-#: A lead in twice the logarithm of the likelihood at or above this (22,000 to 1) is called clear.
-CLEAR_LEAD = 20.0
-
-#: The words for two faults that explain nearly the same, and neither all of it.
-NO_FIT = (
-    "neither of the first two fits to within the noise, and what is left exceeds what sets them apart: an error of the "
-    "model, or a fault that is no step, may decide between them"
+_MEANING = (
+    "The score is the root of the fraction that a fault explains of what exceeds the noise in the window; sizes are "
+    "those of a step whose arrival is known, with one standard deviation."
 )
-
-MATCH_RULES = (
-    "The score is the root of the fraction that a fault explains of what exceeds the noise in the window; the "
-    "logarithm of its likelihood ratio against no fault adds the evidence of the window in which it arrived and of the "
-    f"last one of the alarm. A lead in it of {CLEAR_LEAD:g} or more over the next candidate is called clear, below "
-    f"{CLOSE_LEAD:g} (20 to 1) a close call. Where scores less than {CLOSE_MARGIN:.2f} apart leave more unexplained "
-    "than sets them apart, the match is inexact: a model error may decide, however large the lead is. A best score "
-    f"below {POOR_SCORE:.2f} means that no listed fault, as a step, explains the innovations well. Sizes are those of "
-    "a step whose arrival is known, with one standard deviation."
-)
-
-_SURE = SURE | {
-    "no good match": "neither fits: the model is in error, or the fault is no step, or none of these",
-    "inexact match": NO_FIT,
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,6 +157,11 @@ class MatchedNames(Isolation):
             "isolation": f"the fault and arrival, up to {window} samples ({window * step:g} s) ago, that explain the "
             "innovations best; held once that arrival has left the window"
         }
+
+    @property
+    def has_words(self) -> bool:
+        """Yes."""
+        return True
 
     def statement(self, alarm: Alarm, clock: Clock, window: int) -> Statement:
         """Return the statement about an alarm: by how much the likelihood leads, and when the fault arrived."""
@@ -632,37 +607,9 @@ def named_by_match(
 
 
 def statement_by_likelihood(alarm: Alarm, clock: Clock, window: int) -> Statement:
-    """Return the statement about an alarm whose candidates are ranked by their likelihood."""
-    candidates = scored(alarm)
-    if not candidates:
-        return not_isolated(alarm, clock)
-    confidence, margin = how_sure(candidates)
-    if alarm.lead is not None and confidence != "no good match":
-        surely = "clear lead" if alarm.lead >= CLEAR_LEAD else "moderate lead"
-        confidence = {"likelihood": "close call", "fit": "inexact match"}.get(alarm.doubt, surely)
-    if alarm.samples < window:
-        confidence = "short alarm"
+    """Return the statement about an alarm, and when the fault arrived."""
     arrived = "It arrived before the window of the matched filters, or grew slowly."
     if alarm.arrival is not None:
         arrived = f"Estimated arrival {clock.at(alarm.arrival)}, as a step."
-    sentences = (_comparison(alarm, confidence), arrived, *not_apart(candidates[0]))
-    lines = too_short(alarm, window) or _doubt(alarm)
-    return Statement(headline_of(alarm, clock, confidence), confidence, margin, sentences, lines, rules=MATCH_RULES)
-
-
-def _comparison(alarm: Alarm, confidence: str) -> str:
-    """Return by how much the best candidate leads in likelihood, and whether it fits."""
-    best, *others = alarm.candidates
-    text = f"Score {score(best.score)}"
-    if alarm.lead is None:
-        return f"{text}; there is no other candidate to compare with."
-    lead = f"its likelihood leads that of {others[0].name} by 2 ln L = {lead_text(alarm.lead)}"
-    return f"{text}, next {score(others[0].score)}; {lead}: {_SURE[confidence]}."
-
-
-def _doubt(alarm: Alarm) -> tuple[str, ...]:
-    """Return a line about what makes the first name doubtful."""
-    if alarm.doubt == "likelihood":
-        odds = f"{np.exp((alarm.lead or 0.0) / 2):.3g}"
-        return (f"a close call: the first is {odds} times as likely as the second",)
-    return (NO_FIT,) if alarm.doubt == "fit" else ()
+    said = statement_by_score(alarm, clock, window, meaning=_MEANING)
+    return replace(said, sentences=(*said.sentences, arrived)) if scored(alarm) else said

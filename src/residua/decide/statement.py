@@ -7,28 +7,22 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from residua.decide.alarm import CLOSE_MARGIN, Alarm, Candidate, Size
+from residua.decide.word import EITHER, POOR, RULES as RULES_OF_WORDS, TOO_EARLY, Word
 from residua.recording.clock import Clock
 from residua.words import counted, listing, number, score, some
 
-#: A lead in score at or above this is called clear.
-CLEAR_MARGIN = 0.10
-#: Below this score no listed fault explains the residual well (it points more than 45 degrees away).
-POOR_SCORE = 0.70
+#: Below this score no listed fault explains the residual well: it points more than 26 degrees away.
+POOR_SCORE = 0.90
 #: Alarms that are printed at most, the longest ones; and those whose beginning is dated.
 SHOWN_ALARMS = 20
 
-#: How confidences are said.
-SURE = {
-    "clear lead": "a clear lead",
-    "moderate lead": "a moderate lead",
-    "close call": "a close call",
-    "no good match": "neither fits",
-    "short alarm": "judged over a window that is longer than the alarm",
-}
+#: How sure a name is by its score alone.
+LIKELY = "likely"
 
 RULES = (
-    f"A lead over the next candidate of {CLEAR_MARGIN:.2f} or more is called clear, below {CLOSE_MARGIN:.2f} a close "
-    f"call; a best score below {POOR_SCORE:.2f} means that no listed fault explains the residual well."
+    "Likely: by its score alone, as the noise of the residual is not known, so that nobody can say whether the fault "
+    f"explains it. Either: the next candidate is less than {CLOSE_MARGIN:.2f} behind. Poor match: the best score is "
+    f"below {POOR_SCORE:.2f}. Too early: the alarm is shorter than what a name is judged over."
 )
 
 
@@ -41,7 +35,7 @@ class Statement:
     headline : str
         One sentence, with the name if there is one.
     confidence : str
-        How sure the name is, in two words: ``"clear lead"``, ``"close call"``, ``"exact code"``, ...
+        How sure the name is, in two words: ``"good match"``, ``"too early"``, ``"exact code"``, ...
     margin : float or None
         Lead of the best candidate over the next, in score.
     sentences : tuple of str
@@ -86,18 +80,29 @@ def statement_by_score(
 
     ``beside`` says more of each score, ``meaning`` what a score is.
     """
+    if alarm.word is not None:
+        return statement_by_word(alarm, alarm.word, clock)
     candidates = scored(alarm)
     if not candidates:
         return not_isolated(alarm, clock)
     confidence, margin = how_sure(candidates)
     if alarm.samples < window:
-        confidence = "short alarm"
-    sentences = [_comparison(candidates, confidence, margin, beside), *not_apart(candidates[0])]
+        confidence = TOO_EARLY
+    sentences = [_comparison(candidates, beside), *not_apart(candidates[0].faults)]
     lines = too_short(alarm, window)
     if not lines and alarm.doubt == "score":
-        lines = (f"a close call: the first two are {abs(alarm.margin or 0.0):.3f} apart",)
+        lines = (f"either of the first two, whose scores are {abs(alarm.margin or 0.0):.3f} apart",)
     rules = f"{meaning} {RULES}".strip()
     return Statement(headline_of(alarm, clock, confidence), confidence, margin, tuple(sentences), lines, rules=rules)
+
+
+def statement_by_word(alarm: Alarm, word: Word, clock: Clock) -> Statement:
+    """Return the statement about an alarm by how well the listed faults explain it."""
+    apart = [line for group in word.faults[:1] for line in not_apart(group)]
+    said = (*word.sentences, *apart)
+    return Statement(
+        word.headline(raised_text(alarm, clock)), word.kind, None, said, (word.line,), rules=RULES_OF_WORDS
+    )
 
 
 def scored(alarm: Alarm) -> list[Candidate]:
@@ -109,24 +114,20 @@ def how_sure(candidates: Sequence[Candidate]) -> tuple[str, float | None]:
     """Return in two words how sure the first of some candidates is by its score, and its lead."""
     margin = candidates[0].score - candidates[1].score if len(candidates) > 1 else None
     if candidates[0].score < POOR_SCORE:
-        return "no good match", margin
-    if margin is None or margin >= CLEAR_MARGIN:
-        return "clear lead", margin
-    return ("close call" if margin < CLOSE_MARGIN else "moderate lead"), margin
+        return POOR, margin
+    return (EITHER if margin is not None and margin < CLOSE_MARGIN else LIKELY), margin
 
 
 def headline_of(alarm: Alarm, clock: Clock, confidence: str) -> str:
     """Return the sentence that names the best candidate as surely as it is sure."""
     best, *others = scored(alarm)
     when = raised_text(alarm, clock)
-    if confidence == "short alarm":
+    if confidence == TOO_EARLY:
         return f"{capital(when)}, too short to be sure of the name; nearest: {best.name}."
-    if confidence == "no good match":
+    if confidence == POOR:
         return f"A fault was found, {when}; no listed fault explains it well. Nearest: {best.name}."
-    if confidence == "close call":
-        return f"Fault found: {best.name}, or {others[0].name} (a close call), {when}."
-    if confidence == "inexact match":
-        return f"Fault found: {best.name}, or {others[0].name} (neither fits exactly), {when}."
+    if confidence == EITHER:
+        return f"Fault found: either {best.name} or {others[0].name}, {when}."
     return f"Fault found: {best.name}, {when}."
 
 
@@ -137,22 +138,20 @@ def too_short(alarm: Alarm, window: int) -> tuple[str, ...]:
     return (f"shorter than the {window} samples that a name is judged by: not sure of its name",)
 
 
-def not_apart(best: Candidate) -> list[str]:
-    """Return a sentence about the faults that a candidate stands for, if they are several."""
-    return [f"This monitor cannot tell {some(best.faults)} apart."] if len(best.faults) > 1 else []
+def not_apart(faults: Sequence[str]) -> list[str]:
+    """Return a sentence about the faults that one name stands for, if they are several."""
+    return [f"This monitor cannot tell {some(faults)} apart."] if len(faults) > 1 else []
 
 
-def _comparison(
-    candidates: Sequence[Candidate], confidence: str, margin: float | None, beside: Callable[[float], str] | None
-) -> str:
-    """Return by how much the best candidate leads."""
+def _comparison(candidates: Sequence[Candidate], beside: Callable[[float], str] | None) -> str:
+    """Return the scores of the best candidate and of the next."""
     best = candidates[0]
     text = f"Score {score(best.score)}" + (f", {beside(best.score)} off its signature" if beside else "")
-    if margin is None:
+    if len(candidates) < 2:
         return f"{text}; there is no other candidate to compare with."
     following = candidates[1]
     next_one = score(following.score) + (f" ({beside(following.score)})" if beside else "")
-    return f"{text}; next is {following.name} with {next_one}: {SURE[confidence]}, margin {score(margin)}."
+    return f"{text}; next is {following.name} with {next_one}."
 
 
 def angle(cosine: float) -> str:

@@ -111,7 +111,8 @@ def _lines(monitor: Monitor, healthy: Diagnosis, leak: Diagnosis, actual: str) -
         named = main.candidates[0].name if main.candidates else "nothing"
         outcome = (
             f"Leak ({actual}, from {ONSET:g} s on): alarm raised at {main.raised:g} s, "
-            f"{main.raised - ONSET:g} s after it began; the monitor names {named}."
+            f"{main.raised - ONSET:g} s after it began; the monitor names {named}"
+            f"{f' ({main.word.kind})' if main.word else ''}."
         )
     return (
         f"Threshold {monitor.threshold:.4g}: {monitor.norm_test.basis}.",

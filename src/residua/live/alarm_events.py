@@ -26,6 +26,8 @@ class ToldAlarm:
         As the last look had it.
     shortened : bool
         Whether rows of its beginning are no longer kept.
+    word : str
+        How well the named faults explained it; empty where that is not said.
     """
 
     raised: float
@@ -33,18 +35,19 @@ class ToldAlarm:
     named: tuple[tuple[str, ...], ...]
     began: Beginning | None = None
     shortened: bool = False
+    word: str = ""
 
     def to_record(self) -> list[Any]:
         """Return it as plain values for JSON."""
         began = None if self.began is None else list(astuple(self.began))
-        return [self.raised, self.onset, [list(group) for group in self.named], began, self.shortened]
+        return [self.raised, self.onset, [list(group) for group in self.named], began, self.shortened, self.word]
 
     @staticmethod
     def from_record(content: list[Any]) -> ToldAlarm:
         """Return what :meth:`to_record` describes."""
-        raised, onset, named, began, shortened = content
+        raised, onset, named, began, shortened, word = content
         since = None if began is None else Beginning(*began)
-        return ToldAlarm(raised, onset, tuple(tuple(group) for group in named), since, shortened)
+        return ToldAlarm(raised, onset, tuple(tuple(group) for group in named), since, shortened, word)
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +57,7 @@ class News:
     Attributes
     ----------
     kind : str
-        ``raised``, ``renamed`` or ``ended``.
+        ``raised``, ``renamed``, ``confirmed`` or ``ended``.
     alarm : Alarm
     part : ToldAlarm or None
         Of an ended one that turned out to be part of an earlier one, ``alarm``: what was told of it.
@@ -96,14 +99,21 @@ def news(
             events.append(News("raised", alarm))
         elif before.named != alarm.named:
             events.append(News("renamed", alarm))
+        elif before.word != word_of(alarm):
+            events.append(News("confirmed", alarm))
         if over:
             events.append(News("ended", alarm))
         else:
             shortened = before is not None and before.shortened
-            now.append(ToldAlarm(alarm.raised, alarm.onset, alarm.named, alarm.began, shortened))
+            now.append(ToldAlarm(alarm.raised, alarm.onset, alarm.named, alarm.began, shortened, word_of(alarm)))
     whole = [one.alarm for one in events] + [one for one in alarms if one.raised >= since]
     parts = [News("ended", _owner(part, whole), part) for part in known.values() if whole]
     return now, [*parts, *events]
+
+
+def word_of(alarm: Alarm) -> str:
+    """Return how well the named faults explain an alarm, in two words; empty where that is not said."""
+    return alarm.word.kind if alarm.word is not None else ""
 
 
 def _owner(part: ToldAlarm, alarms: Sequence[Alarm]) -> Alarm:

@@ -7,9 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-#: What events are about: an alarm was raised, is put down to another fault, has ended, or stands where the data end;
-#: values are missing, so that the plant is not watched, and are back; the clock of the plant has gone back.
-KINDS = ("raised", "renamed", "ended", "standing", "missing", "back", "clock")
+#: What events are about: an alarm was raised, is put down to another fault, or with another word to the same one, has
+#: ended, or stands where the data end; values are missing, so that the plant is not watched, and are back; the clock of
+#: the plant has gone back.
+KINDS = ("raised", "renamed", "confirmed", "ended", "standing", "missing", "back", "clock")
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from residua.live.events import Event
 from residua.live.run import Run
 from residua.live.source import Health
-from residua.live.watched_model import name_of, sure_of
+from residua.live.watched_model import name_of
 from residua.live.watched_plant import WatchedPlant
 from residua.monitor.diagnosis import Diagnosis
 from residua.report.charts import residual_unit
@@ -162,7 +162,7 @@ class LiveView:
             "onset": alarm.onset,
             "ended": alarm.ended,
             "name": name_of(alarm),
-            "sure": sure_of(statement.confidence),
+            "sure": statement.confidence,
             "lines": [statement.headline, *statement.sentences],
             "candidates": [
                 {

@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import fields, is_dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.decide.persistence import stopped
-from residua.decide.stream_test import StreamTest
 from residua.errors import FileFormatError
 from residua.monitor.plant_records import SELDOM, takes_no_memory
 from residua.monitor.running import State, initial_state
 from residua.monitor.specification import Specification
-from residua.monitor.starting import MOVED_FROM
 
-#: The first byte, which changes with the layout. In version 1 counters had 64 bits, Kalman filters held the values of
-#: outputs too, tests that do not look at it counted the samples below their threshold, and CUSUM kept its alarm behind
-#: its sums too.
-VERSION = 2
+#: The first byte, which changes with the layout.
+VERSION = 3
 
 
 def state_to_bytes(state: State) -> bytes:
@@ -45,52 +40,14 @@ def state_from_bytes(content: bytes, spec: Specification) -> State:
         If the bytes are not a state of this monitor.
     """
     try:
-        if content[0] not in (1, VERSION):
+        if content[0] != VERSION:
             raise ValueError("another version")
-        state, stop = _filled(_like(spec, content[0]), content, 1)
-        if content[0] == 1:
-            state = _renewed(state, initial_state(spec, 1))
+        state, stop = _filled(initial_state(spec, 1), content, 1)
         if stop != len(content) or not np.isfinite(state.filter.x).all():
             raise ValueError("another length, or no filter")
     except (ValueError, IndexError) as error:
         raise FileFormatError(f"the store holds a state that is none of this monitor: {error}") from error
     return state
-
-
-def _like(spec: Specification, version: int) -> State:
-    """Return the state before the first sample, with arrays of the types that they had in a version."""
-    state = initial_state(spec, 1)
-    if version == 1:
-        state = replace(state, filter=replace(state.filter, held=np.zeros((1, spec.B.shape[1]))))
-        if isinstance(spec.test, StreamTest):
-            state = replace(state, test=replace(state.test, sums=spec.test.first_sums(1)))
-        state = _with_wide_counters(state)
-    return state
-
-
-def _with_wide_counters(whole: Any) -> Any:
-    if isinstance(whole, np.ndarray):
-        return whole.astype(np.int64) if whole.dtype == np.int32 else whole
-    if not is_dataclass(whole):
-        return whole
-    values = {one.name: _with_wide_counters(getattr(whole, one.name)) for one in fields(whole)}
-    return type(whole)(**values)  # pyright: ignore[reportCallIssue]
-
-
-def _renewed(whole: Any, like: Any, name: str = "") -> Any:
-    """Return a state of version 1 as one of today."""
-    if isinstance(whole, np.ndarray):
-        if name == "down" and takes_no_memory(like):
-            return like
-        if name in ("held", "sums") and whole.shape != like.shape:
-            whole = whole[:, : like.shape[1]]
-        if name == "moved":
-            whole = np.where(whole >= MOVED_FROM, whole, 0.0)
-        return stopped(whole) if like.dtype == np.int32 else whole
-    if not is_dataclass(whole):
-        return whole
-    values = {one.name: _renewed(getattr(whole, one.name), getattr(like, one.name), one.name) for one in fields(whole)}
-    return type(whole)(**values)  # pyright: ignore[reportCallIssue]
 
 
 def _arrays(whole: Any, name: str = "") -> list[tuple[bool, NDArray]]:

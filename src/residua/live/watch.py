@@ -5,15 +5,16 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.decide.explanation import FINAL, FIRST
 from residua.errors import DataError, FileFormatError
-from residua.live.alarm_events import News, ToldAlarm, news, those_since
+from residua.live.alarm_events import News, news, those_since
 from residua.live.events import Event
 from residua.live.patience import Patience
 from residua.live.sampling import Rows, SamplingState
@@ -36,7 +37,7 @@ LONGEST_ALARM = 10
 #: Rows whose decisions are kept in memory while an alarm stands; those of more plants are made again for every look.
 _MOST_JUDGED = 100_000
 #: In the order of events at one row.
-_RANKS = {"clock": 0, "back": 1, "raised": 2, "renamed": 2, "ended": 2, "missing": 3, "standing": 4}
+_RANKS = {"clock": 0, "back": 1, "raised": 2, "renamed": 2, "confirmed": 2, "ended": 2, "missing": 3, "standing": 4}
 
 
 @dataclass(slots=True)
@@ -254,6 +255,8 @@ class Watch:
             if over or row == plant.next_look:
                 self._look(plant, row, float(times[k]), over, batch)
                 plant.next_look = row + max(model.between, (row - plant.open_row) // 8)
+                words = (plant.open_row + count - 1 for count in (FIRST, FINAL))
+                plant.next_look = min([plant.next_look, *(at for at in words if at > row)])
             if over:
                 plant.open_row, plant.told = -1, []
                 self._judged.pop(plant.key, None)
@@ -261,7 +264,7 @@ class Watch:
     def _look(self, plant: WatchedPlant, row: int, time: float, over: bool, batch: _Batch) -> None:
         """Tell what is new of the alarms of a plant up to a row."""
         judged = self._judged_to(plant, row + 1, batch)
-        alarms = judged.alarms()
+        alarms = judged.alarms(plant.open_since)
         after, told = news(plant.told, alarms, plant.open_since, over)
         if told:  # only then it matters when they began
             after, told = news(plant.told, judged.dated(alarms, plant.open_since), plant.open_since, over)
@@ -347,9 +350,7 @@ class Watch:
         too_long = plant.open_row >= 0 and plant.count - plant.anchor_at >= LONGEST_ALARM * kept
         if plant.mark is not None and (plant.open_row < 0 or too_long):
             if too_long and plant.open_row < plant.mark_at:
-                plant.told = [
-                    ToldAlarm(one.raised, one.onset, one.named, one.began, k == 0) for k, one in enumerate(plant.told)
-                ]
+                plant.told = [replace(one, shortened=k == 0) for k, one in enumerate(plant.told)]
             plant.anchor, plant.anchor_at = plant.mark, plant.mark_at
             batch.changes.forgotten[plant.key] = plant.anchor_at
         plant.mark, plant.mark_at = self._state(plant), plant.count
@@ -364,7 +365,7 @@ class Watch:
         batch.changes.plants[plant.key] = self._update(plant, moved=plant.key in batch.moved, whole=whole)
 
     def _number(self, plant: WatchedPlant, time: float, kind: str, content: dict[str, Any], changes: Changes) -> None:
-        if kind in ("raised", "renamed"):
+        if kind in ("raised", "renamed", "confirmed"):
             plant.said = (content["name"], content["sure"], content["raised"])
         plant.number += 1
         self.last_place += 1
@@ -418,7 +419,7 @@ class Watch:
             plant.standing_at = plant.count
             judged = self._judged_to(plant, plant.count, batch)
             row = (plant.count, _RANKS["standing"], judged.last_time, "standing")
-            alarms = judged.dated(judged.alarms(), plant.open_since)
+            alarms = judged.dated(judged.alarms(plant.open_since), plant.open_since)
             for alarm in those_since(plant.told, alarms, plant.open_since):
                 if alarm.ended is None:
                     batch.events[plant.key].append((*row, self._content(plant, News("standing", alarm))))

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from residua.decide.alarm import Alarm
 from residua.decide.isolation import Seen
-from residua.decide.statement import SURE
 from residua.errors import NotFittedError, SettingError
 from residua.live.readings import Layout
 from residua.live.state_bytes import state_from_bytes
 from residua.monitor.beginning import with_beginnings
 from residua.monitor.diagnosis import Diagnosis
+from residua.monitor.explaining import explainer_of, with_words
 from residua.monitor.fleet_block import fingerprint_of
 from residua.monitor.fused import run_block
 from residua.monitor.monitor import Monitor
@@ -100,7 +100,7 @@ class WatchedModel:
             {
                 "plant_name": self.generator.plant.name,
                 "name": name_of(alarm),
-                "sure": sure_of(statement.confidence),
+                "sure": statement.confidence,
                 "text": [statement.headline, *statement.sentences],
                 **out,
             }
@@ -140,13 +140,14 @@ class Judged:
         """The time of the last row."""
         return float(self._times[0][-1])
 
-    def alarms(self) -> tuple[Alarm, ...]:
-        """Return the alarms, but for when they began, which takes the time of all the rest and more."""
+    def alarms(self, since: float) -> tuple[Alarm, ...]:
+        """Return the alarms, with words of those since a time; when they began takes the time of all the rest."""
         spec, decisions = self.model.spec, self._parts[0].of(0)
         seen = Seen(
             self._times[0], decisions.residuals, decisions.tested, decisions.named, self.model.generator, spec.test
         )
-        return alarms_of(seen, spec.isolation)
+        explainer = explainer_of(spec, self.model.generator, self.model.monitor._check)
+        return with_words(alarms_of(seen, spec.isolation), seen.residuals, seen.tested.usable, explainer, since)
 
     def dated(self, alarms: Sequence[Alarm], since: float) -> tuple[Alarm, ...]:
         """Return alarms with when they began, those that were raised since a time."""
@@ -160,17 +161,13 @@ class Judged:
         recorded = Recorded(self._times[0], self._values[0], "", EPOCH if dated else "", compared)
         decisions, filtered = self._parts[0].of(0), self._state.filter
         bounds = model.monitor._bounds
-        return diagnosis_from(decisions, recorded, model.spec, model.generator, filtered, 0, (), bounds)
+        check = model.monitor._check
+        return diagnosis_from(decisions, recorded, model.spec, model.generator, filtered, 0, (), bounds, check)
 
 
 def name_of(alarm: Alarm) -> str:
     """Return the faults that an alarm is put down to, in words; empty if nobody is named."""
     return listing(" or ".join(group) for group in alarm.named)
-
-
-def sure_of(confidence: str) -> str:
-    """Return how sure a name is, in words."""
-    return "too early to be sure" if confidence == "short alarm" else SURE.get(confidence, confidence)
 
 
 def clock_of(dated: bool, dt: float) -> Clock:
@@ -189,4 +186,4 @@ def _finite(value: Any) -> Any:
     return value
 
 
-__all__ = ["EPOCH", "Judged", "WatchedModel", "clock_of", "name_of", "sure_of"]
+__all__ = ["EPOCH", "Judged", "WatchedModel", "clock_of", "name_of"]

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.decide.alarm import CLOSE_LEAD, CLOSE_MARGIN, Alarm, Beginning, Candidate, PresentFault
+from residua.decide.alarm import Alarm, Beginning, Candidate, PresentFault
+from residua.decide.explanation import FINAL, Explainer
 from residua.decide.isolation import Isolation, NoNames
-from residua.decide.matched import NO_FIT
 from residua.decide.matched_hold import Match
 from residua.decide.sizes import estimates_of
 from residua.decide.statement import (
@@ -31,8 +31,10 @@ from residua.decide.statement import (
     weight_text,
 )
 from residua.decide.structured import CodeTest
+from residua.decide.word import Word
 from residua.errors import DataError, MissingExtraError, SettingError
 from residua.files import write_text
+from residua.monitor.explaining import word_of
 from residua.recording.clock import Clock
 from residua.visible import echo, listed
 
@@ -40,7 +42,7 @@ if TYPE_CHECKING:
     from residua.design import ResidualGenerator
 
 
-__all__ = ["CLOSE_LEAD", "CLOSE_MARGIN", "NO_FIT", "Alarm", "Candidate", "Diagnosis"]
+__all__ = ["Alarm", "Candidate", "Diagnosis"]
 
 #: The words for a fault that a single estimate shows.
 NO_DIRECTION = "one estimate has no direction: any of these would look like this"
@@ -145,6 +147,8 @@ class Diagnosis:
         Whether its thresholds are certified by the design.
     false_alarms : str
         How rare false alarms are, in one line by :attr:`residua.Monitor.fit_check`; empty without a fit.
+    is_unlike_the_fit : bool
+        Whether a channel never comes near what it was in the recordings of the fit; the notes say which.
     predicted : bool
         Whether the filter, a Kalman filter, went on with those outputs of a sample that were there; else values were
         held.
@@ -159,6 +163,8 @@ class Diagnosis:
         The measurements, in plant units; NaN for a missing value. No rows if they were not kept.
     isolation : Isolation
         What names the alarms, and says how sure the names are.
+    explainer : Explainer or None
+        What gives alarms their words, where faults are named by direction or by response.
     compared : tuple of (int, int)
         Residuals that are a measured output less its prediction from all that was measured before, as pairs (residual,
         output); see ``predictions``.
@@ -204,6 +210,7 @@ class Diagnosis:
     horizon: int = 0
     certified: bool = False
     false_alarms: str = ""
+    is_unlike_the_fit: bool = False
     predicted: bool = False
     averaged: int = 1
     band_share: float = 0.0
@@ -211,6 +218,7 @@ class Diagnosis:
     signals: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
     compared: tuple[tuple[int, int], ...] = field(default=(), repr=False)
     isolation: Isolation = field(default_factory=NoNames, repr=False)
+    explainer: Explainer | None = field(default=None, repr=False)
     thinned: bool = False
     table: str = ""
     counted: Totals | None = field(default=None, repr=False)
@@ -308,6 +316,23 @@ class Diagnosis:
     def statement(self, alarm: Alarm) -> Statement:
         """Return the statement about an alarm: headline, confidence, and the reasons."""
         return self.isolation.statement(alarm, self.clock, self.window)
+
+    def word(self, alarm: Alarm, after: int = FINAL) -> Word | None:
+        """Return how well listed faults explain an alarm, by so many of its samples and those before it.
+
+        Parameters
+        ----------
+        alarm : Alarm
+        after : int
+
+        Returns
+        -------
+        Word or None
+            ``None`` where faults are named in another way, and of a thinned diagnosis, whose alarms have theirs.
+        """
+        if self.explainer is None or self.thinned:
+            return None
+        return word_of(alarm, self.residuals, self.decided, self.explainer, after)
 
     @property
     def estimates(self) -> dict[str, NDArray[np.float64]]:

@@ -37,6 +37,9 @@ class FitCheck(Record):
         What contradicts the plant: residuals far larger than its noise makes them, outputs that stand still.
     rows : int
         Usable rows that the fit used, without those held out.
+    colour : tuple of float
+        How much sums of whitened residuals vary beyond those of white noise; see
+        :func:`residua.decide.explanation.colour_of`. Empty where the test does not whiten.
     aimed : float or None
         Fraction of fault-free samples in alarm that the fit aimed at; ``None`` for thresholds that data do not change.
     promised : float or None
@@ -61,6 +64,7 @@ class FitCheck(Record):
     units: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
     rows: int = 0
+    colour: tuple[float, ...] = ()
     aimed: float | None = None
     promised: float | None = None
 

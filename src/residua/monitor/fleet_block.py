@@ -25,8 +25,6 @@ from residua.monitor.skipped_samples import SkippedSamples
 from residua.monitor.whole_blocks import Job, Work, Worker
 from residua.visible import echo
 
-#: The version of files since which what runs is laid out as it is now; only states have changed since.
-_LAID_OUT = 8
 #: What a tick says of its records.
 _TOLD = ("missing", "usable", "statistic", "alarm")
 
@@ -205,7 +203,6 @@ def fingerprint_of(monitor: Monitor) -> str:
     if known is None:
         content = monitor_out(monitor)
         ran = {name: content[name] for name in sorted(content) if name not in ("state", "notes", "fit_check")}
-        ran["version"] = _LAID_OUT
         known = hashlib.sha256(json.dumps(ran, sort_keys=True).encode()).hexdigest()
         object.__setattr__(spec, "_fingerprint", known)
     return known

@@ -32,7 +32,7 @@ from residua.monitor.fit_check import FitCheck
 from residua.monitor.fitting import check_held_out, fitted_test
 from residua.monitor.inputs import Signals, plant_signals, settling_samples, several_signals, signals
 from residua.monitor.live import Live, checked_keep, run_whole
-from residua.monitor.outcome import Recorded, compared_outputs, diagnosis_from, unlike_the_fit
+from residua.monitor.outcome import Recorded, compared_outputs, diagnosis_from
 from residua.monitor.plausible import (
     TIMES,
     Plausible,
@@ -491,13 +491,13 @@ class Monitor:
         clock = np.arange(data.shape[1], dtype=float) if measured.time is None else measured.time
         if measured.time is None:
             clock *= generator.dt
-        plant, compared = generator.plant, compared_outputs(self.design)
+        compared = compared_outputs(self.design)
         notes = (*notes, *(check.notes if check else ()), *measured.notes)
         whole = []
         for p in range(len(data)):
             recorded = Recorded(clock, data[p], measured.source, measured.origin, compared, own)
-            known = (*notes, *unlike_the_fit(check, plant, data[p], decisions.aside[p])), self._bounds, check
-            whole.append(diagnosis_from(decisions.of(p), recorded, spec, generator, state.filter, p, *known))
+            known = state.filter, p, notes, self._bounds, check
+            whole.append(diagnosis_from(decisions.of(p), recorded, spec, generator, *known))
         return whole if np.ndim(measured.y) == 3 else whole[0]
 
     def run_file(

@@ -15,6 +15,7 @@ from residua.decide.member_bounds import MemberBounds
 from residua.design import ResidualGenerator
 from residua.monitor.beginning import with_beginnings
 from residua.monitor.diagnosis import Diagnosis
+from residua.monitor.explaining import explainer_of, with_words
 from residua.monitor.fit_check import FitCheck
 from residua.monitor.inputs import settling_reason
 from residua.monitor.running import Decisions
@@ -75,6 +76,9 @@ def diagnosis_from(
     tested, named, test, isolation = decisions.tested, decisions.named, spec.test, spec.isolation
     seen = Seen(recorded.time, decisions.residuals, tested, named, generator, test)
     alarms = with_beginnings(alarms_of(seen, isolation), decisions.residuals, tested.usable, recorded.time)
+    explainer = explainer_of(spec, generator, check)
+    alarms = with_words(alarms, decisions.residuals, tested.usable, explainer)
+    unlike = tuple(_unlike_the_fit(check, generator.plant, recorded.signals, decisions.aside))
     band, share = test.bands()
     return Diagnosis(
         time=recorded.time,
@@ -102,6 +106,7 @@ def diagnosis_from(
         compared=recorded.compared,
         notes=(
             *notes,
+            *unlike,
             *_notes(spec, generator, tested.usable, decisions.missing),
             *_gap_notes(spec, generator, decisions, recorded),
             *_aside_notes(spec, generator, decisions),
@@ -120,11 +125,13 @@ def diagnosis_from(
         window=isolation.samples_to_be_sure(test),
         codes=isolation.coding,
         isolation=isolation,
+        explainer=explainer,
         tested=test.groups_of_residuals,
         member_thresholds=test.part_thresholds,
         horizon=test.horizon,
         certified=test.is_certified,
         false_alarms=check.false_alarms if check else "",
+        is_unlike_the_fit=bool(unlike),
     )
 
 
@@ -268,11 +275,11 @@ def _start_notes(spec: Specification, moved: float) -> tuple[str, ...]:
     )
 
 
-def unlike_the_fit(
+def _unlike_the_fit(
     check: FitCheck | None, plant: Plant, signals: NDArray[np.float64], aside: NDArray[np.bool_]
 ) -> list[str]:
     """Say which channels never come near what they were in the recordings that were fitted."""
-    if check is None or not check.mean:
+    if check is None or not check.mean or not len(signals):
         return []
     apart = rows_apart(len(signals))
     seen = np.where(aside[::apart], np.nan, signals[::apart])

@@ -27,7 +27,6 @@ from residua.monitor.design_records import generator_in, generator_out, sampled_
 from residua.monitor.fault_learning import whitens
 from residua.monitor.fit_check import FitCheck
 from residua.monitor.monitor import Monitor
-from residua.monitor.older_files import OLDER, renewed
 from residua.monitor.partial_update import PartialUpdate
 from residua.monitor.plausible import Plausible
 from residua.monitor.running import State, initial_state
@@ -57,9 +56,7 @@ from residua.visible import echo, shortened
 FORMAT = "residua-monitor"
 #: That of monitors by operating mode (``regime_files``), of which each holds several.
 REGIMES = "residua-regime-monitor"
-VERSION = 9
-#: The first version whose files have a checksum.
-_CHECKED = 6
+VERSION = 10
 
 #: What a monitor says in every diagnosis whose file was edited: nobody but its author can know whether it still holds.
 EDITED = "the file of this monitor was edited after it was saved: its numbers are not those of the design"
@@ -84,8 +81,8 @@ _ENTRIES = (
     "running",
     "state",
 )
-#: Entries of a file only where there are any.
-_WHERE_ANY = ("bounds", "fit_check", "normal", "learnt")
+#: Entries of a file only where there are any, and what stands for them elsewhere.
+_ABSENT: dict[str, Any] = {"bounds": {}, "fit_check": None, "normal": None, "learnt": []}
 
 
 def save_monitor(monitor: Monitor, path: str | Path) -> None:
@@ -137,7 +134,7 @@ def load_monitor(path: str | Path) -> Monitor:
         raise FileFormatError(f"{path.name} looks like a plant file: design a monitor from it first (residua design)")
     content = loads(read_bytes(path, "a monitor"), path.name)
     monitor = monitor_from(content, path.name)
-    if content["version"] >= _CHECKED and not check_checksum(content, path.name) and EDITED not in monitor.notes:
+    if not check_checksum(content, path.name) and EDITED not in monitor.notes:
         monitor.notes = (*monitor.notes, EDITED)
     return monitor
 
@@ -148,14 +145,14 @@ def monitor_from(content: Mapping[str, Any], source: str) -> Monitor:
         raise FileFormatError(f"{source} is a monitor by operating mode: read it by residua.RegimeMonitor.load")
     if content.get("format") != FORMAT:
         raise FileFormatError(f'{source} is not a monitor of residua (no "format": {FORMAT!r} in it)')
-    if content.get("version") not in (*OLDER, VERSION):
+    if content.get("version") != VERSION:
         raise FileFormatError(
-            f"{source} has schema version {echo(content.get('version'))}, this residua reads version {VERSION} (and "
-            f"{' and '.join(map(str, OLDER))}): make the monitor anew with this version"
+            f"{source} has schema version {echo(content.get('version'))}, this residua reads version {VERSION}: make "
+            "the monitor anew with this version"
         )
     try:
         with np.errstate(all="ignore"):  # what overflows is refused; that it did is no news
-            return _monitor_in(record(renewed(dict(content)), "", (*_ENTRIES, *_WHERE_ANY, CHECKSUM)))
+            return _monitor_in(record(_ABSENT | dict(content), "", (*_ENTRIES, *_ABSENT, CHECKSUM)))
     except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError, MemoryError, ResiduaError) as error:
         raise FileFormatError(f"{source}: {shortened(str(error), 1000)}") from error
 

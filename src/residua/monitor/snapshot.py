@@ -1,11 +1,9 @@
 """What a fleet remembers as bytes: little-endian columns behind a header, with a checksum; none of it is executed.
 
-The layout, version 2: the mark ``RESIDUAF``; the version and the length of the header, four bytes each; the header,
+The layout, version 3: the mark ``RESIDUAF``; the version and the length of the header, four bytes each; the header,
 JSON in UTF-8, which names for each model the fingerprint of its monitor and its columns (name, type, shape); the
 columns, one after the other, each from a multiple of eight bytes on; and the SHA-256 of everything before it. A column
 of those that are zero as a rule (:data:`residua.monitor.plant_records.SELDOM`) is left out where it is zero throughout.
-In version 1, which is read, counters had 64 bits, Kalman filters held the values of outputs too, tests that do not look
-at it counted the samples below their threshold, and CUSUM kept its alarm behind its sums too.
 """
 
 from __future__ import annotations
@@ -21,8 +19,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.decide.persistence import stopped
-from residua.decide.stream_test import StreamState
 from residua.errors import FileFormatError, ResiduaError
 from residua.monitor.fleet_block import FleetBlock, StandingAlarms, fingerprint_of
 from residua.monitor.monitor import Monitor
@@ -30,11 +26,10 @@ from residua.monitor.plant_records import SELDOM, takes_no_memory
 from residua.monitor.running import State, initial_state
 from residua.monitor.skipped_samples import SkippedSamples
 from residua.monitor.specification import Specification
-from residua.monitor.starting import MOVED_FROM
 from residua.visible import echo, listed
 
 #: The mark and the version.
-MARK, VERSION = b"RESIDUAF", 2
+MARK, VERSION = b"RESIDUAF", 3
 _HEAD, _SUM = struct.Struct("<8sII"), 32
 #: Columns that come with the first plant that needs them, and may stay when no plant does any longer.
 _AT_TIMES = tuple(f"state.filter.{name}" for name in SELDOM)
@@ -69,15 +64,13 @@ def snapshot_of(blocks: Mapping[str, FleetBlock]) -> bytes:
 def restored_blocks(content: bytes, monitors: Mapping[str, Monitor]) -> dict[str, FleetBlock]:
     """Return the blocks of a snapshot, for the monitors that they ran with."""
     view = memoryview(content)
-    version, header, start = _header(view)
+    header, start = _header(view)
     try:
         blocks = {}
         for model in header["models"]:
             name, kept = model["model"], {}
             for label, kind, shape in model["columns"]:
                 kept[label], start = _column(view, start, kind, shape, label)
-            if version == 1 and name in monitors:
-                _leave_out(kept, monitors[name]._specification())
             blocks[name] = _block(name, model, kept, monitors)
     except ResiduaError:
         raise
@@ -91,15 +84,15 @@ def restored_blocks(content: bytes, monitors: Mapping[str, Monitor]) -> dict[str
     return blocks
 
 
-def _header(view: memoryview) -> tuple[int, dict[str, Any], int]:
-    """Return version and header of a snapshot whose checksum is right, and where its columns begin."""
+def _header(view: memoryview) -> tuple[dict[str, Any], int]:
+    """Return the header of a snapshot whose checksum is right, and where its columns begin."""
     if len(view) < len(MARK) or bytes(view[: len(MARK)]) != MARK:
         raise FileFormatError("these bytes are no snapshot of a fleet")
     if len(view) < _HEAD.size + _SUM:
         raise FileFormatError("this snapshot is cut short")
     _, version, length = _HEAD.unpack_from(view)
-    if version not in (1, VERSION):
-        raise FileFormatError(f"this snapshot has version {version}, this residua reads versions 1 and {VERSION}")
+    if version != VERSION:
+        raise FileFormatError(f"this snapshot has version {version}, this residua reads version {VERSION}")
     if hashlib.sha256(view[:-_SUM]).digest() != bytes(view[-_SUM:]):
         raise FileFormatError("this snapshot is cut short or was changed: its checksum is that of other bytes")
     try:
@@ -109,7 +102,7 @@ def _header(view: memoryview) -> tuple[int, dict[str, Any], int]:
     if not isinstance(header, dict) or not isinstance(header.get("models"), list):
         raise FileFormatError("the header of this snapshot is none: it has no models")
     start = _HEAD.size + length
-    return version, header, start + len(_padding(start))
+    return header, start + len(_padding(start))
 
 
 def _column(view: memoryview, start: int, kind: str, shape: list[int], label: str) -> tuple[NDArray, int]:
@@ -151,20 +144,6 @@ def _arrays(whole: Any, where: str) -> list[tuple[str, NDArray]]:
     return [pair for one in fields(whole) for pair in _arrays(getattr(whole, one.name), f"{where}.{one.name}")]
 
 
-def _leave_out(kept: dict[str, NDArray], spec: Specification) -> None:
-    """Leave out of the columns of version 1 what is no longer remembered."""
-    state = initial_state(spec, 1)
-    widths = {"state.filter.held": state.filter.held.shape[1]}
-    if isinstance(state.test, StreamState) and state.test.sums.ndim == 2:
-        widths["state.test.sums"] = state.test.sums.shape[1]
-    for label, width in widths.items():
-        if label in kept:
-            kept[label] = kept[label][:, :width]
-    moved = kept.get("state.filter.moved")
-    if moved is not None:
-        kept["state.filter.moved"] = np.where(moved >= MOVED_FROM, moved, 0.0)
-
-
 def _state_from(like: Any, kept: dict[str, NDArray], where: str) -> Any:
     """Return the state that columns describe; what was left out is as at the start."""
     if like is None:
@@ -177,10 +156,6 @@ def _state_from(like: Any, kept: dict[str, NDArray], where: str) -> Any:
         return like
     if array is None:
         raise FileFormatError(f"this snapshot has no column {where!r}")
-    if array.dtype == np.int64 and like.dtype == np.int32:  # in version 1
-        if (array < 0).any():
-            raise FileFormatError(f"the column {where!r} of this snapshot counts less than nothing")
-        array = stopped(array)
     if array.shape != like.shape or array.dtype != like.dtype:
         raise FileFormatError(f"the column {where!r} of this snapshot has another type or shape")
     return array
@@ -200,13 +175,11 @@ def _block(name: str, model: Any, kept: dict[str, NDArray], monitors: Mapping[st
     state: State = _state_from(initial_state(spec, len(ids)), kept, "state")
     _check_state(spec, state)
     standing = _of_plants(kept.pop("standing"), len(ids), "alarms")
-    skipped = _of_plants(kept.pop("skipped", standing[:0]), len(ids), "skipped samples")  # not in earlier versions
+    skipped = _of_plants(kept.pop("skipped"), len(ids), "skipped samples")
     if not _in_order(skipped, state):
         raise FileFormatError("the skipped samples of this snapshot are in no order")
     alarms = StandingAlarms(len(ids), standing.tolist())
     block = FleetBlock(monitor, ids, state, alarms, SkippedSamples(skipped.tolist()))
-    if block.last.code is not None:  # versions before this column: known again with the next sample
-        kept.setdefault("last.code", np.zeros_like(block.last.code))
     block.take_over(_state_from(block.last, kept, "last"))
     if kept:
         raise FileFormatError(f"this snapshot has columns that are not known: {listed(list(kept))}")

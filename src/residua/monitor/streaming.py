@@ -24,7 +24,7 @@ from residua.errors import FileFormatError
 from residua.files import check_input
 from residua.monitor.diagnosis import Diagnosis
 from residua.monitor.fused import run_block
-from residua.monitor.outcome import Recorded, compared_outputs, diagnosis_from, unlike_the_fit
+from residua.monitor.outcome import Recorded, compared_outputs, diagnosis_from
 from residua.monitor.running import Decisions, initial_state
 from residua.plant import Plant
 from residua.recording.columns import ReadOptions, settled_step
@@ -224,7 +224,6 @@ def _judged(
     monitor._go_on_from(state, spec)
     decisions, signals = spool.mapped(template, "decisions"), spool.mapped(np.zeros(0), "signals")
     told = (*monitor.notes, *(monitor._check.notes if monitor._check else ()))
-    told = (*told, *unlike_the_fit(monitor._check, generator.plant, signals, decisions.aside))
     recorded = Recorded(time, signals, source, _text(origin), compared_outputs(monitor.design))
     return diagnosis_from(decisions, recorded, spec, generator, state.filter, 0, told, monitor._bounds, monitor._check)
 

@@ -74,7 +74,6 @@ def summary_html(entries: Sequence[tuple[int, str, Diagnosis, tuple[str, ...] | 
             for cell in (
                 *times,
                 score(best.score if best.probability is None else best.probability) if best else "–",
-                score(v.margin) if v.margin is not None else "–",
             )
         ]
         rows.append([*row, escape(v.confidence) or "–"])
@@ -84,7 +83,6 @@ def summary_html(entries: Sequence[tuple[int, str, Diagnosis, tuple[str, ...] | 
         "Diagnosis",
         *ALARM_TIMES[:2],
         "Score",
-        "Margin",
         "How sure",
     ]
     return f'<section class="summary"><h2>Summary</h2>{html_table(header, rows)}</section>'

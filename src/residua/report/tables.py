@@ -70,7 +70,7 @@ def alarm_table(diagnosis: Diagnosis) -> str:
     if not diagnosis.alarms:
         return '<p class="muted">No alarm was raised.</p>'
     rows = []
-    main = diagnosis.main_alarm
+    main, worded = diagnosis.main_alarm, any(alarm.word for alarm in diagnosis.alarms)
     for k, alarm in longest_alarms(diagnosis.alarms, MAX_ROWS):
         named = [c for c in alarm.candidates if np.isfinite(c.score)]
         best, following = (named + [None, None])[:2]
@@ -83,10 +83,12 @@ def alarm_table(diagnosis: Diagnosis) -> str:
                 _num(_weight(best)) if best else _num("–"),
                 _name(tied_name(tuple(named), 2) if following else "–"),
                 _num(_weight(following)) if following else _num("–"),
-                _num("–") if not best or not following else _num(_ahead(alarm)),
+                _name(alarm.word.kind if alarm.word else "–")
+                if worded
+                else _num("–" if not best or not following else _ahead(alarm)),
             ]
         )
-    ahead = "Margin" if diagnosis.match is None else "Lead in 2 ln L"
+    ahead = "How sure" if worded else "Margin" if diagnosis.match is None else "Lead in 2 ln L"
     probable = any(c.probability is not None for alarm in diagnosis.alarms for c in alarm.candidates)
     weight = "Probability" if probable else "Score"
     header = ["Alarm", *ALARM_TIMES, "Most likely", weight, "Next", weight, ahead]

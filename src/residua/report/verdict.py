@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,6 +28,8 @@ BEGAN_RULE = (
     "up for it, or that grows out of the noise in another way, may have begun well before the interval."
 )
 
+_UNLIKE = "The data are unlike those of the fit, in other units or at another operating point."
+
 #: What is said of an alarm by certified thresholds.
 CERTAIN = (
     "The thresholds are certified: without a fault no plant of the uncertainty set goes over them while the "
@@ -45,10 +47,9 @@ class Verdict:
     headline : str
     sentences : tuple of str
     confidence : str
-        ``"clear lead"``, ``"moderate lead"``, ``"close call"``, ``"no good match"``, ``"short alarm"``,
-        ``"not isolated"``; by matched filters also ``"inexact match"``; by code ``"exact code"``,
-        ``"exact codes"`` (of several faults), ``"degraded code"``, ``"nearest code"``, ``"no code"``,
-        ``"unsteady code"``, ``"short alarm"``; or empty.
+        ``"good match"``, ``"either"``, ``"poor match"``, ``"too early"``; ``"likely"`` where the noise is not known;
+        ``"not isolated"``; by code ``"exact code"``, ``"exact codes"`` (of several faults), ``"degraded code"``,
+        ``"nearest code"``, ``"no code"``, ``"unsteady code"``; or empty.
     margin : float or None
         Lead of the best candidate over the next in score.
     present : tuple of tuple of str
@@ -77,6 +78,13 @@ def verdict(diagnosis: Diagnosis) -> Verdict:
     -------
     Verdict
     """
+    found = _verdict(diagnosis)
+    if diagnosis.is_unlike_the_fit:
+        return replace(found, headline=f"{_UNLIKE} {found.headline}")
+    return found
+
+
+def _verdict(diagnosis: Diagnosis) -> Verdict:
     decided = int(diagnosis.decided.sum())
     if diagnosis.alarms:
         return _fault(diagnosis)

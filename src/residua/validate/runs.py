@@ -114,7 +114,8 @@ class RunFigures:
     detected : ndarray of int, shape (cases, runs)
         First sample in alarm from the onset on; -1 without one.
     named : ndarray of int, shape (cases, runs)
-        Number of the group that is named, or ``NO_ALARM``, ``UNKNOWN``, ``SEVERAL``.
+        Number of the group that the isolation puts first at the last sample over the threshold, or ``NO_ALARM``,
+        ``UNKNOWN``, ``SEVERAL``. The word of a diagnosis is not looked for: it takes longer than the rest of a run.
     peak, quiet_peak : ndarray, shape (cases, runs)
         Largest statistic over these samples, with and without the fault; minus infinity without a decision.
     by_chance : ndarray of bool, shape (cases, runs)

@@ -48,6 +48,7 @@
     switch (event.kind) {
       case "raised": return "Alarm: " + name + sure;
       case "renamed": return "Now put down to " + name + sure;
+      case "confirmed": return "Still put down to " + name + sure;
       case "ended": return event.part_of != null ? "Part of the alarm of " + when(event.part_of) + ": " + name : "Alarm over: " + name;
       case "standing": return "Alarm lasts to the end of the data: " + name + sure;
       case "missing": return "Not watched: values are missing" + (event.channels && event.channels.length ? " (" + event.channels.join(", ") + ")" : "");

@@ -1,0 +1,116 @@
+"""The word of a verdict: whether a listed fault explains an alarm, and how that is said."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from residua.words import number
+
+GOOD, EITHER, POOR, TOO_EARLY = "good match", "either", "poor match", "too early"
+
+#: What the words mean.
+RULES = (
+    "Good match: this listed fault, whatever its course, leaves nothing but noise of the residual, and nothing else "
+    "that was tried explains as much: no other listed fault, nor one of a sensor, an actuator or a state that is not "
+    "listed. "
+    "Either: several do. Poor match: no listed fault leaves noise alone. Too early: the samples so far do not tell."
+)
+
+
+@dataclass(frozen=True)
+class Word:
+    """How well the listed faults explain an alarm.
+
+    Attributes
+    ----------
+    kind : str
+        ``"good match"``: one listed fault explains it, and nothing else that was tried does. ``"either"``: one of
+        several, or something that is not listed. ``"poor match"``: no listed fault explains it. ``"too early"``.
+    faults : tuple of tuple of str
+        The one that explains it, those that do, or the nearest; each with those that look the same here.
+    unlisted : str
+        What nobody listed and explains it as well, or better; empty if nothing does.
+    quieter : bool
+        Whether what is left is less than the noise of the fit: a frozen sensor, or other units.
+    from_start : bool
+        Whether it was there when judging began, or too soon after to be compared with what was before.
+    after : int
+        Samples of the alarm that it rests on.
+    evidence : float
+        Twice the logarithm of the likelihood ratio of the first fault against none, in the colour of the noise.
+    share : float
+        Of what the residual has beyond its noise the part that the first fault explains, 0 to 1.
+    size, deviation : float
+        Of the first fault as one step, with its standard error.
+    """
+
+    kind: str
+    faults: tuple[tuple[str, ...], ...]
+    unlisted: str = ""
+    quieter: bool = False
+    from_start: bool = False
+    after: int = 0
+    evidence: float = 0.0
+    share: float = 0.0
+    size: float = math.nan
+    deviation: float = math.nan
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The faults as text, those that look the same as one."""
+        return tuple(" or ".join(group) for group in self.faults)
+
+    @property
+    def line(self) -> str:
+        """The word and what it names, without a full stop."""
+        first = self.names[0] if self.names else ""
+        if self.kind == GOOD:
+            return f"{first}, a good match"
+        if self.kind == EITHER:
+            *others, last = [*self.names, *([f"something not listed, such as {self.unlisted}"] * bool(self.unlisted))]
+            return f"either {', '.join(others)} or {last}"
+        if self.kind == TOO_EARLY:
+            why = ", for it was there when judging began or soon after" if self.from_start else ""
+            return f"too early to be sure of the name{why}" + (f"; so far {first}" if first else "")
+        why = "it is quieter than in the fit, as of a frozen sensor or in other units" if self.quieter else _NONE
+        nearest = f"; nearest is {first}" if first else ""
+        better = f", and {self.unlisted}, which is not listed, explains it better" if self.unlisted and first else ""
+        return f"a poor match: {why}{nearest}{better}"
+
+    def headline(self, when: str) -> str:
+        """Return the sentence that says what was found, ``when`` the alarm was raised."""
+        if self.kind in (GOOD, EITHER):
+            return f"Fault found: {self.line}, {when}."
+        if self.kind == TOO_EARLY:
+            return f"{when[:1].upper()}{when[1:]}, {self.line}."
+        return f"A fault was found, {when}, {self.line}."
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What the word rests on."""
+        if not self.names:
+            return ()
+        said = f"By {self.after} samples of the alarm {self.names[0]} explains {100 * self.share:.0f} % of what the "
+        said += "residual has beyond noise"
+        if math.isfinite(self.size) and math.isfinite(self.deviation):
+            said += f"; as one step its size is {number(self.size, 3)} ± {number(self.deviation, 2)}"
+        return (f"{said}.",)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        values = {"share": self.share, "size": self.size, "deviation": self.deviation}
+        return {
+            "word": self.kind,
+            "faults": [list(group) for group in self.faults],
+            "unlisted": self.unlisted,
+            "after": self.after,
+            **{name: value if math.isfinite(value) else None for name, value in values.items()},
+        }
+
+
+_NONE = "no listed fault explains it"
+
+
+__all__ = ["EITHER", "GOOD", "POOR", "RULES", "TOO_EARLY", "Word"]

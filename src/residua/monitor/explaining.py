@@ -1,0 +1,85 @@
+"""The word for each alarm: how well the listed faults explain the residual around it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.decide.alarm import Alarm, Candidate
+from residua.decide.explanation import BEFORE, FINAL, Explainer
+from residua.decide.statement import SHOWN_ALARMS, longest_alarms
+from residua.decide.whitened_norm import is_selection
+from residua.decide.word import Word
+from residua.design import ResidualGenerator
+from residua.monitor.fit_check import FitCheck
+from residua.monitor.specification import Specification
+
+
+def explainer_of(spec: Specification, generator: ResidualGenerator, check: FitCheck | None) -> Explainer | None:
+    """Return what explains alarms, made once for what runs; ``None`` where faults are named in another way."""
+    known = spec.__dict__.get("_explainer", False)
+    if known is False:
+        known, metric = None, spec.test.metric
+        if spec.isolation.has_words and not is_selection(metric) and metric.shape[0] == metric.shape[1]:
+            known = Explainer(generator, spec.test.center, metric, () if check is None else check.colour)
+        object.__setattr__(spec, "_explainer", known)
+    return known
+
+
+def word_of(
+    alarm: Alarm,
+    residuals: NDArray[np.float64],
+    usable: NDArray[np.bool_],
+    explainer: Explainer,
+    after: int = FINAL,
+) -> Word:
+    """Return the word for an alarm by so many of its samples, and those before it."""
+    begin, stop = max(0, alarm.start - BEFORE), min(alarm.start + after, alarm.stop)
+    return explainer.word(residuals[begin:stop], usable[begin:stop], alarm.start - begin)
+
+
+def with_words(
+    alarms: Sequence[Alarm],
+    residuals: NDArray[np.float64],
+    usable: NDArray[np.bool_],
+    explainer: Explainer | None,
+    since: float = -np.inf,
+) -> tuple[Alarm, ...]:
+    """Return the alarms, the longest of them with a word, and the faults that it names before other candidates.
+
+    Parameters
+    ----------
+    alarms : sequence of Alarm
+        In order.
+    residuals : ndarray, shape (time, residuals)
+    usable : ndarray of bool, shape (time,)
+    explainer : Explainer or None
+    since : float
+        Only those that were raised from then on.
+    """
+    if explainer is None:
+        return tuple(alarms)
+    earlier = [alarm for alarm in alarms if alarm.raised < since]
+    out = [alarm for alarm in alarms if alarm.raised >= since]
+    for number, alarm in longest_alarms(out, SHOWN_ALARMS):
+        word = word_of(alarm, residuals, usable, explainer)
+        out[number - 1] = _worded(alarm, word)
+    return (*earlier, *out)
+
+
+def _worded(alarm: Alarm, word: Word) -> Alarm:
+    """Return an alarm with a word, and the candidates that it names first, in its order."""
+
+    def place(candidate: Candidate) -> int:
+        return next((k for k, group in enumerate(word.faults) if set(group) & set(candidate.faults)), len(word.faults))
+
+    candidates = tuple(sorted(alarm.candidates, key=place))
+    arrival = candidates[0].arrival if candidates else None
+    onset = alarm.onset if arrival is None else arrival
+    return replace(alarm, word=word, candidates=candidates, arrival=arrival, onset=onset)
+
+
+__all__ = ["explainer_of", "with_words", "word_of"]
