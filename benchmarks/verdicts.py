@@ -278,7 +278,8 @@ class Said(NamedTuple):
 
 def said_by_score(found: Diagnosis, alarm: Alarm) -> Said:
     """Return the word of a whole alarm by its scores, as it was before there was a rule of words."""
-    candidates = sorted(alarm.candidates, key=lambda one: -one.score)  # a word puts its own first
+    over = np.flatnonzero(found.statistic[alarm.start : alarm.stop] > found.threshold)
+    candidates = found.isolation.candidates(found.scores[alarm.start + int(over[-1])])  # a word puts its own first
     names = tuple(candidate.faults for candidate in candidates)
     scores = [candidate.score for candidate in candidates]
     if alarm.samples < found.window or not names:

@@ -30,6 +30,8 @@ def test_the_table_keeps_what_is_promised(campaign: ModuleType) -> None:
         shares = campaign.shares(rows, "both", when)
         assert shares["good matches wrong"] <= 1, when
         assert shares["eithers wrong"] <= 2, when
+    assert 200 < 100 / campaign.shares(rows, "both", "after 200")["good matches wrong"] < 280  # as README says
+    assert 5 < 100 / campaign.shares(rows, "both", "before")["good matches wrong"] < 7
     assert campaign.shares(rows, "both", "after 200")["listed faults with a good match"] >= 60
 
 

@@ -10,10 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.decide.stream_test import StreamTest
+from residua.decide.whitened_norm import is_selection
 from residua.decide.word import EITHER, GOOD, POOR, TOO_EARLY, Word
 from residua.tolerances import DATA_ROUNDING, TINY
 
 if TYPE_CHECKING:
+    from residua.decide.test import ResidualTest
     from residua.design import ResidualGenerator
     from residua.plant import Plant
 
@@ -38,12 +41,13 @@ BLOCKS = (1, 5, 20, 100, 250)
 
 
 def colour_of(white: NDArray[np.float64], parts: Sequence[slice]) -> tuple[float, ...]:
-    """Return for each length of :data:`BLOCKS` the largest variance, over directions, of sums of so many samples.
+    """Return the mean square of white residuals, at most 1, and for each length of :data:`BLOCKS` a variance.
 
-    In units of what it is of white noise, and no less than 1; of a length for which there are too few samples, that of
-    the one before.
+    It is the largest, over directions, of sums of so many samples, in units of what it is of white noise, and no less
+    than 1; of a length for which there are too few samples, that of the one before.
     """
-    out: list[float] = []
+    rows = np.concatenate([white[part] for part in parts]) if parts else white[:0]
+    mean_square, out = float(np.mean(rows**2)) if rows.size else 1.0, []
     for length in BLOCKS:
         sums = [
             white[part][: (part.stop - part.start) // length * length].reshape(-1, length, white.shape[1]).sum(axis=1)
@@ -53,7 +57,60 @@ def colour_of(white: NDArray[np.float64], parts: Sequence[slice]) -> tuple[float
         enough = len(rows) > 2 * white.shape[1] + 8
         largest = float(np.linalg.eigvalsh(rows.T @ rows / len(rows))[-1]) if enough else out[-1] if out else 1.0
         out.append(max(1.0, largest))
-    return tuple(out)
+    return min(1.0, mean_square), *out
+
+
+@dataclass(frozen=True, eq=False)
+class Whitening:
+    """What makes the fault-free residual of a monitor white: as its test does.
+
+    Attributes
+    ----------
+    center : ndarray, shape (residuals,)
+    matrix : ndarray, shape (residuals, k)
+    coefficients : ndarray, shape (order, k, k)
+        Of an autoregression, the last sample first.
+    again : ndarray, shape (k, k)
+        What makes white what it leaves.
+    """
+
+    center: NDArray[np.float64]
+    matrix: NDArray[np.float64]
+    coefficients: NDArray[np.float64]
+    again: NDArray[np.float64]
+
+    @staticmethod
+    def of(test: ResidualTest) -> Whitening | None:
+        """Return that of a test; ``None`` where it does not whiten the residual as a whole."""
+        metric = test.metric
+        if is_selection(metric) or metric.shape[0] != metric.shape[1]:
+            return None
+        if isinstance(test, StreamTest) and test.coefficients.size:
+            return Whitening(test.center, metric, test.coefficients, test.rewhitening)
+        k = metric.shape[1]
+        return Whitening(test.center, metric, np.zeros((0, k, k)), np.eye(k))
+
+    def of_responses(self, responses: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the white residual of responses, (..., time, residuals), before which there was nothing."""
+        q = responses @ self.matrix
+        if not len(self.coefficients):
+            return q
+        e = q.copy()
+        for lag, A in enumerate(self.coefficients, 1):
+            e[..., lag:, :] -= q[..., :-lag, :] @ A
+        return e @ self.again
+
+    def of_residuals(
+        self, residuals: NDArray[np.float64], usable: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """Return the white residual, (time, k), zero where it is not known, and where it is: with its past."""
+        usable = usable & np.isfinite(residuals).all(axis=1)
+        white = self.of_responses(np.where(usable[:, None], residuals - self.center, 0.0))
+        known = usable.copy()
+        for lag in range(1, len(self.coefficients) + 1):
+            known[lag:] &= usable[:-lag]
+            known[lag - 1] = False
+        return np.where(known[:, None], white, 0.0), known
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,15 +121,13 @@ class Explainer:
     ----------
     generator : ResidualGenerator
         Sampled.
-    center : ndarray, shape (residuals,)
-    whitening : ndarray, shape (residuals, k)
+    whitening : Whitening
     colour : tuple of float
         Of fault-free residuals, see :func:`colour_of`; empty: white.
     """
 
     generator: ResidualGenerator
-    center: NDArray[np.float64]
-    whitening: NDArray[np.float64]
+    whitening: Whitening
     colour: tuple[float, ...] = ()
 
     @cached_property
@@ -87,7 +142,7 @@ class Explainer:
         for k in range(len(responses)):
             responses[k] = form.C @ x + form.D
             x = form.A @ x + form.B
-        white = np.einsum("tif,ij->ftj", responses, self.whitening)
+        white = self.whitening.of_responses(np.moveaxis(responses, 2, 0))
         flat = white[:, :_COMPARED].reshape(len(names), -1)
         size = np.sqrt(np.sum(flat**2, axis=1))
         cosines = np.abs(flat @ flat.T) / np.maximum(np.outer(size, size), np.finfo(float).tiny)
@@ -119,9 +174,9 @@ class Explainer:
         after = len(residuals) - before
         if not listed:
             return Word(POOR, (), after=after)
-        variance: dict[int, float] = dict(zip(BLOCKS, self.colour or (1.0,) * len(BLOCKS), strict=True))
-        usable = usable & np.isfinite(residuals).all(axis=1)
-        white = np.where(usable[:, None], residuals - self.center, 0.0) @ self.whitening
+        mean_square, *known = self.colour or (1.0,) * (1 + len(BLOCKS))
+        variance: dict[int, float] = dict(zip(BLOCKS, known, strict=True))
+        white, usable = self.whitening.of_residuals(residuals, usable)
         fits = _fits(white, usable, responses, before)
         evidence = fits.evidence / variance[20]
         level = evidence - _CHARGE * np.maximum(fits.terms - 1, 0)
@@ -142,7 +197,8 @@ class Explainer:
         if before < BEFORE or int(usable[:before].sum()) < _LEAST_BEFORE:
             return replace(made, kind=TOO_EARLY, from_start=True)
         excess, rareness = _left(fits.left[best], usable, variance)
-        if rareness[0] < _LESS:
+        count = int(usable.sum()) * white.shape[1]
+        if (float(np.sum(fits.left[best] ** 2)) - mean_square * count) / np.sqrt(2 * max(count, 1)) < _LESS:
             return replace(made, kind=POOR, quieter=True)
         unlisted = "" if other is None or level[other] < level[best] - apart else names[other][0]
         if other is not None and level[other] > level[best] + apart:

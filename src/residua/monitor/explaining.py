@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -9,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.alarm import Alarm, Candidate
-from residua.decide.explanation import BEFORE, FINAL, Explainer
+from residua.decide.explanation import BEFORE, FINAL, Explainer, Whitening
 from residua.decide.statement import SHOWN_ALARMS, longest_alarms
-from residua.decide.whitened_norm import is_selection
-from residua.decide.word import Word
+from residua.decide.word import EITHER, GOOD, Word
 from residua.design import ResidualGenerator
 from residua.monitor.fit_check import FitCheck
 from residua.monitor.specification import Specification
@@ -22,9 +22,10 @@ def explainer_of(spec: Specification, generator: ResidualGenerator, check: FitCh
     """Return what explains alarms, made once for what runs; ``None`` where faults are named in another way."""
     known = spec.__dict__.get("_explainer", False)
     if known is False:
-        known, metric = None, spec.test.metric
-        if spec.isolation.has_words and not is_selection(metric) and metric.shape[0] == metric.shape[1]:
-            known = Explainer(generator, spec.test.center, metric, () if check is None else check.colour)
+        whitening = Whitening.of(spec.test) if spec.isolation.has_words else None
+        known = None
+        if whitening is not None:
+            known = Explainer(generator, whitening, () if check is None else check.colour)
         object.__setattr__(spec, "_explainer", known)
     return known
 
@@ -71,12 +72,17 @@ def with_words(
 
 
 def _worded(alarm: Alarm, word: Word) -> Alarm:
-    """Return an alarm with a word, and the candidates that it names first, in its order."""
-
-    def place(candidate: Candidate) -> int:
-        return next((k for k, group in enumerate(word.faults) if set(group) & set(candidate.faults)), len(word.faults))
-
-    candidates = tuple(sorted(alarm.candidates, key=place))
+    """Return an alarm with a word, and the groups that it names as the first candidates, in its order."""
+    first, rest = [], list(alarm.candidates)
+    for group in word.faults:
+        same = [one for one in rest if set(one.faults) & set(group)]
+        rest = [one for one in rest if one not in same]
+        if word.kind in (GOOD, EITHER):
+            best = same[0] if same else Candidate(group, math.sqrt(word.share), math.sqrt(1.0 - word.share))
+            first.append(replace(best, faults=group))
+        else:
+            first += same
+    candidates = (*first, *rest)
     arrival = candidates[0].arrival if candidates else None
     onset = alarm.onset if arrival is None else arrival
     return replace(alarm, word=word, candidates=candidates, arrival=arrival, onset=onset)

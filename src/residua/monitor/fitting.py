@@ -11,13 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.checks import check_samples, is_number
-from residua.decide.explanation import colour_of
+from residua.decide.explanation import Whitening, colour_of
 from residua.decide.fault_free import FaultFree, shrunk
 from residua.decide.held_out import alarms_held_out, held_out_rows
 from residua.decide.isolation import NoIsolation
 from residua.decide.stationarity import changes, transient_samples
 from residua.decide.test import FaultFreeRun, ResidualTest, TestSettings, Watched
-from residua.decide.whitened_norm import is_selection
 from residua.design import ResidualGenerator
 from residua.errors import DataError, SettingError
 from residua.monitor.filtering import plausible_values
@@ -87,13 +86,14 @@ def fitted_test(
 
 
 def _colour(test: ResidualTest, run: FaultFreeRun) -> tuple[float, ...]:
-    """Return how much sums of the whitened residuals vary, of as many as are usable in a row."""
-    if is_selection(test.metric) or test.metric.shape[0] != test.metric.shape[1]:
+    """Return how much sums of the white residuals vary, of as many as are known in a row."""
+    whitening = Whitening.of(test)
+    if whitening is None:
         return ()
-    changes_at = np.flatnonzero(np.diff(run.usable.astype(np.int8)) != 0) + 1
-    bounds = sorted({0, *changes_at.tolist(), *run.seams, len(run.usable)})
-    white = np.where(run.usable[:, None], run.residuals - test.center, 0.0) @ test.metric
-    return colour_of(white, [slice(*part) for part in pairwise(bounds) if run.usable[part[0]]])
+    white, known = whitening.of_residuals(run.residuals, run.usable)
+    changes_at = np.flatnonzero(np.diff(known.astype(np.int8)) != 0) + 1
+    bounds = sorted({0, *changes_at.tolist(), *run.seams, len(known)})
+    return colour_of(white, [slice(*part) for part in pairwise(bounds) if known[part[0]]])
 
 
 def fault_free_run(
