@@ -12,7 +12,8 @@ and 50 samples later.
 
 One sigma of a sensor fault is the deviation of its measurement noise; one of another fault moves one output by one such
 deviation in the end. A monitor is fitted to 20,000 rows, at the rate that these carry, and run over 500 healthy and
-1,500 faulty rows. Inputs are uniform and held for 50 rows; unstable plants have an inner loop.
+1,500 faulty rows. Inputs are uniform and held for 50 rows; unstable plants have an inner loop, and plants with unknown
+disturbances have these, of 5 sigma.
 """
 
 from __future__ import annotations
@@ -128,7 +129,18 @@ class Simulated:
         if fault:
             f[0, LEAD + HEALTHY :, self.plant.faults.index(fault)] = size
         u, y = self.respond(r, w, f)
-        return u[0, LEAD:], y[0, LEAD:]
+        return u[0, LEAD:], y[0, LEAD:] + self.disturbed(rng, rows)
+
+    def disturbed(self, rng: np.random.Generator, rows: int) -> NDArray | float:
+        """Return what unknown disturbances do: each uniform up to 5 sigma of an output, and another every 200 rows."""
+        plant = self.plant
+        if not plant.disturbances:
+            return 0.0
+        noise = np.sqrt(np.diag(plant.Dw @ plant.Dw.T))
+        settled = plant.C @ np.linalg.solve(np.eye(plant.n_states) - plant.A, plant.Bd) + plant.Dd
+        sizes = 5 / np.max(np.abs(settled) / noise[:, None], axis=0)
+        d = np.repeat(rng.uniform(-1, 1, ((rows + LEAD) // 200 + 1, len(sizes))), 200, axis=0)[: rows + LEAD]
+        return plant.system(("disturbance",)).simulate(d * sizes)[LEAD:]
 
     def signals(self, rng: np.random.Generator, count: int, rows: int) -> tuple[NDArray, NDArray]:
         """Return inputs and noise of some recordings, both of shape (count, rows, channels)."""

@@ -53,7 +53,8 @@ def test_lasting_faults_of_sensors_are_seen() -> None:
     assert np.mean(seen) >= 0.9
     at_once, later = (np.mean([row[k] == "yes" for row in table if float(row[4]) > 0]) for k in (14, 15))
     assert at_once >= 0.6
-    assert later >= 0.88
+    assert later >= 0.85
+    assert min(float(row[7]) - float(row[4]) for row in table) >= -0.03  # suggest's best, against the Kalman default
 
 
 def test_a_plant_of_the_table_comes_out_again() -> None:
