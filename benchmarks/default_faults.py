@@ -123,13 +123,20 @@ class Simulated:
     def outputs(
         self, rng: np.random.Generator, rows: int, fault: str = "", size: float = 0.0
     ) -> tuple[NDArray, NDArray]:
-        """Return inputs and outputs; a fault begins after the healthy rows."""
+        """Return inputs and outputs, with disturbances; a fault begins after the healthy rows."""
+        u, y = self.undisturbed(rng, rows, fault, size)
+        return u, y + self.disturbed(rng, rows)
+
+    def undisturbed(
+        self, rng: np.random.Generator, rows: int, fault: str = "", size: float = 0.0
+    ) -> tuple[NDArray, NDArray]:
+        """Return the same without disturbances."""
         r, w = self.signals(rng, 1, rows + LEAD)
         f = np.zeros((1, rows + LEAD, len(self.plant.faults)))
         if fault:
             f[0, LEAD + HEALTHY :, self.plant.faults.index(fault)] = size
         u, y = self.respond(r, w, f)
-        return u[0, LEAD:], y[0, LEAD:] + self.disturbed(rng, rows)
+        return u[0, LEAD:], y[0, LEAD:]
 
     def disturbed(self, rng: np.random.Generator, rows: int) -> NDArray | float:
         """Return what unknown disturbances do: each uniform up to 5 sigma of an output, and another every 200 rows."""

@@ -166,7 +166,7 @@ class Subject:
         """Return a plant with a model whose dynamics are off by a share."""
         simulated = Simulated(plant)
         model = plant._with(A=off(plant.A, by, rng, 1)[0])
-        healthy = simulated.outputs(rng, ROWS)
+        healthy = simulated.undisturbed(rng, ROWS)
         norm = rs.Monitor(rs.design.kalman_filter(model), test=rs.decide.NormThreshold(window=10), isolate=None)
         norm.fit(*healthy)
         scale = np.array([1000 * simulated.sigma(fault) for fault in plant.faults])
