@@ -30,9 +30,9 @@ def test_the_table_keeps_what_is_promised(campaign: ModuleType) -> None:
         shares = campaign.shares(rows, "both", when)
         assert shares["good matches wrong"] <= 1, when
         assert shares["eithers wrong"] <= 2, when
-    assert 200 < 100 / campaign.shares(rows, "both", "after 200")["good matches wrong"] < 280  # as README says
+    assert 155 < 100 / campaign.shares(rows, "both", "after 200")["good matches wrong"] < 185  # as README says
     assert 5 < 100 / campaign.shares(rows, "both", "before")["good matches wrong"] < 7
-    assert campaign.shares(rows, "both", "after 200")["listed faults with a good match"] >= 65
+    assert campaign.shares(rows, "both", "after 200")["listed faults with a good match"] >= 75
 
 
 def test_a_part_of_the_campaign_comes_out(campaign: ModuleType) -> None:
@@ -84,5 +84,5 @@ def test_causes_weigh_in_the_mix_as_they_are_there(campaign: ModuleType) -> None
 def test_dynamics_are_off_by_a_share(campaign: ModuleType) -> None:
     rng = np.random.default_rng(0)
     A = np.diag(np.exp([-0.001, -0.2]))
-    rates = np.array([np.log(np.linalg.eigvals(one)) for one in campaign.off(A, 0.05, rng, 2000)]).real
+    rates = np.real(np.array([np.log(np.linalg.eigvals(one)) for one in campaign.off(A, 0.05, rng, 2000)]))
     assert np.allclose(np.sort(rates, axis=1).std(axis=0), [0.05 * 0.2, 0.05 * 0.001], rtol=0.1)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from residua.design.observers.general_residual_generator import residual_generator_from_observer
     from residua.design.suggestion import suggest
     from residua.linear import StateSpace
-    from residua.monitor import Diagnosis, Fleet, Monitor, RegimeMonitor, read_recording
+    from residua.monitor import Diagnosis, Fleet, Learnt, Monitor, RegimeMonitor, learn, read_recording
     from residua.plant import InputOutputModel, Plant, UncertainPlant, load_plant
 
 __version__ = "0.1.0"
@@ -23,6 +23,7 @@ __all__ = [
     "Diagnosis",
     "Fleet",
     "InputOutputModel",
+    "Learnt",
     "Monitor",
     "Plant",
     "RegimeMonitor",
@@ -35,6 +36,7 @@ __all__ = [
     "diagnosability",
     "errors",
     "identify",
+    "learn",
     "library",
     "linear",
     "load_plant",
@@ -53,7 +55,7 @@ hand_on(
         "residua.design.observers.general_residual_generator": ("residual_generator_from_observer",),
         "residua.design.suggestion": ("suggest",),
         "residua.linear": ("StateSpace",),
-        "residua.monitor": ("Diagnosis", "Fleet", "Monitor", "RegimeMonitor", "read_recording"),
+        "residua.monitor": ("Diagnosis", "Fleet", "Learnt", "Monitor", "RegimeMonitor", "learn", "read_recording"),
         "residua.plant": ("InputOutputModel", "Plant", "UncertainPlant", "load_plant"),
     },
     [

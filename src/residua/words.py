@@ -89,11 +89,6 @@ def score(value: float) -> str:
     return f"{round(value, 3) + 0.0:.3f}" if math.isfinite(value) else "–"  # no -0
 
 
-def lead_text(lead: float) -> str:
-    """Return a lead in twice the logarithm of the likelihood; below a tenth it means nothing."""
-    return f"{lead:.1f}" if lead < 1000 else f"{lead:,.0f}"
-
-
 def percent(part: int, whole: int) -> str:
     """Return a share in per cent that reads 0 or 100 only where it is exactly that."""
     share = 100 * part / whole if whole else 0.0

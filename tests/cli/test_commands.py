@@ -324,7 +324,7 @@ def test_a_bank_names_by_code(made: Path, tmp_path: Path, residua: Residua) -> N
     files = ("--alarms", tmp_path / "a.jsonl", "--report", tmp_path / "r.html", "--residuals", tmp_path / "r.csv")
     status, out, _ = residua("run", tmp_path / "bank.json", made / "faulty.csv", *files)
     assert status == 1
-    assert "Fault found: level 1 sensor, alarm raised at " in out
+    assert "Fault found: level 1 sensor, a good match by its code, alarm raised at " in out
     assert "Fired: without level 2; code of 'level 1 sensor' (exact)." in out
     line = json.loads((tmp_path / "a.jsonl").read_text().splitlines()[-1])
     assert line["code"]["fired"] == ["without level 2"]
@@ -341,7 +341,7 @@ def test_two_faults_are_both_named(made: Path, tmp_path: Path, residua: Residua)
     both = write_csv(tmp_path / "both.csv", rows)
     status, out, _ = residua("run", tmp_path / "bank.json", both)
     assert status == 1
-    assert "2 faults found: " in out
+    assert "Fault found: either 2 at once, " in out
     assert "level 2 sensor (fired from " in out
     assert "level 1 sensor (fired from " in out
     assert "several, or not known" not in out

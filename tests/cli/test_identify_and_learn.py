@@ -169,7 +169,10 @@ def test_learn_makes_a_monitor_that_names_the_sensor(logs: Path, tmp_path: Path,
     status, out, err = residua(*learn)
     assert (status, err) == (0, "")
     assert "2000 rows at 1 s" in out  # the model is from the first half
-    assert "threshold from 1000 rows that the model is not from" in out
+    assert re.search(
+        r"relations, \w+: .* of the rows held out in alarm, \d+ % of them with a fault put in  <- chosen", out
+    )
+    assert re.search(r"level 1 sensor +\S+ \(\S+ deviations\) +\S+ \(\S+ deviations\) +yes", out)
     alarmed, judged = re.findall(r"false alarms: 1 in 1,000 samples .*?(\d+) of (\d+) held-out samples in alarm", out)[
         0
     ]
@@ -181,28 +184,59 @@ def test_learn_makes_a_monitor_that_names_the_sensor(logs: Path, tmp_path: Path,
     assert "level 1 sensor" in out.splitlines()[0]
 
 
-def test_learn_says_where_rows_are_too_few_for_a_threshold_of_their_own(tmp_path: Path, residua: Residua) -> None:
+def test_learn_says_where_rows_are_few_and_every_run_repeats_it(logs: Path, tmp_path: Path, residua: Residua) -> None:
     path = write_csv(tmp_path / "short.csv", simulate(400, 4))
-    status, out, _ = residua("learn", path, *CHANNELS, "-o", tmp_path / "m.json")
+    status, _, err = residua("learn", path, *CHANNELS, "-o", tmp_path / "m.json")
     assert status == 0
-    assert "threshold from all rows before the last quarter, those of the model included" in out
-    assert "100 others are fewer than 200" in out
+    assert "400 complete rows are few: 600 at least" in err
+    _, out, _ = residua("run", tmp_path / "m.json", logs / "healthy.csv")
+    assert out.startswith("400 complete rows are few")
 
 
 def test_learn_warns_where_the_plant_changes_later(tmp_path: Path, residua: Residua) -> None:
     path = write_csv(tmp_path / "changed.csv", simulate(2000, 4, sensor=0.5, from_=1600))
     status, out, err = residua("learn", path, *CHANNELS, "-o", tmp_path / "m.json")
     assert status == 0  # 1 is an alarm of run
-    assert re.search(r"(39|40)\d of 49\d held-out samples in alarm", out)
-    assert re.match("warning: the fit: (39|40)", err)
+    assert re.search(r"(39|40)\d of 4[89]\d held-out samples in alarm", out)
+    assert err.startswith("warning: the fit: the log does not hold all that is normal: its last quarter is 8")
     assert "too many for 1 in " in err
 
 
-def test_learn_without_inputs_takes_every_column_as_an_output(logs: Path, tmp_path: Path, residua: Residua) -> None:
+def test_learn_guesses_inputs_and_says_so(logs: Path, tmp_path: Path, residua: Residua) -> None:
     status, out, _ = residua("learn", logs / "normal.csv", logs / "other.csv", "-o", tmp_path / "m.json")
     assert status == 0
-    assert "0 inputs, 3 outputs" in out
+    assert "inputs: pump (guessed, for they hold their values; name them to be sure)" in out
+    plant = rs.Monitor.load(tmp_path / "m.json").design.plant
+    assert (plant.inputs, plant.outputs) == (("pump",), ("level 1", "level 2"))
+    status, out, _ = residua("learn", logs / "normal.csv", "--inputs", "none", "-o", tmp_path / "m.json")
+    assert status == 0
+    assert "inputs: none" in out
     assert rs.Monitor.load(tmp_path / "m.json").design.plant.outputs == ("pump", "level 1", "level 2")
+
+
+def test_learn_asks_for_inputs_that_a_controller_moves(tmp_path: Path, residua: Residua) -> None:
+    rows = simulate(1000, 4)
+    rows[1:, 1] = 3 - 0.5 * rows[1:, 2] + 0.2 * rows[:-1, 2]
+    path = write_csv(tmp_path / "closed.csv", rows)
+    told = "'pump' and 'level 1' follow from one another exactly", "name the columns that drive the plant, --inputs"
+    assert_error(residua("learn", path, "-o", tmp_path / "m.json"), *told)
+
+
+def test_learn_refuses_a_monitor_that_sees_nothing(tmp_path: Path, residua: Residua) -> None:
+    rng = np.random.default_rng(0)
+    walk = np.cumsum(rng.standard_normal((1500, 1)), axis=0)
+    path = write_csv(tmp_path / "walk.csv", np.hstack([np.arange(1500.0)[:, None], walk]), "time,level")
+    status, out, err = residua("learn", path, "-o", tmp_path / "m.json")
+    assert (status, out) == (2, "")
+    assert "sees no fault that lasts" in err
+    assert "--force" in err
+    assert not (tmp_path / "m.json").exists()
+    assert residua("learn", path, "-o", tmp_path / "m.json", "--force")[0] == 0
+    quiet = write_csv(tmp_path / "quiet.csv", np.hstack([np.arange(900.0)[:, None], walk[:900]]), "time,level")
+    status, out, _ = residua("run", tmp_path / "m.json", quiet)
+    assert status == 0
+    assert "Cannot tell: this monitor sees no fault that lasts" in out
+    assert residua("run", tmp_path / "m.json", quiet, "--strict")[0] == 4
 
 
 # ------------------------------------------------------------------ bad input
@@ -225,14 +259,15 @@ def test_bad_channels_and_data_are_one_line_on_stderr(
     assert_error(call(normal, *CHANNELS, "--units", "level 3=cm"), "--units: there is no channel level 3")
     assert_error(call(normal, *CHANNELS, "--order", "900"), "a model of order 900", "the data are enough for order")
     rows = simulate(600, 6)
+    named = ("--inputs", "pump")
     flat = write_csv(
         tmp_path / "flat.csv", np.column_stack([rows, np.full(600, 3.0)]), "time,pump,level 1,level 2,flat"
     )
-    assert_error(call(flat), "flat never moves", "leave it out")
+    assert_error(call(flat, *named), "flat never moves", "leave it out")
     twice = write_csv(
         tmp_path / "twice.csv", np.column_stack([rows, 2 * rows[:, 2]]), "time,pump,level 1,level 2,again"
     )
-    assert_error(call(twice), "'level 1' and 'again' are the same signal, times a number")
+    assert_error(call(twice, *named), "'level 1' and 'again' are the same signal, times a number")
     assert_error(call(write_csv(tmp_path / "short.csv", rows[:12]), *CHANNELS), "too few data", "a longer recording")
     rows[:, 3] = np.nan
     assert_error(call(write_csv(tmp_path / "nan.csv", rows), *CHANNELS), "'level 2' is missing in")

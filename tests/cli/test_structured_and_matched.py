@@ -127,7 +127,7 @@ def test_parity_relations_with_rows_of_ones_own(made: Path, tmp_path: Path, resi
     assert "a code is part of another" in out
     status, out, _ = run(made, tmp_path, residua)
     assert status == 1
-    assert "Fault found: level 1 sensor" in out
+    assert "Fault found: either level 1 sensor, pump actuator, leak or something not listed" in out
     assert run(made, tmp_path, residua, "healthy.csv")[0] == 0
 
 

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
 import residua as rs
+from residua.decide import explanation
 from residua.decide.explanation import _fits
+from residua.monitor import Diagnosis
+from residua.monitor.explaining import word_of
 
 NAMES = ("level", "flow")
 
@@ -36,7 +41,7 @@ def word(course: np.ndarray, *, of_y: float = 1.0, faults: bool = True, which: i
     """The word for the longest alarm of a recording in which a sensor is off by a course from row 600 on."""
     u, y = recorded(1000, 1)
     y[1000 - len(course) :, which] += course
-    found = monitor(of_y, faults).run(u, of_y * y)
+    found = cast(Diagnosis, monitor(of_y, faults).run(u, of_y * y))
     assert found.main_alarm is not None
     assert found.main_alarm.word is not None
     return found.main_alarm.word
@@ -100,11 +105,60 @@ def test_what_nobody_listed_is_no_good_match() -> None:
     assert said.unlisted == "level sensor"
 
 
+def word_with(monkeypatch: pytest.MonkeyPatch, faults: bool, best: str, levels: dict[str, float]) -> rs.decide.Word:
+    """The word for a step of the best sensor, where faults have so much more evidence than its 1000, others none."""
+    u, y = recorded(1000, 1)
+    y[600:, NAMES.index(best.removesuffix(" sensor"))] += 0.5
+    found = cast(Diagnosis, monitor(faults=faults).run(u, y))
+    assert found.explainer is not None
+    assert found.main_alarm is not None
+    explainer = replace(found.explainer, colour=())
+    names = [group[0] for group in explainer._known[1]]
+
+    def fits(*args: Any) -> explanation._Fits:
+        evidence = np.array([1000 + levels[name] if name in levels else 0.0 for name in names])
+        return replace(_fits(*args), evidence=evidence, terms=np.ones(len(names), dtype=np.int64))
+
+    monkeypatch.setattr(explanation, "_fits", fits)
+    return word_of(found.main_alarm, found.residuals, found.decided, explainer)
+
+
+@pytest.mark.parametrize(
+    ("other", "more", "kind", "unlisted"),
+    [
+        ("level sensor", -31, "good match", ""),
+        ("level sensor", -29, "either", "level sensor"),
+        ("level sensor", 31, "poor match", "level sensor"),
+        ("valve actuator", -29, "either", "valve actuator"),
+        ("state x1", -1, "good match", ""),
+        ("state x1", 1, "either", "state x1"),
+        ("state x1", 31, "poor match", "state x1"),
+    ],
+)
+def test_an_unlisted_state_must_explain_more_and_a_sensor_about_as_much(
+    monkeypatch: pytest.MonkeyPatch, other: str, more: float, kind: str, unlisted: str
+) -> None:
+    said = word_with(monkeypatch, False, "flow sensor", {"flow sensor": 0, other: more})
+    assert (said.kind, said.faults, said.unlisted) == (kind, (("flow sensor",),), unlisted)
+
+
+def test_a_sensor_behind_a_state_counts_by_its_own_reach(monkeypatch: pytest.MonkeyPatch) -> None:
+    said = word_with(monkeypatch, False, "flow sensor", {"flow sensor": 0, "state x1": -1, "level sensor": -29})
+    assert said.kind == "either"
+
+
+def test_a_state_within_reach_is_named_beside_two_listed_faults(monkeypatch: pytest.MonkeyPatch) -> None:
+    levels = {"flow sensor": 0.0, "level sensor": -1, "state x1": -2}
+    said = word_with(monkeypatch, True, "flow sensor", levels)
+    assert (said.kind, said.faults) == ("either", (("flow sensor",), ("level sensor",)))
+    assert said.unlisted == "state x1"
+
+
 def test_a_sensor_that_stands_still_leaves_less_than_noise() -> None:
     u, noise = np.zeros((1000, 1)), np.random.default_rng(7).standard_normal((1000, 4))
     y = plant().system(("control", "noise")).simulate(np.hstack([u, noise]))
     y[600:] = [0.5, 0.0]
-    found = monitor().run(u, y)
+    found = cast(Diagnosis, monitor().run(u, y))
     assert found.main_alarm is not None
     assert found.main_alarm.word is not None
     assert found.main_alarm.word.kind == "poor match"

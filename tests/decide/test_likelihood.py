@@ -13,8 +13,9 @@ from scipy.signal import lfilter
 from scipy.stats import binom, kstest
 
 import residua as rs
+from residua.decide.alarm import Alarm, Candidate
 from residua.decide.fault_posterior import FaultFilter
-from residua.decide.likelihood import fit_p_value, moving, pair_p_value
+from residua.decide.likelihood import fit_p_value, moving, pair_p_value, word_by_probability
 from residua.decide.stream_test import plain
 from residua.design import ResidualGenerator
 from residua.errors import FileFormatError, SettingError
@@ -286,3 +287,27 @@ def test_the_margin_of_an_alarm_is_that_of_probabilities() -> None:
     assert first.probability is not None
     assert second.probability is not None
     assert alarm.margin == alarm.to_dict()["margin"] == first.probability - second.probability
+
+
+@pytest.mark.parametrize(
+    ("probabilities", "unknown", "none", "p", "line"),
+    [
+        ((0.98, 0.01), 0.005, 0.005, 0.4, "a, a good match by its probability"),
+        ((0.6, 0.38), 0.01, 0.01, 0.4, "either a or b"),
+        ((0.6, 0.2), 0.19, 0.01, 0.4, "either a, b or something not listed"),
+        ((0.98, 0.01), 0.005, 0.005, 0.02, "either a or something not listed"),
+        ((0.98, 0.01), 0.005, 0.005, 1e-4, "a poor match: no listed fault alone explains the residual"),
+        ((0.3, 0.01), 0.68, 0.01, 0.4, "a poor match: the probability of one that is not listed is 0.68; nearest is a"),
+        ((0.8, 0.01), 0.01, 0.18, 0.4, "too early to be sure of the name, for the probability that there is no fault"),
+    ],
+)
+def test_probabilities_have_one_of_four_words(
+    probabilities: tuple[float, float], unknown: float, none: float, p: float, line: str
+) -> None:
+    made = tuple(
+        Candidate((name,), 0.9, 0.4, probability=probability, p_value=p)
+        for name, probability in zip("ab", probabilities, strict=True)
+    )
+    word = word_by_probability(Alarm(0.0, 0.0, None, made, 0, 30, unknown=unknown, no_fault=none))
+    assert word is not None
+    assert word.line.startswith(line)

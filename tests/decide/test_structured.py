@@ -12,7 +12,6 @@ from hypothesis import given, settings, strategies as st
 from residua.decide import CodeReading, Structured, read_code, read_codes
 from residua.decide.alarm import Alarm
 from residua.decide.code_reading import UNKNOWN
-from residua.decide.code_words import statement_by_code
 from residua.decide.structured import candidates_of_code, code_test, column_read
 from residua.errors import DataError, SettingError
 from residua.recording.clock import Clock
@@ -253,11 +252,12 @@ def test_the_faults_of_longer_codes_stand_in_the_headline(samples: int) -> None:
     assert reading.answer == "exact"
     assert reading.possible == (("b",), ("c",))
     alarm = Alarm(0.0, 1.0, None, (), 0, samples, reading=reading)
-    headline = statement_by_code(alarm, Clock(), 50, dedicated=False).headline
-    assert "a, or b or c with members silent" in headline
-    assert (
-        "silent"
-        not in statement_by_code(
-            replace(alarm, reading=test.read([True, True, True])), Clock(), 50, dedicated=False
-        ).headline
-    )
+    said = test.statement(alarm, Clock(), 50)
+    if samples < 50:
+        assert said.confidence == "too early"
+        assert said.headline.endswith("that a name is judged by; so far a.")
+    else:
+        assert said.headline == "Fault found: either a, b or c, alarm raised at 1 s."
+    assert "'b' or 'c' with members silent" in said.sentences[0]
+    whole = test.statement(replace(alarm, reading=test.read([True, True, True])), Clock(), 50)
+    assert "silent" not in whole.sentences[0]

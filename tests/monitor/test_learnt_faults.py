@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -16,6 +17,7 @@ import residua as rs
 from bank_examples import hand_made_bank, recording as bank_recording, sampled_plant
 from effort import rounds
 from recorded_plants import generated_plant
+from residua.decide.alarm import Candidate, LearntMatch
 from residua.decide.learnt_faults import learnt_direction
 from residua.errors import DataError, FileFormatError, NotFittedError, SettingError
 
@@ -236,8 +238,34 @@ def test_the_table_says_how_few_examples_there_were() -> None:
     assert told(monitor, seen).named == (("leak",),)
     other = told(monitor, stranger)
     assert other.named == ()
-    assert "unknown fault, none of 2 learnt faults: nearest is" in str(other)
-    assert other.statement(other.alarms[0]).confidence == "unknown fault"
+    assert "a poor match: an unknown fault, none of 2 learnt faults; nearest is" in str(other)
+    assert other.statement(other.alarms[0]).confidence == "poor match"
+
+
+def test_learnt_faults_have_one_of_four_words() -> None:
+    """Good where one agrees within a narrow cone; either where others do, or it is wide; the model's by score."""
+    monitor, seen, _ = taught(isolate=None)
+    found = told(monitor, seen)
+    (alarm,) = found.alarms
+    assert alarm.word is not None
+    assert alarm.word.line == "leak, a good match by its learnt direction"
+    assert alarm.to_dict()["word"] == found.statement(alarm).confidence == "good match"
+    isolation = found.isolation
+    leak, clog = Candidate(("leak",), 0.99, 0.1), Candidate(("clog",), 0.9, 0.4)
+
+    def line(candidates: tuple[Candidate, ...], allowed: dict[str, float], samples: int = 200) -> str:
+        learnt = tuple(LearntMatch(name, 0.99, 8.0, degrees) for name, degrees in allowed.items())
+        word = isolation.word(replace(alarm, candidates=candidates, learnt=learnt, stop=alarm.start + samples), 50)
+        assert word is not None
+        return word.line
+
+    assert line((leak, clog), {"leak": 10.0, "clog": 10.0}) == "either leak or clog"
+    assert line((leak,), {"leak": 30.0, "clog": 5.0}) == "either leak or something not listed"
+    model = Candidate(("h1 sensor",), 0.985, 0.2)
+    assert line((leak, model), {"leak": 10.0, "clog": 5.0}) == "either leak or h1 sensor"
+    assert line((model,), {"leak": 5.0, "clog": 5.0}) == "either h1 sensor or something not listed"
+    assert line((leak,), {"leak": 10.0}, samples=20).startswith("too early to be sure of the name")
+    assert line((), {"leak": 5.0}, samples=20).startswith("too early to be sure of the name")
 
 
 def test_step_gives_what_run_gives() -> None:
@@ -297,7 +325,10 @@ def test_a_later_fit_keeps_what_was_learnt() -> None:
 def test_the_page_lists_learnt_faults(tmp_path: Path) -> None:
     monitor, seen, stranger = taught(isolate=None)
     assert "Learnt faults" in told(taught()[0], seen).to_html(tmp_path / "named.html").read_text()
-    for rows, words in ((seen, "leak was learnt from 1 recording"), (stranger, "an unknown one, none of 2 learnt")):
+    for rows, words in (
+        (seen, "leak was learnt from 1 recording"),
+        (stranger, "a poor match: an unknown fault, none of 2 learnt"),
+    ):
         page = told(monitor, rows).to_html(tmp_path / "page.html").read_text()
         assert "Learnt faults" in page
         assert words in page

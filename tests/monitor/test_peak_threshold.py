@@ -297,10 +297,12 @@ def test_three_drifts_are_three_faults_with_their_times(drifted: rs.Diagnosis) -
 def test_text_and_lines_tell_when_each_came(drifted: rs.Diagnosis, tmp_path: Path) -> None:
     lines = str(drifted).splitlines()
     times = [f"{p.since:.6g}" for p in drifted.present]
-    assert lines[-3:] == [f"  {name}, its member fired from {t} s" for name, t in zip(THREE, times, strict=True)]
+    assert lines[-4:-1] == [f"  {name}, its member fired from {t} s" for name, t in zip(THREE, times, strict=True)]
+    assert lines[-1] == "  either XNH sensor, XNL sensor and TMPC sensor at once or something not listed"
     assert "several faults: 'XNH sensor', 'XNL sensor' and 'TMPC sensor'" in str(drifted)
     drifted.write_alarms(tmp_path / "alarms.jsonl")
     (line,) = map(json.loads, (tmp_path / "alarms.jsonl").read_text().splitlines())
+    assert (line["word"], line["together"], line["unlisted"]) == ("either", True, "anything")
     assert line["code"]["answer"] == "several"
     assert line["code"]["together"] == [[name] for name in FAULTS]
     assert [(p["faults"], p["member"], p["until"]) for p in line["present"]] == [
@@ -494,11 +496,11 @@ def test_files_of_outputs_alone_are_read_and_run(tmp_path: Path, suffix: str, ca
     rs.Monitor(BANK).save(tmp_path / "m.json")
     page, lines = tmp_path / "page.html", tmp_path / "alarms.jsonl"
     assert main(["run", str(tmp_path / "m.json"), str(path), "--report", str(page), "--alarms", str(lines)]) == 1
-    assert "3 faults found: XNH sensor (fired from 25.3 s), TMPC sensor (fired" in capsys.readouterr().out.replace(
+    assert "either 3 at once, XNH sensor (fired from 25.3 s), TMPC sensor (fired" in capsys.readouterr().out.replace(
         "\n", " "
     )
     assert [p["faults"] for p in json.loads(lines.read_text())["present"]] == [[name] for name in THREE]
-    assert "3 faults found" in page.read_text(encoding="utf-8")
+    assert "Fault found: either 3 at once" in page.read_text(encoding="utf-8")
     if suffix == ".csv":
         normal = tmp_path / "normal.csv"
         rs.monitor.write_table(normal, {name: column[:2400] for name, column in table.items()})

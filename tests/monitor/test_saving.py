@@ -274,7 +274,7 @@ def changed(content: Any, place: tuple, value: object) -> Any:
 
 
 #: Entries of what a design reports about itself, which may be infinite or not known; nothing of it runs.
-REPORTS = {"decoupling", "conditions"}
+REPORTS = {"decoupling", "conditions", "visible"}
 
 
 @pytest.mark.parametrize("make", [fitted, fitted_bank])

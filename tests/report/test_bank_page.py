@@ -48,8 +48,10 @@ def sized() -> rs.Diagnosis:
 
 def test_the_verdict_says_what_fired_and_what_that_is(one: rs.Diagnosis) -> None:
     found = verdict(one)
-    assert found.confidence == "exact code"
-    assert found.headline.startswith(f"Fault found: {FAULT}, alarm raised at ")
+    assert found.confidence == "good match"
+    assert found.headline.startswith(f"Fault found: {FAULT}, a good match by its code, alarm raised at ")
+    assert one.alarms[0].to_dict()["word"] == "good match"
+    assert "a fault that is not listed could fire the same ones" in " ".join(found.sentences)
     text = words(render([Section("", one)], "t"))
     assert "Fired: without y1, without y3, without y4 and without y5; code of 'y2 sensor' (exact)." in text
     assert re.search(r"In [\d.]+ % of the alarm's samples these were the members that fired", text)
@@ -60,34 +62,61 @@ def test_the_verdict_says_what_fired_and_what_that_is(one: rs.Diagnosis) -> None
 def test_two_faults_are_not_a_found_fault() -> None:
     pair = diagnosis({"y1 sensor": 5.0, "y3 sensor": -4.0}, monitor(dedicated=True))
     found = verdict(pair)
-    assert found.confidence == "exact codes"
-    assert found.headline.startswith("2 faults found: y1 sensor (fired from ")
+    assert found.confidence == "either"
+    assert found.headline.startswith("Fault found: either 2 at once, y1 sensor (fired from ")
+    assert found.headline.endswith(", or one that is not listed.")
+    assert pair.main_alarm is not None
+    word = pair.main_alarm.word
+    assert word is not None
+    assert word.line == "either y1 sensor and y3 sensor at once or something not listed"
     assert found.present == (("y1 sensor",), ("y3 sensor",))
     sections = [Section("two", pair, actual=["y1 sensor", "y3 sensor"]), Section("one", pair, actual="y1 sensor")]
     text = words(render(sections, "t"))
     assert "y1 sensor and y3 sensor ✓ right" in text
     assert "y1 sensor and y3 sensor ✗ wrong" in text
     general = diagnosis({"y1 sensor": 5.0, "y3 sensor": -4.0})
-    assert verdict(general).confidence == "no code"
+    assert verdict(general).confidence == "poor match"
     sections = [Section("two", general, actual=["y1 sensor", "y3 sensor"]), Section("one", general, actual="y1 sensor")]
     text = words(render(sections, "t"))
     assert "more than one fault, or one not known ✓ right" in text
     assert "more than one fault, or one not known ✗ missed" in text
 
 
-def test_the_answers_have_their_own_words(one: rs.Diagnosis) -> None:
-    codes = np.array([[1, 1, 1, 0, 0], [0, 0, 1, 1, 1]], dtype=bool).T
-    test = code_test(Structured(), codes, ["a", "b"], one.members)
+ALL, NONE = "something not listed", "no listed fault fires just these members"
+
+
+@pytest.mark.parametrize(
+    ("codes", "pattern", "answer", "line"),
+    [
+        ([[1, 1, 1, 0, 0], [0, 0, 1, 1, 1]], (1, 1, 1, 0, 0), "exact", "f1, a good match by its code"),
+        ([[1, 1, 1, 0, 0], [0, 0, 1, 1, 1]], (1, 1, 0, 0, 0), "degraded", f"either f1 or {ALL}"),
+        ([[1, 1, 1, 0, 0], [0, 0, 1, 1, 1]], (1, 1, 1, 1, 0), "nearest", f"a poor match: {NONE}; nearest is f1"),
+        ([[1, 1, 1, 0, 0], [0, 0, 1, 1, 1]], (1, 0, 0, 1, 0), "unknown", f"a poor match: {NONE}"),
+        ([[1, 1, 1, 0, 0], [0, 0, 1, 1, 1]], (0, 0, 1, 0, 0), "unknown", f"either f1, f2 or {ALL}"),
+        ([[1, 1, 1, 0, 0], [1, 1, 1, 0, 0]], (1, 1, 1, 0, 0), "exact", "either f1 or f2"),
+        ([[1, 1, 1, 0, 0], [1, 1, 0, 0, 0]], (1, 1, 1, 0, 0), "exact", "either f1 or f2"),
+        ([[1, 1, 1, 0, 0], [1, 1, 1, 1, 1]], (1, 1, 1, 0, 0), "exact", "either f1 or f2"),
+        ([[1, 1, 1, 1, 1], [1, 1, 0, 0, 0]], (1, 1, 1, 1, 1), "exact", f"either f1 or {ALL}"),
+        ([[1, 1, 1, 0, 0], [1, 1, 1, 1, 0]], (0, 1, 1, 1, 0), "nearest", f"either f2 or {ALL}"),
+    ],
+)
+def test_readings_have_one_of_four_words(
+    one: rs.Diagnosis, codes: list, pattern: tuple, answer: str, line: str
+) -> None:
+    test = code_test(Structured(), np.array(codes, dtype=bool).T, ["f1", "f2"], one.members)
     (alarm,) = one.alarms[-1:]
-    for pattern, answer in (((1, 1, 0, 0, 0), "degraded"), ((1, 1, 1, 1, 0), "nearest")):
-        changed = replace(alarm, reading=test.read(pattern), start=800, stop=1500, read_share=0.9)
-        found = verdict(replace(one, alarms=(changed,), codes=test))
-        assert found.confidence == f"{answer} code"
-        assert f"Fault found: a ({answer} code)" in found.headline
-        wavering = replace(changed, read_share=0.3)
-        assert verdict(replace(one, alarms=(wavering,), codes=test)).confidence == "unsteady code"
-        short = replace(changed, stop=810)
-        assert verdict(replace(one, alarms=(short,), codes=test)).confidence == "too early"
+    changed = replace(alarm, reading=test.read(pattern), start=800, stop=1500, read_share=0.9)
+    assert changed.reading is not None
+    assert changed.reading.answer == answer
+    word = test.word(changed, 50)
+    assert word.line == line
+    found = verdict(replace(one, alarms=(changed,), codes=test, isolation=test))
+    assert found.confidence == word.kind
+    assert line in found.headline
+    wavering = test.word(replace(changed, read_share=0.3), 50)
+    assert wavering.line.startswith("too early to be sure of the name, for the members that fire change")
+    short = test.word(replace(changed, stop=810), 50)
+    assert short.line.startswith("too early to be sure of the name, for the alarm is shorter than the 50 samples")
 
 
 def test_the_code_table_shows_what_fired(one: rs.Diagnosis) -> None:

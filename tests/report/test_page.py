@@ -21,7 +21,7 @@ def test_page_states_verdict_score_and_provenance(tmp_path):
     path = write_page(diagnosis(), tmp_path / "page.html")
     text = words(path.read_text(encoding="utf-8"))
     assert "tanks: fault diagnosis" in text
-    assert "Fault found: level 2 sensor, alarm raised at 30.2 s." in text
+    assert "Fault found: either level 2 sensor or something not listed, alarm raised at 30.2 s." in text
     assert "Score 0.991, 7.7° off its signature; next is level 1 sensor with 0.780" in text
     assert "Recording tank08.csv : 600 samples from 0 s to 59.9 s, step 0.1 s" in text
     assert "No sample has missing values." in text
@@ -209,7 +209,7 @@ EDGES = {
             (d := diagnosis())
             and replace(d, alarms=(replace(d.alarms[0], candidates=(Candidate(("a",), 0.5, 0.87),)),))
         ),
-        "no listed fault explains it well",
+        "a poor match: the best score is 0.500, below 0.90; nearest is a.",
     ),
     "close call": (
         lambda: (
@@ -236,7 +236,7 @@ def test_unusual_diagnoses_render(case):
 
 def test_close_calls_are_called_so():
     page = words(render([Section("", EDGES["close call"][0]())], "t"))
-    assert "Fault found: either a or b or c, alarm raised at 30.2 s." in page
+    assert "Fault found: either a, b, c or something not listed, alarm raised at 30.2 s." in page
 
 
 def test_the_longest_of_many_alarms_are_listed_and_the_others_counted():
@@ -301,5 +301,5 @@ def test_a_fault_that_was_not_found_is_missed_not_wrong():
 def test_a_short_alarm_is_not_sure_of_its_name():
     d = diagnosis()
     brief = replace(d, window=d.alarms[0].stop - d.alarms[0].start + 1)
-    assert "too short to be sure of the name" in words(render([Section("", brief)], "t"))
-    assert "too short to be sure of the name" not in words(render([Section("", d)], "t"))
+    assert "too early to be sure of the name" in words(render([Section("", brief)], "t"))
+    assert "too early to be sure of the name" not in words(render([Section("", d)], "t"))

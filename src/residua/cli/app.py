@@ -15,7 +15,7 @@ from residua import __version__
 from residua.cli import identify_command, learn_command, live_command, plant_commands, screen, validate_command
 from residua.cli.checks import FalseAlarmRate, check_outputs, check_recordings
 from residua.cli.design_command import Commands, thresholds
-from residua.cli.guard import FAULT, NO_FAULT, UNLIKE, GuardedGroup, in_cli_words, warn
+from residua.cli.guard import CANNOT_TELL, FAULT, NO_FAULT, UNLIKE, GuardedGroup, in_cli_words, warn
 from residua.cli.recording_options import (
     Columns,
     DayFirst,
@@ -40,12 +40,14 @@ from residua.monitor.inputs import settling_reason
 from residua.monitor.streaming import judged_file, write_outputs
 from residua.recording.recording import Recording
 from residua.recording.table_writer import check_table
+from residua.report.verdict import verdict
 from residua.visible import echo
 
 app = typer.Typer(
     cls=Commands,
     help="Model-based fault detection and isolation: from a plant file and a recording to the faulty component.",
-    epilog="Exit status: 0 done, or no alarm; 1 an alarm was raised; 2 error; 3 no alarm, on data unlike the fit. "
+    epilog="Exit status: 0 done, or no alarm; 1 an alarm was raised; 2 error; 3 no alarm, on data unlike the fit; "
+    "4 with --strict: no alarm, of a monitor that sees too little to tell. "
     "RESIDUA_TRACEBACK=1 shows where an error comes from.",
     no_args_is_help=True,
     add_completion=False,
@@ -135,8 +137,9 @@ def fit(
         _fitted_samples(runs),
         *([] if watch.norm_test.is_bound or len(runs) > 1 else [_ONE_DAY]),
         *(f"{one.source}: {note}" for one in data for note in one.notes),
-        f"written: {output}",
     )
+    screen.show_visible(check)
+    screen.say(f"written: {output}")
     for note in check.notes:
         warn(in_cli_words(note))
 
@@ -193,6 +196,9 @@ def run(
     columns: Columns = None,
     transpose: Transpose = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing; the exit status tells.")] = False,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Exit status 4 where a monitor without an alarm sees too little to tell.")
+    ] = False,
 ) -> None:
     """Look for faults in a recording: exit status 0 no alarm, 1 an alarm, 2 error, 3 data unlike those of the fit."""
     check_input(monitor, "a monitor")
@@ -217,8 +223,16 @@ def run(
                 f"{recording}: no sample could be judged, so this is not a verdict: {len(diagnosis.time)} samples, "
                 f"{diagnosis.n_missing} of them incomplete; {diagnosis.why_undecided}{settles}"
             )
-        quiet_status = UNLIKE if diagnosis.is_unlike_the_fit else NO_FAULT
-        raise typer.Exit(FAULT if diagnosis.fault_detected else quiet_status)
+        raise typer.Exit(_status(diagnosis, strict))
+
+
+def _status(diagnosis: Diagnosis, strict: bool) -> int:
+    """Return the exit status of a run."""
+    if diagnosis.fault_detected:
+        return FAULT
+    if diagnosis.is_unlike_the_fit or verdict(diagnosis).kind == "outside":
+        return UNLIKE
+    return CANNOT_TELL if strict and verdict(diagnosis).kind == "cannot tell" else NO_FAULT
 
 
 #: Bytes of a file from which on it is read piece by piece: about 300 MB of memory at once otherwise.

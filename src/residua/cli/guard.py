@@ -20,7 +20,7 @@ from residua.errors import ResiduaError
 from residua.visible import visible
 
 #: Exit statuses of every command.
-NO_FAULT, FAULT, ERROR, UNLIKE, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 3, 130, 141
+NO_FAULT, FAULT, ERROR, UNLIKE, CANNOT_TELL, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 3, 4, 130, 141
 
 # Typer brings its own copy of click from 0.20 or so on: take the class from where typer has it.
 USAGE: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")

@@ -30,6 +30,7 @@ from residua.cli.recording_options import (
 )
 from residua.errors import DataError, SettingError
 from residua.identify import IdentifiedModel, subspace
+from residua.identify.channel_faults import idle_inputs, with_channel_faults
 from residua.plant import Plant
 from residua.recording.recording import Recording
 from residua.report.model_page import write_model_page
@@ -49,7 +50,8 @@ class Method(StrEnum):
     moesp = "moesp"
 
 
-def _names(text: str | None) -> str | None:
+def checked_names(text: str | None) -> str | None:
+    """Return a list with commas as it is, or raise where a name is empty or there twice."""
     if text is not None:
         parts = parse_names(text)
         twice = next((name for name in parts if parts.count(name) > 1), None)
@@ -98,11 +100,13 @@ Normal = Annotated[
     list[Path], typer.Argument(metavar="NORMAL.csv...", help="Fault-free recordings; each has a start of its own.")
 ]
 Inputs = Annotated[
-    str | None, typer.Option("--inputs", metavar="LIST", callback=_names, help="Columns that drive the plant.")
+    str | None, typer.Option("--inputs", metavar="LIST", callback=checked_names, help="Columns that drive the plant.")
 ]
 Outputs = Annotated[
     str | None,
-    typer.Option("--outputs", metavar="LIST", callback=_names, help="Measured columns; all others when omitted."),
+    typer.Option(
+        "--outputs", metavar="LIST", callback=checked_names, help="Measured columns; all others when omitted."
+    ),
 ]
 Units = Annotated[
     str | None, typer.Option("--units", metavar="LIST", callback=_units, help="CHANNEL=UNIT,... for tables and charts.")
@@ -179,21 +183,9 @@ def part(one: Recording, start: float, stop: float) -> Recording:
     return replace(one, time=one.time[rows], u=one.u[rows], y=one.y[rows])
 
 
-def with_fault_list(plant: Plant, *, sensors: bool, actuators: bool) -> Plant:
-    """Return the plant with a fault of every output, of every input that has an effect, or both."""
-    plant = plant.with_sensor_faults() if sensors else plant
-    effective = [name for name in plant.inputs if name not in _idle(plant)]
-    return plant.with_actuator_faults(effective) if actuators and effective else plant
-
-
-def _idle(plant: Plant) -> list[str]:
-    """Return the inputs that do nothing in the model."""
-    return [name for name, b, d in zip(plant.inputs, plant.Bu.T, plant.Du.T, strict=True) if not (b.any() or d.any())]
-
-
 def fault_text(plant: Plant) -> str:
     """Say which faults the plant has, and which it cannot have."""
-    idle = _idle(plant)
+    idle = idle_inputs(plant)
     why = f"; none of {listed(idle)}, of which the model finds no effect" if idle else ""
     if not plant.faults:
         return f"no faults in the plant{why}: a design needs some, [[faults]] in the plant file"
@@ -249,7 +241,7 @@ def identify(
     data = Channels(parse_names(inputs), parse_names(outputs)).read(normal, reading)
     settings = settings_of(data, order, max_order, past, method, feedthrough, delay, units)
     model = identified(data, settings | {"held_out": held_out, "name": name})
-    plant = with_fault_list(
+    plant = with_channel_faults(
         model.plant, sensors=sensor_faults and not no_faults, actuators=actuator_faults and not no_faults
     )
     plant.to_toml(output)

@@ -24,6 +24,8 @@ from residua.decide.statement import SHOWN_ALARMS, left_out_text, longest_alarms
 from residua.decide.structured import codes_of
 from residua.design import MatchedFilters, ResidualGenerator
 from residua.monitor.diagnosis import Alarm, Diagnosis
+from residua.monitor.fit_check import FitCheck
+from residua.monitor.visible_sizes import SOON
 from residua.report.tables import alarm_times
 from residua.report.verdict import verdict
 from residua.visible import visible
@@ -252,22 +254,15 @@ def show_diagnosis(diagnosis: Diagnosis) -> None:
     ----------
     diagnosis : Diagnosis
     """
-    words, window = verdict(diagnosis), diagnosis.window
+    words = verdict(diagnosis)
     say(words.headline)
     if diagnosis.alarms:
         shown = longest_alarms(diagnosis.alarms, SHOWN_ALARMS)
         worth = "probability" if any(_judged(alarm.candidates) for _, alarm in shown) else "score"
-        worded = any(alarm.word for _, alarm in shown)
         show_table(
-            ["alarm", "began", "raised", "ended", "samples", "most likely", worth, "next", worth]
-            + ["how sure"] * worded,
-            [
-                _alarm_row(k, alarm, diagnosis) + [alarm.word.kind if alarm.word else None] * worded
-                for k, alarm in shown
-            ],
+            ["alarm", "began", "raised", "ended", "samples", "most likely", worth, "next", worth, "how sure"],
+            [_alarm_row(k, alarm, diagnosis) for k, alarm in shown],
         )
-        if any(alarm.candidates and not alarm.word and alarm.samples < window for _, alarm in shown):
-            say(f"(short): fewer samples than the {window} that a name is judged by: too short to be sure of the name")
         if len(diagnosis.alarms) > SHOWN_ALARMS:
             say(f"{left_out_text(diagnosis.alarms, SHOWN_ALARMS)} (--alarms writes all of them)")
     if diagnosis.candidates:
@@ -290,21 +285,33 @@ def show_diagnosis(diagnosis: Diagnosis) -> None:
     say(*words.sentences)
     if diagnosis.n_missing:
         say(f"{diagnosis.missing_text}.")
-    say(*([diagnosis.false_alarms] if diagnosis.false_alarms else []))
+    check = diagnosis.fit_check
+    say(*([check.false_alarms] if check and check.false_alarms else []))
     say(*diagnosis.notes)
 
 
+def show_visible(check: FitCheck) -> None:
+    """Print how much a fitted monitor predicts, and the smallest constant faults that it sees."""
+    say(*([check.explains] if check.explains else []))
+    if not check.visible:
+        return
+    show_table(
+        ["constant fault", f"seen within {SOON} samples from", "as long as it lasts from", "detectable when constant"],
+        [[one.fault, one.text(one.soon), one.text(one.lasting), one.is_detectable] for one in check.visible],
+    )
+
+
 def _alarm_row(k: int, alarm: Alarm, diagnosis: Diagnosis) -> list[object]:
-    window = diagnosis.window
     best, following = [*alarm.candidates, None, None][:2]
     return [
         k,
         *alarm_times(alarm, diagnosis.clock),
         alarm.samples,
-        best.name + (" (short)" if alarm.samples < window and not alarm.word else "") if best else _unnamed(alarm),
+        best.name if best else _unnamed(alarm),
         _worth(best) if best else None,
         tied_name(alarm.candidates, 2) if following else None,
         _worth(following) if following else None,
+        alarm.word.kind if alarm.word else None,
     ]
 
 

@@ -7,6 +7,8 @@ from residua.facade import hand_on
 if TYPE_CHECKING:
     from residua.decide.adaptive import Adaptive, AdaptiveTest
     from residua.decide.alarm import Alarm, Candidate
+    from residua.decide.by_channel import ByChannel, ChannelNames
+    from residua.decide.channel_relations import ChannelRelations, ChannelRelationsTest
     from residua.decide.chi_squared import ChiSquared, ChiSquaredTest
     from residua.decide.consistency import ConsistentFault, Explanation, code_likelihoods, consistent_faults
     from residua.decide.cusum import CUSUM, CUSUMTest
@@ -51,8 +53,12 @@ __all__ = [
     "AlarmRuns",
     "BankTest",
     "Block",
+    "ByChannel",
     "CUSUMTest",
     "Candidate",
+    "ChannelNames",
+    "ChannelRelations",
+    "ChannelRelationsTest",
     "ChiSquared",
     "ChiSquaredTest",
     "CodeReading",
@@ -123,6 +129,8 @@ hand_on(
     {
         "residua.decide.adaptive": ("Adaptive", "AdaptiveTest"),
         "residua.decide.alarm": ("Alarm", "Candidate"),
+        "residua.decide.by_channel": ("ByChannel", "ChannelNames"),
+        "residua.decide.channel_relations": ("ChannelRelations", "ChannelRelationsTest"),
         "residua.decide.chi_squared": ("ChiSquared", "ChiSquaredTest"),
         "residua.decide.consistency": ("ConsistentFault", "Explanation", "code_likelihoods", "consistent_faults"),
         "residua.decide.cusum": ("CUSUM", "CUSUMTest"),

@@ -233,8 +233,9 @@ class Alarm:
     unknown, no_fault : float or None
         By likelihood: the probability of a fault that is not listed, and of none.
     word : Word or None
-        How well listed faults explain it, by direction and by matched filters; those that it names are the first
-        candidates. Of the twenty longest alarms of a recording.
+        How well listed faults explain it; ``None`` where nothing is named. By direction and by matched filters every
+        fault is fitted to the residual of the twenty longest alarms of a recording, and those that the word names are
+        the first candidates.
     """
 
     onset: float
@@ -276,18 +277,6 @@ class Alarm:
             return None
         first, second = (c.score if c.probability is None else c.probability for c in self.candidates[:2])
         return first - second
-
-    @property
-    def doubt(self) -> str:
-        """What makes the first name doubtful against the second one; empty if nothing does.
-
-        ``"word"``: the word names several. Without a word ``"score"``: the scores are close. By code always empty.
-        """
-        if self.word is not None:
-            return "word" if len(self.word.faults) > 1 else ""
-        if self.margin is None or self.reading is not None or self.unknown is not None:
-            return ""
-        return "score" if self.margin < CLOSE_MARGIN else ""
 
     @property
     def lead(self) -> float | None:

@@ -166,6 +166,8 @@ def allowance(levels: NDArray[np.float64], worlds: NDArray[np.float64], rate: fl
         if np.count_nonzero((levels[1:] > level) & (levels[:-1] <= level)) < _SHOWN:
             break
         expected = float(np.quantile(worlds, 1 - one))
+        if not expected > 0:  # residuals that mostly stand still
+            break
         passes |= level > np.quantile(np.quantile(own, 1 - one, axis=1), _SURE)
         found.append((one, level / expected))
         if one <= rate:

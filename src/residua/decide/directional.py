@@ -136,7 +136,7 @@ class DirectionTest(Isolation):
 
     def statement(self, alarm: Alarm, clock: Clock, window: int) -> Statement:
         """Return the statement about an alarm: the scores, and the angles that they stand for."""
-        return statement_by_score(alarm, clock, window, angle, _COSINE)
+        return statement_by_score(alarm, clock, self.word(alarm, window), angle, _COSINE)
 
     # --------------------------------------------------------------------------- files
 

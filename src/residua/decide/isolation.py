@@ -22,8 +22,9 @@ from residua.decide.learnt_faults import LearntFault
 from residua.decide.matched_hold import Match
 from residua.decide.member_bounds import MemberBounds
 from residua.decide.sizes import sizes_over, with_sizes
-from residua.decide.statement import Statement, statement_by_score
+from residua.decide.statement import Statement, statement_by_score, word_by_score
 from residua.decide.test import Block, ResidualTest, Tested, TestSettings, Watched
+from residua.decide.word import Word
 from residua.design import ResidualGenerator
 from residua.errors import FileFormatError
 from residua.recording.clock import Clock
@@ -224,6 +225,15 @@ class Isolation(Record, ABC):
         return False
 
     @property
+    def names_early(self) -> bool:
+        """Whether it names alarms that the residual is too little moved by for a word: by other things beside it."""
+        return False
+
+    def agreed(self, alarm: Alarm, word: Word) -> Word:
+        """Return the word for an alarm by what faults explain of the residual, as far as it goes with all else."""
+        return word
+
+    @property
     def coding(self) -> Any:
         """The codes that members are read against, a :class:`residua.decide.CodeTest`; or ``None``."""
         return None
@@ -249,7 +259,18 @@ class Isolation(Record, ABC):
         window : int
             Samples that an alarm has to last for its name to be sure.
         """
-        return statement_by_score(alarm, clock, window)
+        return statement_by_score(alarm, clock, self.word(alarm, window))
+
+    def word(self, alarm: Alarm, window: int) -> Word | None:
+        """Return how well listed faults explain an alarm: the word that it has, else by its scores; or ``None``.
+
+        Parameters
+        ----------
+        alarm : Alarm
+        window : int
+            Samples that an alarm has to last for its name to be sure.
+        """
+        return alarm.word or word_by_score(alarm, window)
 
     @property
     def where_missing(self) -> str:

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from typing import Any, TypeVar
 
 from residua.decide.adaptive import Adaptive
+from residua.decide.by_channel import ByChannel
+from residua.decide.channel_relations import ChannelRelations
 from residua.decide.chi_squared import ChiSquared
 from residua.decide.cusum import CUSUM
 from residua.decide.directional import Directional
@@ -28,10 +30,13 @@ from residua.visible import echo
 #: By the mark that files know them by; for ``isolate="auto"`` the last one counts that offers to read a design.
 TESTS: dict[str, type[TestSettings]] = {
     cls.kind: cls
-    for cls in (MultiscaleEWMA, NormThreshold, PeakThreshold, Adaptive, ChiSquared, EWMA, CUSUM, GLR, SPRT, PageHinkley)
+    for cls in (
+        *(MultiscaleEWMA, NormThreshold, PeakThreshold, Adaptive, ChiSquared, EWMA, CUSUM, GLR, SPRT, PageHinkley),
+        ChannelRelations,
+    )
 }
 ISOLATIONS: dict[str, type[IsolationSettings]] = {
-    cls.kind: cls for cls in (Directional, Structured, Matched, Likelihood)
+    cls.kind: cls for cls in (Directional, Structured, Matched, Likelihood, ByChannel)
 }
 
 Kind = TypeVar("Kind", bound=type[TestSettings] | type[IsolationSettings])

@@ -23,11 +23,19 @@ from residua.decide.learnt_faults import (
 )
 from residua.decide.member_bounds import MemberBounds
 from residua.decide.row_norms import row_norms
-from residua.decide.statement import Statement, raised_text, statement_by_score
+from residua.decide.statement import (
+    POOR_SCORE,
+    Statement,
+    statement_by_score,
+    statement_by_word,
+    too_short,
+    word_by_score,
+)
 from residua.decide.structured import CodeTest
 from residua.decide.test import Block, ResidualTest, Tested
 from residua.decide.whitened_norm import whitened_residuals
 from residua.decide.window import WindowState, empty_window, moving_sum
+from residua.decide.word import ANYTHING, EITHER, GOOD, POOR, TOO_EARLY, Word
 from residua.errors import DataError
 from residua.linear.systems.recursion import ordered_product
 from residua.recording.clock import Clock
@@ -37,11 +45,14 @@ from residua.words import counted, listing
 _BELIEVED = 0.70
 #: How far off its direction a residual may be at most, in degrees, however noisy it is: as for any signature.
 FARTHEST = math.degrees(math.acos(_BELIEVED))
+#: A cone and noise that are wider, in degrees, leave room for a fault that is not listed.
+_WIDE = math.degrees(math.acos(POOR_SCORE))
 #: Says of each learnt fault what it was learnt from.
 _MEANING = (
     "The score is the cosine of the angle between the residual and a signature, over the monitor's window. A learnt "
     "fault is named where the residual is no further off its direction than the cone of the direction and the noise of "
-    "the window account for (99 % of the windows of that fault)."
+    "the window account for (99 % of the windows of that fault). Good match: it alone is named, and these account for "
+    "no more than 26°."
 )
 
 
@@ -259,11 +270,10 @@ class LearntDirections(Isolation):
         """Return the statement about an alarm: the name, what it was learnt from, and what else it is not."""
         if not alarm.learnt:
             return self.base.statement(alarm, clock, window)
-        if not alarm.candidates:
-            return _unknown(alarm, clock)
-        said = statement_by_score(
-            alarm, clock, window, lambda score: f"{math.degrees(math.acos(score)):.2g}°", _MEANING
-        )
+        word = self.word(alarm, window)
+        if word is not None and not alarm.candidates:
+            return _unknown(alarm, clock, word)
+        said = statement_by_score(alarm, clock, word, lambda score: f"{math.degrees(math.acos(score)):.2g}°", _MEANING)
         basis = dict(zip(self.labels, self.faults, strict=True))
         about = [m for m in alarm.learnt if m.fault in alarm.candidates[0].faults]
         more = tuple(f"{m.fault} was learnt from {basis[m.fault].basis}; {m.text}." for m in about)
@@ -278,6 +288,24 @@ class LearntDirections(Isolation):
             lines = (f"{_none_of(alarm)}: nearest is {_nearest(alarm).fault}, {_nearest(alarm).text}",)
             more = (f"It is {lines[0]}.",)
         return replace(said, sentences=(*said.sentences, *more), lines=(*said.lines, *lines))
+
+    def word(self, alarm: Alarm, window: int) -> Word | None:
+        """Return how well one learnt fault explains an alarm, and no other; of the model's by the base, or by score."""
+        if not alarm.learnt:
+            return self.base.word(alarm, window)
+        if not alarm.candidates:
+            made = Word(POOR, (), why=f"an unknown fault, {_none_of(alarm)}", after=alarm.samples)
+            return made if alarm.samples >= window else replace(made, kind=TOO_EARLY, why=too_short(window))
+        word = word_by_score(alarm, window)
+        best, *others = alarm.candidates
+        agree = {m.fault: m for m in alarm.learnt if m.agrees}
+        if word is None or word.kind == TOO_EARLY or best.faults[0] not in agree:
+            return word
+        close = [c.faults for c in others if c.faults[0] in agree or c.score > best.score - CLOSE_MARGIN]
+        wide = len(self.space) == 1 or agree[best.faults[0]].allowed > _WIDE
+        if close or wide:
+            return replace(word, kind=EITHER, faults=(best.faults, *close), unlisted=ANYTHING if wide else "", why="")
+        return replace(word, kind=GOOD, faults=(best.faults,), unlisted="", why="by its learnt direction")
 
     def same_event(self, before: Alarm, alarm: Alarm) -> bool:
         """Tell whether an alarm that follows another soon is about the same thing."""
@@ -315,12 +343,11 @@ class LearntCodes(CodeTest):
         return super().words(step) | {"learnt faults": "; ".join(f"{f.name}: {f.basis}" for f in self.faults)}
 
 
-def _unknown(alarm: Alarm, clock: Clock) -> Statement:
+def _unknown(alarm: Alarm, clock: Clock, word: Word) -> Statement:
     """Return the words for an alarm that no fault, learnt or of the model, explains."""
-    headline = f"A fault was found, {raised_text(alarm, clock)}: an unknown one, {_none_of(alarm)}."
-    line = f"unknown fault, {_none_of(alarm)}: nearest is {_nearest(alarm).fault}, {_nearest(alarm).text}"
+    line = f"{word.line}; nearest is {_nearest(alarm).fault}, {_nearest(alarm).text}"
     sentences = tuple(f"{m.fault}: {m.text}." for m in sorted(alarm.learnt, key=lambda m: m.angle))
-    return Statement(headline, "unknown fault", None, sentences, (line,), rules=_MEANING)
+    return replace(statement_by_word(alarm, word, clock, sentences, _MEANING), lines=(line,))
 
 
 def _nearest(alarm: Alarm) -> LearntMatch:

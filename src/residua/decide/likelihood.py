@@ -18,12 +18,12 @@ from residua.decide.fault_posterior import Belief, FaultFilter
 from residua.decide.isolation import Isolation, IsolationSettings, Named, Scores, Seen, check_groups
 from residua.decide.multiscale_ewma import MultiscaleEWMA
 from residua.decide.sizes import sizes_over, with_sizes
-from residua.decide.statement import LIKELY, Statement, headline_of, not_apart, not_isolated, scored, too_short
+from residua.decide.statement import Statement, not_isolated, scored, statement_by_word
 from residua.decide.stream_settings import StreamSettings
 from residua.decide.stream_test import StreamTest
 from residua.decide.test import Block, ResidualTest, Tested, TestSettings, Watched
 from residua.decide.whitened_norm import whitened_residuals
-from residua.decide.word import EITHER, POOR
+from residua.decide.word import ANYTHING, EITHER, GOOD, POOR, TOO_EARLY, Word
 from residua.design import ResidualGenerator
 from residua.errors import FileFormatError, SettingError
 from residua.linear.subspaces.whitening import VARIANCE_FLOOR
@@ -36,13 +36,17 @@ from residua.words import number
 
 #: A p-value from which on faults are called not distinguishable, and below which one does not explain a residual.
 LEVEL = 0.05
+#: A p-value below which no listed fault explains the residual.
+_RARE = 0.001
 #: Combinations of residuals of which less variance than that is left, of whitened ones, move too little for a model.
 _STILL = VARIANCE_FLOOR**0.5
 _RULES = (
     "The probabilities are those of a filter over the faults, their arrivals and sizes, with the prior rates and the "
     f"mean duration that were set. p is the probability of a residual at least as far off its fault by noise alone; "
     f"faults whose p against the first one is {LEVEL:g} or more, and which are not {1 / LEVEL:g} times less probable, "
-    "are called not distinguishable here."
+    "are called not distinguishable here. Good match: any other fault, listed or not, is "
+    f"{1 / LEVEL:g} times less probable, none is below {LEVEL:g}, and p is not. Either: others are within reach. Poor "
+    f"match: one that is not listed is more probable, or p is below {_RARE:g}. Too early: none is {LEVEL:g} or more."
 )
 
 
@@ -225,7 +229,11 @@ class LikelihoodNames(Isolation):
 
     def statement(self, alarm: Alarm, clock: Clock, window: int) -> Statement:
         """Return the statement about an alarm: probabilities and p-values."""
-        return statement_by_probability(alarm, clock)
+        return statement_by_probability(alarm, clock, self.word(alarm, window))
+
+    def word(self, alarm: Alarm, window: int) -> Word | None:
+        """Return the word for an alarm by the probabilities of the faults, of one that is not listed, and of none."""
+        return word_by_probability(alarm)
 
     # --------------------------------------------------------------------------- files
 
@@ -287,10 +295,31 @@ def _cosine(z: NDArray[np.float64], line: NDArray[np.float64]) -> float:
     return min(abs(float(line @ z)) / size, 1.0) if size > 0 else 0.0
 
 
-def statement_by_probability(alarm: Alarm, clock: Clock) -> Statement:
-    """Return the statement about an alarm whose candidates have probabilities."""
+def word_by_probability(alarm: Alarm) -> Word | None:
+    """Return the word for an alarm by the probabilities of its candidates; ``None`` without any."""
     candidates = scored(alarm)
     if not candidates:
+        return None
+    best, sure = candidates[0], candidates[0].probability or 0.0
+    unknown, none = alarm.unknown or 0.0, alarm.no_fault or 0.0
+    made = Word(GOOD, (best.faults,), why="by its probability", after=alarm.samples)
+    if none >= max(LEVEL, unknown):
+        return replace(made, kind=TOO_EARLY, why=f"the probability that there is no fault is {number(none, 2)}")
+    if unknown > sure:
+        return replace(made, kind=POOR, why=f"the probability of one that is not listed is {number(unknown, 2)}")
+    if best.p_value is not None and best.p_value < _RARE:
+        return replace(made, kind=POOR, why="no listed fault alone explains the residual to within the noise")
+    close = tuple(c.faults for c in candidates if (c.probability or 0.0) >= LEVEL * sure)
+    unlisted = unknown >= LEVEL * sure or (best.p_value is not None and best.p_value < LEVEL)
+    if unlisted or len(close) > 1:
+        return replace(made, kind=EITHER, faults=close, unlisted=ANYTHING if unlisted else "", why="")
+    return made
+
+
+def statement_by_probability(alarm: Alarm, clock: Clock, word: Word | None) -> Statement:
+    """Return the statement about an alarm whose candidates have probabilities."""
+    candidates = scored(alarm)
+    if word is None:
         return not_isolated(alarm, clock)
     best = candidates[0]
     sure = best.probability or 0.0
@@ -300,7 +329,6 @@ def statement_by_probability(alarm: Alarm, clock: Clock) -> Statement:
         if (c.pair_p_value or 0.0) >= LEVEL and (c.probability or 0.0) >= LEVEL * sure
     )
     unknown, none = alarm.unknown or 0.0, alarm.no_fault or 0.0
-    confidence = POOR if max(unknown, none) > sure else EITHER if same else LIKELY
     first = f"Probability {number(sure, 3)} of {best.name}, {number(unknown, 3)} of a fault that is not listed, "
     first += f"{number(none, 3)} of none."
     sentences, lines = [first], []
@@ -314,16 +342,9 @@ def statement_by_probability(alarm: Alarm, clock: Clock) -> Statement:
         sentences.append(f"{text[:1].upper()}{text[1:]}.")
         lines.append(text)
     lines.append(f"probability {number(unknown, 3)} of a fault that is not listed, {number(none, 3)} of none")
-    lines += too_short(alarm, 1)
     margin = sure - (candidates[1].probability or 0.0) if len(candidates) > 1 else None
-    return Statement(
-        headline_of(alarm, clock, confidence),
-        confidence,
-        margin,
-        (*sentences, *not_apart(best.faults)),
-        tuple(lines),
-        rules=_RULES,
-    )
+    said = statement_by_word(alarm, word, clock, sentences, _RULES, margin)
+    return replace(said, lines=(*said.lines, *lines))
 
 
 @dataclass(frozen=True)

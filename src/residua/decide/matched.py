@@ -30,6 +30,7 @@ from residua.decide.sizes import fault_unit
 from residua.decide.statement import Statement, scored, statement_by_score
 from residua.decide.test import Block, ResidualTest, Tested, TestSettings, Watched
 from residua.decide.whitened_norm import NormSettings
+from residua.decide.word import Word
 from residua.design import ResidualGenerator
 from residua.design.banks.matched_filters import MatchedFilters, alike_faults, not_settled, step_responses
 from residua.errors import FileFormatError, SettingError
@@ -165,7 +166,7 @@ class MatchedNames(Isolation):
 
     def statement(self, alarm: Alarm, clock: Clock, window: int) -> Statement:
         """Return the statement about an alarm: by how much the likelihood leads, and when the fault arrived."""
-        return statement_by_likelihood(alarm, clock, window)
+        return statement_by_likelihood(alarm, clock, self.word(alarm, window))
 
     @property
     def where_missing(self) -> str:
@@ -606,10 +607,10 @@ def named_by_match(
     return Named(candidates=candidates, sizes=sizes, arrival=arrival, onset=arrival)
 
 
-def statement_by_likelihood(alarm: Alarm, clock: Clock, window: int) -> Statement:
+def statement_by_likelihood(alarm: Alarm, clock: Clock, word: Word | None) -> Statement:
     """Return the statement about an alarm, and when the fault arrived."""
     arrived = "It arrived before the window of the matched filters, or grew slowly."
     if alarm.arrival is not None:
         arrived = f"Estimated arrival {clock.at(alarm.arrival)}, as a step."
-    said = statement_by_score(alarm, clock, window, meaning=_MEANING)
+    said = statement_by_score(alarm, clock, word, meaning=_MEANING)
     return replace(said, sentences=(*said.sentences, arrived)) if scored(alarm) else said

@@ -31,6 +31,7 @@ from residua.decide.whitened_norm import (
     check_invertible,
     fit_moments,
     is_selection,
+    leads_of_sums,
     norm_test_from_model,
     whitened_residuals,
     with_threshold,
@@ -200,6 +201,16 @@ class BankTest(ResidualTest):
     def part_thresholds(self) -> NDArray[np.float64]:
         """Those of the members."""
         return self.thresholds
+
+    def leads(
+        self, residuals: NDArray[np.float64], changes: NDArray[np.float64], signals: NDArray[np.float64]
+    ) -> NDArray[np.float64] | None:
+        """Return how far faults of one lead the nearest part to its threshold; nothing is said of peaks."""
+        if type(self) not in (BankTest, GroupTest):
+            return None
+        white = residuals @ self.whitening
+        parts = zip(self.columns, self.thresholds.tolist(), strict=True)
+        return np.max([leads_of_sums(white[..., a:b], self.window, limit) for (a, b), limit in parts], axis=0)
 
     def bands(self) -> tuple[NDArray[np.float64], float]:
         """Return the band of each residual alone; see :meth:`NormTest.bands`."""

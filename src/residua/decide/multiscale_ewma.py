@@ -37,7 +37,13 @@ from residua.decide.persistence import AlarmRuns, held, run_alarm
 from residua.decide.row_norms import row_squares
 from residua.decide.stream_test import StreamState, StreamTest, plain
 from residua.decide.test import Block, FaultFreeRun, ResidualTest, Tested, TestSettings, Watched
-from residua.decide.whitened_norm import BAND_DEVIATIONS, BAND_SHARE, check_invertible, whitened_residuals
+from residua.decide.whitened_norm import (
+    BAND_DEVIATIONS,
+    BAND_SHARE,
+    check_invertible,
+    length_for_nine,
+    whitened_residuals,
+)
 from residua.decide.whitening import moving_directions, whitening_matrix
 from residua.errors import FileFormatError, SettingError
 from residua.linear.systems.recursion import SMALLEST, ordered_product
@@ -50,6 +56,8 @@ _FULL = 9.0
 #: Multiples of the threshold below which an alarm is slight, and how many long and slight ones, or which part of the
 #: time, are worth a word.
 _SLIGHT, _OFTEN, _MUCH = 2.0, 2, 0.02
+#: Times that a response is clipped anew, at the size that is then seen.
+_TIMES_CLIPPED = 6
 #: Independent samples that the three means are worth, where an alarm is as rare as that (benchmarks/false_alarms.py).
 _AS_MANY = 11.0
 
@@ -276,6 +284,28 @@ class MultiscaleEWMATest(StreamTest):
     def in_white_units(self, response: NDArray[np.float64]) -> NDArray[np.float64] | None:
         """Return the whitened response, less what its own past foretells."""
         return None if self.names else super().in_white_units(response)
+
+    def leads(
+        self, residuals: NDArray[np.float64], changes: NDArray[np.float64], signals: NDArray[np.float64]
+    ) -> NDArray[np.float64] | None:
+        """Return how far faults of one lead the longest mean of any part to its threshold.
+
+        What enters the long means is clipped as it is where a fault is just seen.
+        """
+        needed = [length_for_nine(limit, size) for limit, size in zip(self.thresholds, self.sizes, strict=True)]
+        best = np.zeros(residuals.shape[:2])
+        for k, one in enumerate(residuals):
+            e = super().in_white_units(one)
+            assert e is not None  # no bank of means has scores
+            entering = e
+            for _ in range(_TIMES_CLIPPED):
+                lead = np.zeros(len(e))
+                for weight, scaling in zip(self.weights.tolist(), self.scaling, strict=True):
+                    means = e if weight == 1 else averaged(weight, np.zeros((1, e.shape[1])), entering[None])[0][0]
+                    lead = np.maximum(lead, (np.sqrt(self._lengths(means, scaling)) / needed).max(axis=1))
+                entering = clipped(e[None], self.columns, self.clips * lead.max(initial=0.0))[0]
+            best[k] = lead
+        return best
 
     def words(self, step: float) -> dict[str, str]:
         """Return in words what the threshold is, what is tested, and when an alarm begins and ends."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from residua.decide.alarm import CLOSE_MARGIN, Alarm, Candidate, Size
-from residua.decide.word import EITHER, POOR, RULES as RULES_OF_WORDS, TOO_EARLY, Word
+from residua.decide.word import ANYTHING, EITHER, POOR, RULES as RULES_OF_WORDS, TOO_EARLY, Word
 from residua.recording.clock import Clock
 from residua.words import counted, listing, number, score, some
 
@@ -16,13 +16,10 @@ POOR_SCORE = 0.90
 #: Alarms that are printed at most, the longest ones; and those whose beginning is dated.
 SHOWN_ALARMS = 20
 
-#: How sure a name is by its score alone.
-LIKELY = "likely"
-
 RULES = (
-    "Likely: by its score alone, as the noise of the residual is not known, so that nobody can say whether the fault "
-    f"explains it. Either: the next candidate is less than {CLOSE_MARGIN:.2f} behind. Poor match: the best score is "
-    f"below {POOR_SCORE:.2f}. Too early: the alarm is shorter than what a name is judged over."
+    "A score alone does not say whether a fault explains the residual, so that no name is a good match by it. Either: "
+    f"the best candidate, those less than {CLOSE_MARGIN:.2f} behind it, or something not listed. Poor match: the best "
+    f"score is below {POOR_SCORE:.2f}. Too early: the alarm is shorter than what a name is judged over."
 )
 
 
@@ -35,7 +32,8 @@ class Statement:
     headline : str
         One sentence, with the name if there is one.
     confidence : str
-        How sure the name is, in two words: ``"good match"``, ``"too early"``, ``"exact code"``, ...
+        How sure the name is: ``"good match"``, ``"either"``, ``"poor match"`` or ``"too early"``; empty where nothing
+        is named.
     margin : float or None
         Lead of the best candidate over the next, in score.
     sentences : tuple of str
@@ -70,39 +68,47 @@ def capital(text: str) -> str:
 def not_isolated(alarm: Alarm, clock: Clock) -> Statement:
     """Return the words for an alarm without a named fault."""
     headline = f"A fault was found, {raised_text(alarm, clock)}; it was not isolated."
-    return Statement(headline, "not isolated", None, ("This monitor names no candidates for it.",))
+    return Statement(headline, "", None, ("This monitor names no candidates for it.",))
 
 
 def statement_by_score(
-    alarm: Alarm, clock: Clock, window: int, beside: Callable[[float], str] | None = None, meaning: str = ""
+    alarm: Alarm, clock: Clock, word: Word | None, beside: Callable[[float], str] | None = None, meaning: str = ""
 ) -> Statement:
     """Return the statement about an alarm whose candidates are ranked by a score.
 
     ``beside`` says more of each score, ``meaning`` what a score is.
     """
-    if alarm.word is not None:
-        return statement_by_word(alarm, alarm.word, clock)
+    if word is None:
+        return not_isolated(alarm, clock)
+    if word.fitted:
+        return statement_by_word(alarm, word, clock, word.sentences, RULES_OF_WORDS)
+    candidates = scored(alarm)
+    margin = candidates[0].score - candidates[1].score if len(candidates) > 1 else None
+    rules = f"{meaning} {RULES}".strip()
+    return statement_by_word(alarm, word, clock, (_comparison(candidates, beside),), rules, margin)
+
+
+def statement_by_word(
+    alarm: Alarm, word: Word, clock: Clock, sentences: Sequence[str], rules: str, margin: float | None = None
+) -> Statement:
+    """Return the statement about an alarm that has a word, with what it rests on and how that is to be read."""
+    said = (*sentences, *(line for group in word.faults[:1] for line in not_apart(group)))
+    return Statement(word.headline(raised_text(alarm, clock)), word.kind, margin, said, (word.line,), rules=rules)
+
+
+def word_by_score(alarm: Alarm, window: int) -> Word | None:
+    """Return the word for an alarm by the scores of its candidates alone; ``None`` without candidates."""
     candidates = scored(alarm)
     if not candidates:
-        return not_isolated(alarm, clock)
-    confidence, margin = how_sure(candidates)
+        return None
+    best = candidates[0]
+    made = Word(EITHER, (best.faults,), after=alarm.samples)
     if alarm.samples < window:
-        confidence = TOO_EARLY
-    sentences = [_comparison(candidates, beside), *not_apart(candidates[0].faults)]
-    lines = too_short(alarm, window)
-    if not lines and alarm.doubt == "score":
-        lines = (f"either of the first two, whose scores are {abs(alarm.margin or 0.0):.3f} apart",)
-    rules = f"{meaning} {RULES}".strip()
-    return Statement(headline_of(alarm, clock, confidence), confidence, margin, tuple(sentences), lines, rules=rules)
-
-
-def statement_by_word(alarm: Alarm, word: Word, clock: Clock) -> Statement:
-    """Return the statement about an alarm by how well the listed faults explain it."""
-    apart = [line for group in word.faults[:1] for line in not_apart(group)]
-    said = (*word.sentences, *apart)
-    return Statement(
-        word.headline(raised_text(alarm, clock)), word.kind, None, said, (word.line,), rules=RULES_OF_WORDS
-    )
+        return replace(made, kind=TOO_EARLY, why=too_short(window))
+    if best.score < POOR_SCORE:
+        return replace(made, kind=POOR, why=f"the best score is {score(best.score)}, below {POOR_SCORE:.2f}")
+    close = tuple(c.faults for c in candidates if c.score > best.score - CLOSE_MARGIN)
+    return replace(made, faults=close, unlisted=ANYTHING)
 
 
 def scored(alarm: Alarm) -> list[Candidate]:
@@ -110,32 +116,9 @@ def scored(alarm: Alarm) -> list[Candidate]:
     return [c for c in alarm.candidates if math.isfinite(c.score)]
 
 
-def how_sure(candidates: Sequence[Candidate]) -> tuple[str, float | None]:
-    """Return in two words how sure the first of some candidates is by its score, and its lead."""
-    margin = candidates[0].score - candidates[1].score if len(candidates) > 1 else None
-    if candidates[0].score < POOR_SCORE:
-        return POOR, margin
-    return (EITHER if margin is not None and margin < CLOSE_MARGIN else LIKELY), margin
-
-
-def headline_of(alarm: Alarm, clock: Clock, confidence: str) -> str:
-    """Return the sentence that names the best candidate as surely as it is sure."""
-    best, *others = scored(alarm)
-    when = raised_text(alarm, clock)
-    if confidence == TOO_EARLY:
-        return f"{capital(when)}, too short to be sure of the name; nearest: {best.name}."
-    if confidence == POOR:
-        return f"A fault was found, {when}; no listed fault explains it well. Nearest: {best.name}."
-    if confidence == EITHER:
-        return f"Fault found: either {best.name} or {others[0].name}, {when}."
-    return f"Fault found: {best.name}, {when}."
-
-
-def too_short(alarm: Alarm, window: int) -> tuple[str, ...]:
-    """Return a line that says so where an alarm is too short for a sure name."""
-    if not alarm.candidates or alarm.samples >= window:
-        return ()
-    return (f"shorter than the {window} samples that a name is judged by: not sure of its name",)
+def too_short(window: int) -> str:
+    """Return why it is too early in an alarm that is shorter than what a name is judged by."""
+    return f"the alarm is shorter than the {window} samples that a name is judged by"
 
 
 def not_apart(faults: Sequence[str]) -> list[str]:

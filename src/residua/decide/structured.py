@@ -14,7 +14,7 @@ from residua.analysis.codes import equal_codes, strongly_isolating
 from residua.decide.alarm import Alarm, Candidate, PresentFault
 from residua.decide.checks import check_samples, is_number
 from residua.decide.code_reading import CodeReading, distinct_rows, each_once, pairs_of
-from residua.decide.code_words import statement_by_code
+from residua.decide.code_words import statement_by_code, word_by_code
 from residua.decide.compiled import CompiledCodes
 from residua.decide.isolation import Isolation, IsolationSettings, Named, Naming, Scores, Seen, check_groups, last_over
 from residua.decide.member_bounds import MemberBounds, leakage_cautions
@@ -22,6 +22,7 @@ from residua.decide.sizes import sizes_over, with_sizes
 from residua.decide.statement import Statement
 from residua.decide.test import Block, ResidualTest, Tested, TestSettings, Watched
 from residua.decide.window import WindowState, empty_window, moving_sum
+from residua.decide.word import Word
 from residua.design import ResidualGenerator
 from residua.errors import DataError, FileFormatError, ModelError, SettingError
 from residua.number_kinds import SHARE, WINDOW, NumberKind
@@ -256,7 +257,17 @@ class CodeTest(Isolation):
 
     def statement(self, alarm: Alarm, clock: Clock, window: int) -> Statement:
         """Return the statement about an alarm: what fired, and what it reads as."""
-        return statement_by_code(alarm, clock, window, dedicated=self.dedicated)
+        return statement_by_code(alarm, clock, self.word(alarm, window), dedicated=self.dedicated)
+
+    def word(self, alarm: Alarm, window: int) -> Word:
+        """Return how well the code of a listed fault explains the members that fired."""
+        assert alarm.reading is not None
+        pattern = np.array(alarm.reading.pattern, dtype=bool)[:, None]
+        off = np.count_nonzero(self.codes != pattern, axis=0)
+        around = np.flatnonzero((self.codes >= pattern).all(axis=0))
+        around = around[np.argsort(off[around], kind="stable")]
+        near = np.flatnonzero(off == 1)
+        return word_by_code(alarm, window, *(each_once(self.groups[g] for g in which) for which in (around, near)))
 
     def cautions(self, bounds: Mapping[str, MemberBounds], alarms: Sequence[Alarm], seen: Seen) -> tuple[str, ...]:
         """Return for each alarm which of its residuals a single other fault may have driven over their thresholds."""

@@ -178,6 +178,11 @@ class ResidualTest(Record, ABC):
     # ----------------------------------------------- what the rest of a monitor asks for
 
     @property
+    def of_residual(self) -> ResidualTest:
+        """The part that tests the residual itself: all of it, but where a test looks at other things beside."""
+        return self
+
+    @property
     def samples(self) -> int:
         """Samples that the statistic is made of; alarms nearer to each other may be one."""
         return 1
@@ -263,6 +268,32 @@ class ResidualTest(Record, ABC):
         ``None`` where the test knows no such units.
         """
         return None
+
+    def leads(
+        self, residuals: NDArray[np.float64], changes: NDArray[np.float64], signals: NDArray[np.float64]
+    ) -> NDArray[np.float64] | None:
+        """Return how far faults of one lead the test to an alarm; ``None`` where it cannot tell.
+
+        At each sample: the inverse of the size that is over the threshold in nine of ten runs.
+
+        Parameters
+        ----------
+        residuals : ndarray, shape (faults, time, k)
+            Of each fault from the first sample on, without noise.
+        changes : ndarray, shape (faults, time, channels)
+            Of the signals.
+        signals : ndarray, shape (places, time, channels)
+            Fault-free signals, as deviations, to which the changes are small.
+
+        Returns
+        -------
+        ndarray, shape (faults, time), or None
+        """
+        return None
+
+    def outside_share(self, tested: Tested) -> float:
+        """Return the fraction of the decided samples that lie outside of what was learnt, as far as a test asks."""
+        return 0.0
 
     def bands(self) -> tuple[NDArray[np.float64], float]:
         """Return half the width of each residual's band, and the share of its fault-free samples that it holds.

@@ -16,7 +16,7 @@ from residua.decide.false_alarms import Observed, observed
 from residua.decide.fault_free import FaultFree, check_enough, held_apart
 from residua.decide.gaussian_norm import norm_above
 from residua.decide.persistence import AlarmRuns, run_alarm
-from residua.decide.row_norms import row_norms
+from residua.decide.row_norms import row_norms, row_squares
 from residua.decide.test import Block, ResidualTest, Tested, TestSettings, Watched
 from residua.decide.whitening import moving_directions, whitening_matrix
 from residua.decide.window import WindowState, empty_window, moving_sum
@@ -31,6 +31,8 @@ from residua.words import one_in
 _LARGEST = 1e120
 #: Share of the fault-free samples of one residual that its band holds, if its noise is Gaussian; in deviations.
 BAND_SHARE, BAND_DEVIATIONS = 0.999, 3.2905267314918945
+#: Deviations of a normal number that nine of ten are above, below its mean.
+NINE_OF_TEN = 1.28
 #: Columns of a whitening matrix this near to being dependent, in units of their own rows, see some residuals no more;
 #: what is fitted stays above 1e-5.
 _DEPENDENT = 1e-10
@@ -78,6 +80,18 @@ class NormSettings(TestSettings):
         for name in ("threshold", "false_alarm_rate"):
             value = getattr(self, name)
             object.__setattr__(self, name, None if value is None else float(value))
+
+
+def length_for_nine(threshold: float, k: int) -> float:
+    """Return how long the mean of a standard normal vector must be for nine of ten of its samples to be over."""
+    return float(np.sqrt(max(threshold**2 - k + 1, 1.0)) + NINE_OF_TEN)
+
+
+def leads_of_sums(white: NDArray[np.float64], window: int, threshold: float) -> NDArray[np.float64]:
+    """Return the lengths of sums of whitened responses over a window, (faults, time), in what nine of ten need."""
+    sums = np.cumsum(white, axis=1)
+    sums[:, window:] -= sums[:, :-window].copy()
+    return np.sqrt(row_squares(sums) / window) / length_for_nine(threshold, white.shape[2])
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,6 +229,14 @@ class NormTest(ResidualTest):
     def in_white_units(self, response: NDArray[np.float64]) -> NDArray[np.float64] | None:
         """Return the whitened response."""
         return response @ self.whitening if self._knows_spread else None
+
+    def leads(
+        self, residuals: NDArray[np.float64], changes: NDArray[np.float64], signals: NDArray[np.float64]
+    ) -> NDArray[np.float64] | None:
+        """Return how far faults of one lead the norm to its threshold; nothing is said of peaks."""
+        if type(self) is not NormTest:
+            return None
+        return leads_of_sums(residuals @ self.whitening, self.window, self.threshold)
 
     def bands(self) -> tuple[NDArray[np.float64], float]:
         """Return the band of each residual alone: by its own spread where the covariance is known, else by threshold.

@@ -6,15 +6,19 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from residua.words import number
+from residua.words import listing, number
 
 GOOD, EITHER, POOR, TOO_EARLY = "good match", "either", "poor match", "too early"
+#: What nobody listed, where nothing of the kind was tried.
+ANYTHING = "anything"
+#: Faults that a line names at most.
+_NAMED = 8
 
-#: What the words mean.
+#: What the words mean where every fault was fitted to the residual.
 RULES = (
-    "Good match: this listed fault, whatever its course, leaves nothing but noise of the residual, and nothing else "
-    "that was tried explains as much: no other listed fault, nor one of a sensor, an actuator or a state that is not "
-    "listed. "
+    "Good match: this listed fault, whatever its course, leaves nothing but noise of the residual. No other listed "
+    "fault, nor an unlisted one of a sensor or an actuator, explains about as much, and no unlisted state explains "
+    "more. "
     "Either: several do. Poor match: no listed fault leaves noise alone. Too early: the samples so far do not tell."
 )
 
@@ -26,12 +30,18 @@ class Word:
     Attributes
     ----------
     kind : str
-        ``"good match"``: one listed fault explains it, and nothing else that was tried does. ``"either"``: one of
-        several, or something that is not listed. ``"poor match"``: no listed fault explains it. ``"too early"``.
+        ``"good match"``: one listed fault explains it, no other sensor, actuator or listed fault does about as well,
+        and no unlisted state does better. ``"either"``: one of several, or something that is not listed.
+        ``"poor match"``: no listed fault explains it. ``"too early"``.
     faults : tuple of tuple of str
         The one that explains it, those that do, or the nearest; each with those that look the same here.
     unlisted : str
-        What nobody listed and explains it as well, or better; empty if nothing does.
+        What nobody listed and explains it as well, or better: ``"anything"`` where nothing of the kind was tried; empty
+        if nothing does.
+    why : str
+        What a good match is one by, and what else makes the word; empty where faults were fitted to the residual.
+    together : bool
+        Whether the faults are there at once, rather than one of them.
     quieter : bool
         Whether what is left is less than the noise of the fit: a frozen sensor, or other units.
     from_start : bool
@@ -41,7 +51,8 @@ class Word:
     evidence : float
         Twice the logarithm of the likelihood ratio of the first fault against none, in the colour of the noise.
     share : float
-        Of what the residual has beyond its noise the part that the first fault explains, 0 to 1.
+        Of what the residual has beyond its noise the part that the first fault explains, 0 to 1; NaN where faults were
+        not fitted to the residual.
     size, deviation : float
         Of the first fault as one step, with its standard error.
     """
@@ -49,11 +60,13 @@ class Word:
     kind: str
     faults: tuple[tuple[str, ...], ...]
     unlisted: str = ""
+    why: str = ""
+    together: bool = False
     quieter: bool = False
     from_start: bool = False
     after: int = 0
     evidence: float = 0.0
-    share: float = 0.0
+    share: float = math.nan
     size: float = math.nan
     deviation: float = math.nan
 
@@ -63,18 +76,29 @@ class Word:
         return tuple(" or ".join(group) for group in self.faults)
 
     @property
+    def fitted(self) -> bool:
+        """Whether it is by what the faults explain of the residual, with any course."""
+        return math.isfinite(self.share)
+
+    @property
     def line(self) -> str:
         """The word and what it names, without a full stop."""
         first = self.names[0] if self.names else ""
         if self.kind == GOOD:
-            return f"{first}, a good match"
+            return f"{first}, a good match {self.why}".rstrip()
         if self.kind == EITHER:
-            *others, last = [*self.names, *([f"something not listed, such as {self.unlisted}"] * bool(self.unlisted))]
-            return f"either {', '.join(others)} or {last}"
+            names = [name for group in self.faults for name in group]
+            if self.together:
+                names = [f"{listing(self.names)} at once"]
+            shown = names if len(names) <= _NAMED else [*names[:_NAMED], f"{len(names) - _NAMED} more"]
+            such = "" if self.unlisted == ANYTHING else f", such as {self.unlisted}"
+            return f"either {listing([*shown, *([f'something not listed{such}'] * bool(self.unlisted))], 'or')}"
         if self.kind == TOO_EARLY:
-            why = ", for it was there when judging began or soon after" if self.from_start else ""
-            return f"too early to be sure of the name{why}" + (f"; so far {first}" if first else "")
-        why = "it is quieter than in the fit, as of a frozen sensor or in other units" if self.quieter else _NONE
+            why = "it was there when judging began or soon after" if self.from_start else self.why
+            so_far = f"; so far {listing(self.names) if self.together else first}" if first else ""
+            return f"too early to be sure of the name{f', for {why}' if why else ''}{so_far}"
+        why = "it is quieter than in the fit, as of a frozen sensor or in other units" if self.quieter else self.why
+        why = why or "no listed fault explains it"
         nearest = f"; nearest is {first}" if first else ""
         better = f", and {self.unlisted}, which is not listed, explains it better" if self.unlisted and first else ""
         return f"a poor match: {why}{nearest}{better}"
@@ -90,7 +114,7 @@ class Word:
     @property
     def sentences(self) -> tuple[str, ...]:
         """What the word rests on."""
-        if not self.names:
+        if not self.names or not self.fitted:
             return ()
         said = f"By {self.after} samples of the alarm {self.names[0]} explains {100 * self.share:.0f} % of what the "
         said += "residual has beyond noise"
@@ -105,12 +129,10 @@ class Word:
             "word": self.kind,
             "faults": [list(group) for group in self.faults],
             "unlisted": self.unlisted,
+            "together": self.together,
             "after": self.after,
             **{name: value if math.isfinite(value) else None for name, value in values.items()},
         }
 
 
-_NONE = "no listed fault explains it"
-
-
-__all__ = ["EITHER", "GOOD", "POOR", "RULES", "TOO_EARLY", "Word"]
+__all__ = ["ANYTHING", "EITHER", "GOOD", "POOR", "RULES", "TOO_EARLY", "Word"]

@@ -135,6 +135,14 @@ class Gathered:
         """Return every segment whole: inputs, then outputs, in their own units; for methods that need it in memory."""
         return [segment.rows(0, len(segment)) for segment in self.segments]
 
+    def whole(self) -> list[NDArray[np.float64]]:
+        """Return every recording that has a complete row, with all its rows: inputs, then outputs; NaN is missing."""
+        first = {one.recording: one for one in reversed(self.segments)}
+        return [
+            _columns(one.u, one.y, one.input_columns + one.output_columns, 0, len(one.y))
+            for _, one in sorted(first.items())
+        ]
+
     def divided(self, held_out: float) -> tuple[Gathered, Gathered]:
         """Return the first part of each recording, and its last, which is the fraction ``held_out`` of its rows."""
         first, last = [], []

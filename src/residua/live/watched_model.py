@@ -147,7 +147,7 @@ class Judged:
             self._times[0], decisions.residuals, decisions.tested, decisions.named, self.model.generator, spec.test
         )
         explainer = explainer_of(spec, self.model.generator, self.model.monitor._check)
-        return with_words(alarms_of(seen, spec.isolation), seen.residuals, seen.tested.usable, explainer, since)
+        return with_words(alarms_of(seen, spec.isolation), seen.residuals, seen.tested.usable, explainer, spec, since)
 
     def dated(self, alarms: Sequence[Alarm], since: float) -> tuple[Alarm, ...]:
         """Return alarms with when they began, those that were raised since a time."""

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from residua.monitor.fault_learning import LearntFaults, LearntRow
     from residua.monitor.fleet import Fleet
     from residua.monitor.fleet_block import AlarmEvent, FleetAlarm, Tick
+    from residua.monitor.learning import Learnt, Tried, learn
     from residua.monitor.monitor import Monitor
     from residua.monitor.regime_diagnosis import RegimeAlarm, RegimeDiagnosis
     from residua.monitor.regime_monitor import RegimeMonitor
@@ -28,6 +29,7 @@ __all__ = [
     "Diagnosis",
     "Fleet",
     "FleetAlarm",
+    "Learnt",
     "LearntFaults",
     "LearntMatch",
     "LearntRow",
@@ -39,6 +41,8 @@ __all__ = [
     "RegimeMonitor",
     "Size",
     "Tick",
+    "Tried",
+    "learn",
     "read_recording",
     "recording_from_frame",
     "write_table",
@@ -53,6 +57,7 @@ hand_on(
         "residua.monitor.fault_learning": ("LearntFaults", "LearntRow"),
         "residua.monitor.fleet": ("Fleet",),
         "residua.monitor.fleet_block": ("AlarmEvent", "FleetAlarm", "Tick"),
+        "residua.monitor.learning": ("Learnt", "Tried", "learn"),
         "residua.monitor.monitor": ("Monitor",),
         "residua.monitor.regime_diagnosis": ("RegimeAlarm", "RegimeDiagnosis"),
         "residua.monitor.regime_monitor": ("RegimeMonitor",),

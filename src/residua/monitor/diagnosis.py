@@ -35,6 +35,7 @@ from residua.decide.word import Word
 from residua.errors import DataError, MissingExtraError, SettingError
 from residua.files import write_text
 from residua.monitor.explaining import word_of
+from residua.monitor.fit_check import FitCheck
 from residua.recording.clock import Clock
 from residua.visible import echo, listed
 
@@ -145,8 +146,11 @@ class Diagnosis:
         Samples of the window of a finite-horizon test (:class:`residua.decide.PeakThreshold`); 0 for any other.
     certified : bool
         Whether its thresholds are certified by the design.
-    false_alarms : str
-        How rare false alarms are, in one line by :attr:`residua.Monitor.fit_check`; empty without a fit.
+    fit_check : FitCheck or None
+        What the fit says of its own recordings, and of what could have been seen; ``None`` without a fit.
+    outside : float
+        Fraction of the decided samples that lie outside of what was learnt: where more than half of what the monitor
+        compares is not judged for it.
     is_unlike_the_fit : bool
         Whether a channel never comes near what it was in the recordings of the fit; the notes say which.
     predicted : bool
@@ -209,7 +213,8 @@ class Diagnosis:
     match: Match | None = field(default=None, repr=False)
     horizon: int = 0
     certified: bool = False
-    false_alarms: str = ""
+    fit_check: FitCheck | None = field(default=None, repr=False)
+    outside: float = 0.0
     is_unlike_the_fit: bool = False
     predicted: bool = False
     averaged: int = 1
@@ -375,7 +380,8 @@ class Diagnosis:
         if self.n_missing:
             lines.append(self.missing_text)
         if not self.alarms:
-            lines.append("no fault found" if self.decided.any() else f"no decision: {self.why_undecided}")
+            seen = self.fit_check.could_have_seen if self.fit_check else ()
+            lines += [self._nothing_found, *seen] if self.decided.any() else [f"no decision: {self.why_undecided}"]
         for k, alarm in longest_alarms(self.alarms, SHOWN_ALARMS):
             until = "to the end" if alarm.ended is None else f"until {self.clock.at(alarm.ended)}"
             lines.append(f"alarm {k}: raised {self.clock.at(alarm.raised)}, {until}")
@@ -387,6 +393,12 @@ class Diagnosis:
             want = "a code" if self.codes else "a signature"
             lines.append(f"never named by this monitor, for want of {want}: {', '.join(self.unjudged)}")
         return "\n".join([*lines, *self.notes])
+
+    @property
+    def _nothing_found(self) -> str:
+        """What no alarm means."""
+        nothing = self.fit_check.sees_nothing if self.fit_check else ""
+        return f"cannot tell: {nothing}" if nothing else "no fault found"
 
     def alarm_lines(self, alarm: Alarm) -> list[str]:
         """Return what is printed of an alarm: since when, what was over its threshold, and what explains it.

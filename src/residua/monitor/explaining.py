@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from residua.decide.alarm import Alarm, Candidate
 from residua.decide.explanation import BEFORE, FINAL, Explainer, Whitening
 from residua.decide.statement import SHOWN_ALARMS, longest_alarms
-from residua.decide.word import EITHER, GOOD, Word
+from residua.decide.word import EITHER, GOOD, TOO_EARLY, Word
 from residua.design import ResidualGenerator
 from residua.monitor.fit_check import FitCheck
 from residua.monitor.specification import Specification
@@ -47,9 +47,10 @@ def with_words(
     residuals: NDArray[np.float64],
     usable: NDArray[np.bool_],
     explainer: Explainer | None,
+    spec: Specification,
     since: float = -np.inf,
 ) -> tuple[Alarm, ...]:
-    """Return the alarms, the longest of them with a word, and the faults that it names before other candidates.
+    """Return the alarms with their words; faults that a fitted one names come before other candidates.
 
     Parameters
     ----------
@@ -58,16 +59,20 @@ def with_words(
     residuals : ndarray, shape (time, residuals)
     usable : ndarray of bool, shape (time,)
     explainer : Explainer or None
+        Fits faults to the longest ones; all others have the word of the isolation.
+    spec : Specification
     since : float
         Only those that were raised from then on.
     """
-    if explainer is None:
-        return tuple(alarms)
+    window = spec.isolation.samples_to_be_sure(spec.test)
     earlier = [alarm for alarm in alarms if alarm.raised < since]
     out = [alarm for alarm in alarms if alarm.raised >= since]
-    for number, alarm in longest_alarms(out, SHOWN_ALARMS):
-        word = word_of(alarm, residuals, usable, explainer)
-        out[number - 1] = _worded(alarm, word)
+    if explainer is not None:
+        for number, alarm in longest_alarms(out, SHOWN_ALARMS):
+            word = spec.isolation.agreed(alarm, word_of(alarm, residuals, usable, explainer))
+            if word.kind != TOO_EARLY or not spec.isolation.names_early:
+                out[number - 1] = _worded(alarm, word)
+    out = [alarm if alarm.word else replace(alarm, word=spec.isolation.word(alarm, window)) for alarm in out]
     return (*earlier, *out)
 
 

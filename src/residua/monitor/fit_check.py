@@ -6,12 +6,24 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
+from residua.decide.explanation import BLOCKS
 from residua.decide.false_alarms import within_tolerance
 from residua.decide.held_out import HeldOut
 from residua.decide.stationarity import Change
-from residua.number_kinds import COUNT, INDEX, PROBABILITY, SHARE, NumberKind
+from residua.monitor.visible_sizes import DETECTABLE, SOON, VisibleSize
+from residua.number_kinds import COUNT, FINITE, INDEX, PROBABILITY, SHARE, NumberKind
 from residua.records import Record
-from residua.words import one_in
+from residua.words import counted, number, one_in
+
+
+@dataclass(frozen=True)
+class Explained(Record):
+    """An output, and the share of its variance that its prediction one sample ahead explains."""
+
+    NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {"share": FINITE}
+
+    output: str
+    share: float
 
 
 @dataclass(frozen=True)
@@ -42,6 +54,12 @@ class FitCheck(Record):
         :func:`residua.decide.explanation.colour_of`. Empty where the test does not whiten.
     aimed : float or None
         Fraction of fault-free samples in alarm that the fit aimed at; ``None`` for thresholds that data do not change.
+    visible : tuple of VisibleSize
+        The smallest constant size of each fault that is seen; empty where the test cannot tell.
+    explained : tuple of Explained
+        The outputs that the filter predicts, and how much of them; empty for other residuals.
+    cautions : tuple of str
+        What makes the monitor as a whole doubtful: the first words of every diagnosis.
     promised : float or None
         The fraction that these rows promise not to be exceeded, with 95 % confidence; ``None`` if nothing is known of
         it, as of a threshold that is not from data.
@@ -67,6 +85,50 @@ class FitCheck(Record):
     colour: tuple[float, ...] = ()
     aimed: float | None = None
     promised: float | None = None
+    visible: tuple[VisibleSize, ...] = ()
+    explained: tuple[Explained, ...] = ()
+    cautions: tuple[str, ...] = ()
+
+    @property
+    def explains(self) -> str:
+        """How much of each output the filter predicts, in a line; empty where it predicts none."""
+        if not self.explained:
+            return ""
+        least = sorted(self.explained, key=lambda one: one.share)
+        more = f", and {counted(len(least) - _TOLD, 'other')} more" if len(least) > _TOLD else ""
+        named = ", ".join(f"{one.output} {100 * max(one.share, 0.0):.2g} %" for one in least[:_TOLD])
+        return f"explained of outputs, one sample ahead: {named}{more}"
+
+    @property
+    def could_have_seen(self) -> tuple[str, ...]:
+        """The constant faults that would have been seen, and those of which nothing can be told, in sentences."""
+        seen = [one for one in self.visible if one.is_detectable]
+        seen.sort(key=lambda one: -one.lasting / (one.deviation if one.deviation > 0 else one.lasting or 1.0))
+        blind = [one for one in self.visible if not one.is_detectable]
+        out = []
+        if seen:
+            more = f"; and {counted(len(seen) - _TOLD, 'more fault')}" if len(seen) > _TOLD else ""
+            listed = "; ".join(str(one) for one in seen[:_TOLD])
+            out.append(
+                f"The smallest constant faults that are seen in nine of ten cases, within {SOON} samples | as long as "
+                f"they last: {listed}{more}."
+            )
+        if blind:
+            more = f"; and {counted(len(blind) - _TOLD, 'more fault')}" if len(blind) > _TOLD else ""
+            listed = "; ".join(f"{one.fault} (from {one.text(one.lasting)} on)" for one in blind[:_TOLD])
+            out.append(f"Of a constant fault at {DETECTABLE:g} deviations nothing can be told: {listed}{more}.")
+        return tuple(out)
+
+    @property
+    def sees_nothing(self) -> str:
+        """Why a monitor that raises no alarm says next to nothing; empty where it sees some fault that lasts."""
+        if not self.visible or any(one.is_detectable for one in self.visible):
+            return ""
+        best = min(self.visible, key=lambda one: one.lasting / (one.deviation if one.deviation > 0 else 1.0))
+        return (
+            f"this monitor sees no fault that lasts: at best {best.fault}, from {best.text(best.lasting)} on; it needs "
+            "a better model, more sensors, or longer fault-free recordings"
+        )
 
     @property
     def false_alarms(self) -> str:
@@ -95,12 +157,28 @@ class FitCheck(Record):
         held = self.held_out
         if held is not None and held.is_over:
             found.insert(0, f"{held}, too many for {one_in(held.asked)}: {_CHANGES if found else _CAUSES}")
-        return tuple(f"the fit: {one}" for one in (*self.units, *self.doubts, *found))
+        return tuple(f"the fit: {one}" for one in (*self.cautions, *self.units, *self.doubts, *found, *self._wandering))
+
+    @property
+    def _wandering(self) -> tuple[str, ...]:
+        """What sums of whitened residuals over 20 samples, or the most there are enough of, say of the model."""
+        variance = self.colour[_TWENTY] if self.colour else 1.0
+        if variance <= _WANDERS:
+            return ()
+        return (
+            f"the residuals of healthy data wander {number(variance**0.5, 2)} times as far as noise would: the model "
+            'misses some of the plant\'s dynamics, or a drift, and names are "too early" or a "poor match" more often; '
+            "identify the plant anew, estimate its noise from data, or add a disturbance",
+        )
 
     def __str__(self) -> str:
         return "\n".join(filter(None, (self.false_alarms, *self.notes)))
 
 
+#: Faults that a sentence tells the sizes of.
+_TOLD = 5
+#: Place in ``colour`` of the variance of sums over 20 samples, and the variance above which the model is in doubt.
+_TWENTY, _WANDERS = 1 + BLOCKS.index(20), 4.0
 #: Fraction in alarm up to which a promise is worth to be said.
 _WORTH_SAYING = 0.1
 _CAUSES = (

@@ -20,18 +20,22 @@ from residua.decide.test import FaultFreeRun, ResidualTest, TestSettings, Watche
 from residua.design import ResidualGenerator
 from residua.errors import DataError, SettingError
 from residua.monitor.filtering import plausible_values
-from residua.monitor.fit_check import FitCheck
+from residua.monitor.fit_check import Explained, FitCheck
 from residua.monitor.fused import run_block
 from residua.monitor.inputs import settling_reason, settling_samples, signal_levels
+from residua.monitor.outcome import compared_outputs
 from residua.monitor.running import initial_state
 from residua.monitor.setup import blank_test, specification
 from residua.monitor.specification import Specification
+from residua.monitor.visible_sizes import visible_sizes
 from residua.recording.levels import level_and_spread, units_at_point, units_between
 from residua.visible import echo
 from residua.words import counted, listing
 
 #: Largest part that may be held out.
 MOST_HELD_OUT = 0.5
+#: Rows below which a share that is explained says nothing.
+_FEW_ROWS = 30
 #: Residuals this many times as large as the noise of the plant makes them are no matter of its size.
 _FAR_LARGER = 10.0
 
@@ -79,10 +83,28 @@ def fitted_test(
             raise
         raise DataError(f"{error}; {settling_reason(generator, blank.settle)}") from error
     check = replace(check, changes=changes(run, generator.residuals), left_out=left_out, recordings=len(recordings),
-                    colour=_colour(test, run),
+                    colour=_colour(test, run), visible=visible_sizes(generator, test, run),
+                    explained=_explained(generator, run, rows),
                     **_levels(blank, generator, recordings, run))  # fmt: skip
     test = _with_basis(test, len(recordings), f"; {_checked(check, held_out, int(run.usable.sum()))}")
     return test, check, fault_free_covariance(run)
+
+
+def _explained(
+    generator: ResidualGenerator, run: FaultFreeRun, held: NDArray[np.bool_] | None
+) -> tuple[Explained, ...]:
+    """Return how much of its outputs a filter predicts, on the rows that were held out where there are some."""
+    rows = run.usable if held is None else run.usable & held
+    m, plant = len(generator.plant.inputs), generator.plant
+    if run.signals is None or np.count_nonzero(rows) < _FEW_ROWS:
+        return ()
+    rows = rows & np.isfinite(run.signals).all(axis=1)
+    out = []
+    for i, j in compared_outputs(generator):
+        whole, left = run.signals[rows, m + j].var(), run.residuals[rows, i].var()
+        if whole > 0:
+            out.append(Explained(plant.outputs[j], float(1 - left / whole)))
+    return tuple(out)
 
 
 def _colour(test: ResidualTest, run: FaultFreeRun) -> tuple[float, ...]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from residua.decide.alarm import Alarm
 from residua.decide.isolation import Isolation, Named, Naming, Seen, last_over, longest
 from residua.decide.member_bounds import MemberBounds
+from residua.decide.test import ResidualTest, Tested
 from residua.design import ResidualGenerator
 from residua.monitor.beginning import with_beginnings
 from residua.monitor.diagnosis import Diagnosis
@@ -77,9 +78,8 @@ def diagnosis_from(
     seen = Seen(recorded.time, decisions.residuals, tested, named, generator, test)
     alarms = with_beginnings(alarms_of(seen, isolation), decisions.residuals, tested.usable, recorded.time)
     explainer = explainer_of(spec, generator, check)
-    alarms = with_words(alarms, decisions.residuals, tested.usable, explainer)
+    alarms = with_words(alarms, decisions.residuals, tested.usable, explainer, spec)
     unlike = tuple(_unlike_the_fit(check, generator.plant, recorded.signals, decisions.aside))
-    band, share = test.bands()
     return Diagnosis(
         time=recorded.time,
         residuals=decisions.residuals,
@@ -93,12 +93,7 @@ def diagnosis_from(
         resets=int(state.resets[plant]),
         predicted=spec.partial is not None,
         residual_names=generator.residuals,
-        center=test.center,
-        band=band,
-        band_share=share,
-        averaged=test.samples,
         generator=generator,
-        whitening=test.metric,
         settings=settings_of(spec, generator),
         source=recorded.source,
         origin=recorded.origin,
@@ -126,13 +121,27 @@ def diagnosis_from(
         codes=isolation.coding,
         isolation=isolation,
         explainer=explainer,
-        tested=test.groups_of_residuals,
-        member_thresholds=test.part_thresholds,
-        horizon=test.horizon,
-        certified=test.is_certified,
-        false_alarms=check.false_alarms if check else "",
+        fit_check=check,
         is_unlike_the_fit=bool(unlike),
+        **_of_test(test, tested),
     )
+
+
+def _of_test(test: ResidualTest, tested: Tested) -> dict[str, Any]:
+    """Return what a diagnosis has of the test itself."""
+    band, share = test.bands()
+    return {
+        "center": test.center,
+        "band": band,
+        "band_share": share,
+        "averaged": test.samples,
+        "whitening": test.metric,
+        "tested": test.groups_of_residuals,
+        "member_thresholds": test.part_thresholds,
+        "horizon": test.horizon,
+        "certified": test.is_certified,
+        "outside": test.outside_share(tested),
+    }
 
 
 def settings_of(spec: Specification, generator: ResidualGenerator) -> dict[str, str]:

@@ -20,6 +20,8 @@ _LIKE, _APART = 1.25, 3.0
 _LIKE_BESIDE = 3.0
 #: Level and spread that are both this factor larger or smaller, within the other, are those of a multiple.
 _MULTIPLE, _SAME_FACTOR = 5.0, 1.5
+#: Channels that all move a power of ten more or less than they did, how near to it in the middle, and how much alike.
+_SEVERAL, _NEAR_POWER, _ALIKE_POWERS = 2, 0.1, 0.15
 #: Rows of a recording that its range is taken from.
 _MOST_ROWS = 100_000
 
@@ -124,7 +126,24 @@ def units_of(channels: Sequence[str], values: Values, mean: Values, spread: Valu
         elif own > 0 and _fahrenheit(level, own, *was, _LIKE_BESIDE) and _outside(nearest, own, *was):
             perhaps[i] = note
     told |= perhaps if fahrenheit else {}
-    return [told[i] for i in sorted(told)]
+    return [told[i] for i in sorted(told)] or _times_ten(shown, spread, reference)
+
+
+def _times_ten(shown: Values, spread: Values, reference: str) -> list[str]:
+    """Say that all channels move ten times as much as they did, or a hundred times, or a tenth, as in other units."""
+    own = level_and_spread(shown)[1]
+    known = (spread > 0) & np.isfinite(own) & (own > 0)
+    if known.sum() < _SEVERAL:
+        return []
+    powers = np.log10(own[known] / spread[known])
+    middle = float(np.median(powers))
+    power = round(middle)
+    if not power or abs(middle - power) > _NEAR_POWER or np.abs(powers - middle).max() > _ALIKE_POWERS:
+        return []
+    return [
+        f"all {known.sum()} channels move {10.0**power:g} times as much as in {reference}: are they in other units, or "
+        "times a gain?"
+    ]
 
 
 def units_at_point(channels: Sequence[str], mean: Values, spread: Values, point: Values) -> list[str]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.statement import capital, size_text
+from residua.decide.word import EITHER
 from residua.recording.clock import length
 from residua.report.charts import by_interest, residual_unit
 from residua.report.choosing import SHOWN_FAULTS, look_alikes, shown_groups
@@ -27,6 +28,7 @@ from residua.report.tables import (
     learnt_faults_html,
     similarity_table,
     structure_table,
+    visible_table,
 )
 from residua.report.text import escape
 from residua.report.verdict import BEGAN_RULE, verdict
@@ -40,7 +42,7 @@ _KINDS = {"sensor": "sensor", "actuator": "actuator", "component": "component"}
 #: Cosine from which on signatures are said to look alike, and clusters of them that are listed.
 ALIKE = 0.98
 _CLUSTERS = 6
-_MARKS = {"fault": "⚠", "none": "✓", "undecided": "?"}
+_MARKS = {"fault": "⚠", "none": "✓", "undecided": "?", "cannot tell": "?", "outside": "?"}
 
 
 def summary_html(entries: Sequence[tuple[int, str, Diagnosis, tuple[str, ...] | None]]) -> str:
@@ -50,20 +52,20 @@ def summary_html(entries: Sequence[tuple[int, str, Diagnosis, tuple[str, ...] | 
     for k, heading, diagnosis, actual in entries:
         v = verdict(diagnosis)
         best = diagnosis.candidates[0] if diagnosis.candidates else None
+        reading = diagnosis.main_alarm.reading if diagnosis.main_alarm else None
+        unread = reading is not None and not reading.named
         if best:
             named = best.name
         elif v.present:
             named = listing(" or ".join(group) for group in v.present)
-        elif v.confidence == "no code":
-            named = (
-                v.headline.split(":")[0] if "not told which" in v.headline else "more than one fault, or one not known"
-            )
+        elif reading is not None:
+            named = "a fault, not told which" if reading.possible else "more than one fault, or one not known"
         else:
             named = "a fault, not isolated" if v.kind == "fault" else v.headline.rstrip(".")
         row = [f'<a href="#s{k}">{escape(heading or f"Diagnosis {k}")}</a>']
         if truth:
             row.append("–" if actual is None else escape(listing(actual)) or "nothing")
-        several = actual is not None and len(actual) > 1 and v.confidence == "no code"  # as the verdict says
+        several = actual is not None and len(actual) > 1 and unread  # as the verdict says
         faults = actual if several and actual else best.faults if best else ()
         if actual and v.present:  # right if each is named, and nothing else
             faults = actual if _just_these(actual, v.present) else ("",)
@@ -118,12 +120,14 @@ def diagnosis_html(diagnosis: Diagnosis, charts: dict[str, Any], *, number: int,
     """
     v = verdict(diagnosis)
     tag = f' <span class="tag">{escape(v.confidence)}</span>' if v.confidence else ""
-    sentences = "".join(f"<li>{escape(s)}</li>" for s in v.sentences)
+    tabled = diagnosis.fit_check.could_have_seen if diagnosis.fit_check else ()
+    sentences = "".join(f"<li>{escape(s)}</li>" for s in v.sentences if s not in tabled)
+    kind = v.kind.replace(" ", "-")
     by_code = diagnosis.codes is not None
     link = f'<p><a href="#f{filter_number}">Filter {filter_number}, its structure and evidence</a></p>'
     return "\n".join(
         [
-            f'<div class="verdict {v.kind}"><p class="headline"><span class="mark" aria-hidden="true">{_MARKS[v.kind]}'
+            f'<div class="verdict {kind}"><p class="headline"><span class="mark" aria-hidden="true">{_MARKS[v.kind]}'
             f"</span> {escape(v.headline)}{tag}</p><ul>{sentences}</ul></div>",
             look_table(diagnosis),
             _recording(diagnosis),
@@ -139,6 +143,7 @@ def diagnosis_html(diagnosis: Diagnosis, charts: dict[str, Any], *, number: int,
             code_table(diagnosis) if by_code else _directions(diagnosis),
             learnt_faults_html(diagnosis),
             _residual_table(diagnosis),
+            visible_table(diagnosis),
             link if filter_number else "",
         ]
     )
@@ -148,14 +153,14 @@ def _recording(diagnosis: Diagnosis) -> str:
     n = len(diagnosis.time)
     if n == 0:
         return '<p class="recording">The recording is empty.</p>'
-    decided, clock = int(diagnosis.decided.sum()), diagnosis.clock
+    decided, clock, check = int(diagnosis.decided.sum()), diagnosis.clock, diagnosis.fit_check
     where = f"Recording <b>{escape(diagnosis.source)}</b>" if diagnosis.source else "Recording"
     parts = [
         f"{where}: {n:,} samples from {clock.at(float(diagnosis.time[0]))} to {clock.at(float(diagnosis.time[-1]))}"
         f"{_local(diagnosis)}, step {length(diagnosis.generator.dt)}, {length(float(np.ptp(diagnosis.time)))} in all; "
         f"{decided:,} judged ({percent(decided, n)}).",
         _missing(diagnosis),
-        *([escape(f"{capital(diagnosis.false_alarms)}.")] if diagnosis.false_alarms else []),
+        *([escape(f"{capital(check.false_alarms)}.")] if check and check.false_alarms else []),
         *(escape(note) for note in diagnosis.notes),
     ]
     return '<p class="recording">' + "<br>".join(parts) + "</p>"
@@ -310,8 +315,8 @@ def look_table(diagnosis: Diagnosis) -> str:
     main, plant = diagnosis.main_alarm, diagnosis.generator.plant
     if main is None:
         return ""
-    groups = [*diagnosis.named, *(c.faults for c in main.candidates[1:2] if main.doubt)]
-    faults = [name for group in groups for name in group if name in plant.faults]
+    groups = [*diagnosis.named, *(main.word.faults if main.word and main.word.kind == EITHER else ())]
+    faults = list(dict.fromkeys(name for group in groups for name in group if name in plant.faults))
     if not faults:
         return ""
     shown = [plant.fault_list[plant.faults.index(name)] for name in faults[:SHOWN_FAULTS]]

@@ -127,9 +127,10 @@ def code_alarm_table(diagnosis: Diagnosis) -> str:
                 escape(", ".join(alarm.reading.fired) or "none") if alarm.reading else "–",
                 f'<td class="name">{escape(_read_as(alarm, diagnosis.clock))}</td>',
                 f'<td class="num">{"–" if alarm.present[1:] else read_share(alarm)}</td>',
+                f'<td class="name">{alarm.word.kind if alarm.word else "–"}</td>',
             ]
         )
-    header = ["Alarm", *ALARM_TIMES, "Fired", "Read as", "Of its samples"]
+    header = ["Alarm", *ALARM_TIMES, "Fired", "Read as", "Of its samples", "How sure"]
     return html_table(header, rows) + left_out_note(diagnosis)
 
 

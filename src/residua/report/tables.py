@@ -13,9 +13,10 @@ from residua.decide.alarm import Candidate
 from residua.decide.statement import angle, left_out_text, longest_alarms, ranked, sizes_text, tied_name
 from residua.design.core.evidence import Evidence, format_pole
 from residua.monitor.fault_learning import learnt_table
+from residua.monitor.visible_sizes import DETECTABLE, SOON
 from residua.report.choosing import SHOWN_FAULTS
 from residua.report.text import escape
-from residua.words import lead_text, number, score, some
+from residua.words import number, score, some
 
 if TYPE_CHECKING:
     from residua.decide.alarm import Alarm
@@ -48,6 +49,33 @@ class Table:
     caption: str = ""
 
 
+def visible_table(diagnosis: Diagnosis) -> str:
+    """Return the smallest constant faults that a fitted monitor sees as HTML; nothing where that is not known."""
+    check = diagnosis.fit_check
+    if check is None or not check.visible:
+        return ""
+    rows = [
+        [
+            escape(one.fault),
+            escape(one.text(one.soon)),
+            escape(one.text(one.lasting)),
+            "yes" if one.is_detectable else "no",
+        ]
+        for one in check.visible[:MAX_ROWS]
+    ]
+    header = (
+        "Constant fault",
+        f"Seen within {SOON} samples from",
+        "As long as it lasts from",
+        "Detectable when constant",
+    )
+    caption = (
+        "The smallest constant faults that this monitor sees in nine of ten cases, by its fit. Deviations are those "
+    )
+    caption += f"of the channel in the fit; detectable: as long as it lasts, at {DETECTABLE:g} deviations or less."
+    return html_table(header, rows, caption=caption)
+
+
 def text_table(table: Table) -> str:
     """Return a user's table as HTML, escaped."""
     rows = [[_cell(value) for value in row] for row in table.rows]
@@ -70,7 +98,7 @@ def alarm_table(diagnosis: Diagnosis) -> str:
     if not diagnosis.alarms:
         return '<p class="muted">No alarm was raised.</p>'
     rows = []
-    main, worded = diagnosis.main_alarm, any(alarm.word for alarm in diagnosis.alarms)
+    main = diagnosis.main_alarm
     for k, alarm in longest_alarms(diagnosis.alarms, MAX_ROWS):
         named = [c for c in alarm.candidates if np.isfinite(c.score)]
         best, following = (named + [None, None])[:2]
@@ -83,15 +111,12 @@ def alarm_table(diagnosis: Diagnosis) -> str:
                 _num(_weight(best)) if best else _num("–"),
                 _name(tied_name(tuple(named), 2) if following else "–"),
                 _num(_weight(following)) if following else _num("–"),
-                _name(alarm.word.kind if alarm.word else "–")
-                if worded
-                else _num("–" if not best or not following else _ahead(alarm)),
+                _name(alarm.word.kind if alarm.word else "–"),
             ]
         )
-    ahead = "How sure" if worded else "Margin" if diagnosis.match is None else "Lead in 2 ln L"
     probable = any(c.probability is not None for alarm in diagnosis.alarms for c in alarm.candidates)
     weight = "Probability" if probable else "Score"
-    header = ["Alarm", *ALARM_TIMES, "Most likely", weight, "Next", weight, ahead]
+    header = ["Alarm", *ALARM_TIMES, "Most likely", weight, "Next", weight, "How sure"]
     return html_table(header, rows) + left_out_note(diagnosis)
 
 
@@ -118,14 +143,6 @@ def _weight(candidate: Candidate) -> str:
     return score(candidate.score) if candidate.probability is None else number(candidate.probability, 3)
 
 
-def _ahead(alarm: Alarm) -> str:
-    """Return the lead of the best candidate: in probability or score, or of matched filters in likelihood."""
-    first, second = (c.probability for c in alarm.candidates[:2])
-    if first is not None and second is not None:
-        return number(first - second, 3)
-    return score(alarm.margin or 0.0) if alarm.lead is None else lead_text(alarm.lead)
-
-
 def candidate_table(diagnosis: Diagnosis) -> str:
     """Return every candidate of the main alarm with its score, best first; empty without candidates."""
     candidates = diagnosis.candidates
@@ -134,13 +151,14 @@ def candidate_table(diagnosis: Diagnosis) -> str:
     by_code = diagnosis.codes is not None
     matched = diagnosis.match is not None
     probable = any(c.probability is not None for c in candidates)
+    scored_alone = by_code or matched or not diagnosis.signatures
     sized = any(c.sizes for c in candidates)
     rows = []
     for k, c in ranked(candidates):
         long = c.score if c.probability is None else c.probability
         width = f"{100 * long:.1f}" if np.isfinite(long) else "0"
         bar = f'<td class="bar"><span style="--w:{width}%"></span></td>'
-        numbers = [score(c.score)] if by_code or matched else [score(c.score), angle(c.score), score(c.distance)]
+        numbers = [score(c.score)] if scored_alone else [score(c.score), angle(c.score), score(c.distance)]
         if probable:
             values = (c.probability, c.p_value, c.pair_p_value)
             numbers = ["–" if value is None else number(value, 3) for value in values]
@@ -150,7 +168,7 @@ def candidate_table(diagnosis: Diagnosis) -> str:
         rows.append([str(k), _name(c.name), bar, *map(_num, [*numbers, *sizes])])
     header = ["Rank", "Fault", "", *(("Probability", "p alone", "p against the first") if probable else ("Score",))]
     header += ["2 ln likelihood ratio", "Arrived"] if matched else []
-    header += [] if by_code or matched or probable else ["Angle off signature", "Distance"]
+    header += [] if scored_alone or probable else ["Angle off signature", "Distance"]
     header += ["Estimated size"] if sized else []
     title = "Candidates of the main alarm" if len(diagnosis.alarms) > 1 else "Candidates"
     more = len(rows) - SHOWN_FAULTS

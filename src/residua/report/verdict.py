@@ -11,7 +11,7 @@ import numpy as np
 from residua.decide.statement import began_text, capital, over_thresholds, raised_text, size_text, sizes_text
 from residua.monitor.diagnosis import NO_DIRECTION
 from residua.recording.clock import Clock
-from residua.words import number, some
+from residua.words import number, percent, some
 
 if TYPE_CHECKING:
     from residua.decide.alarm import Alarm
@@ -28,6 +28,8 @@ BEGAN_RULE = (
     "up for it, or that grows out of the noise in another way, may have begun well before the interval."
 )
 
+#: Fraction of the samples outside of what was learnt from which on that is the answer.
+_MOSTLY = 0.5
 _UNLIKE = "The data are unlike those of the fit, in other units or at another operating point."
 
 #: What is said of an alarm by certified thresholds.
@@ -43,13 +45,13 @@ class Verdict:
 
     Attributes
     ----------
-    kind : {"fault", "none", "undecided"}
+    kind : {"fault", "none", "cannot tell", "outside", "undecided"}
+        ``"cannot tell"``: no alarm, of a monitor that sees no fault that lasts; ``"outside"``: no alarm, on data that
+        mostly lie outside of what was learnt; ``"undecided"``: no sample was judged.
     headline : str
     sentences : tuple of str
     confidence : str
-        ``"good match"``, ``"either"``, ``"poor match"``, ``"too early"``; ``"likely"`` where the noise is not known;
-        ``"not isolated"``; by code ``"exact code"``, ``"exact codes"`` (of several faults), ``"degraded code"``,
-        ``"nearest code"``, ``"no code"``, ``"unsteady code"``; or empty.
+        ``"good match"``, ``"either"``, ``"poor match"``, ``"too early"``; empty where nothing is named.
     margin : float or None
         Lead of the best candidate over the next in score.
     present : tuple of tuple of str
@@ -78,10 +80,12 @@ def verdict(diagnosis: Diagnosis) -> Verdict:
     -------
     Verdict
     """
-    found = _verdict(diagnosis)
-    if diagnosis.is_unlike_the_fit:
-        return replace(found, headline=f"{_UNLIKE} {found.headline}")
-    return found
+    found, check = _verdict(diagnosis), diagnosis.fit_check
+    first = [_UNLIKE] if diagnosis.is_unlike_the_fit else []
+    if diagnosis.outside > _MOSTLY and found.kind != "outside":
+        first.append(f"{_outside(diagnosis)}.")
+    first += [f"{capital(one)}." for one in (check.cautions if check else ())]
+    return replace(found, headline=" ".join([*first, found.headline])) if first else found
 
 
 def _verdict(diagnosis: Diagnosis) -> Verdict:
@@ -102,7 +106,21 @@ def _verdict(diagnosis: Diagnosis) -> Verdict:
     if diagnosis.unjudged:
         want = "code" if diagnosis.codes else "signature"
         sentences.append(f"This monitor may not see {some(diagnosis.unjudged)}: without a {want} in it.")
+    check = diagnosis.fit_check
+    if diagnosis.outside > _MOSTLY:
+        return Verdict(
+            "outside", f"Cannot tell: {_outside(diagnosis)[0].lower()}{_outside(diagnosis)[1:]}.", tuple(sentences)
+        )
+    if check is not None:
+        sentences += check.could_have_seen
+        if check.sees_nothing:
+            return Verdict("cannot tell", f"Cannot tell: {check.sees_nothing}.", tuple(sentences))
     return Verdict("none", "No fault found.", tuple(sentences))
+
+
+def _outside(diagnosis: Diagnosis) -> str:
+    """Say which part of a recording lies outside of what was learnt."""
+    return f"{percent(round(100 * diagnosis.outside), 100)} of the samples lie outside of what the monitor has learnt"
 
 
 def _largest(diagnosis: Diagnosis, rows: int = 1 << 18) -> float:
