@@ -61,3 +61,27 @@ def test_demo_three_tank_and_the_same_by_hand(tmp_path: Path, residua: Residua) 
 
 def test_demo_folder_that_is_a_file(made: Path, residua: Residua) -> None:
     assert_error(residua("demo", "three-tank", "-o", made / "plant.toml"), "needs a folder")
+
+
+def test_learn_on_the_log_of_the_demo(tmp_path: Path, residua: Residua) -> None:
+    """Its pumps are moved by controllers, and its levels hardly move: of a leak nobody is sure."""
+    assert residua("demo", "three-tank", "-o", tmp_path)[0] == 0
+    learn = ("learn", tmp_path / "normal.csv", "-o", tmp_path / "learnt.json")
+    status, out, err = residua(*learn)
+    assert (status, out) == (2, "")
+    assert "'Q1', 'Q2', 'h1' and 'h2' follow from one another exactly" in err
+    assert "name the columns that drive the plant, --inputs" in err
+    status, _, err = residua(*learn, "--inputs", "Q1,Q2")
+    assert status == 0
+    told = "the model explains 3 % of its outputs at most, one sample ahead"
+    assert told in err
+    status, out, _ = residua("run", tmp_path / "learnt.json", tmp_path / "leak.csv")
+    assert status == 1
+    headline = out.splitlines()[0]
+    assert told[0].upper() + told[1:] in headline
+    assert "a poor match: no listed fault explains it" in headline
+    assert "good match" not in out
+    status, out, _ = residua("run", tmp_path / "learnt.json", tmp_path / "healthy.csv")
+    assert status == 0
+    assert "No fault found." in out.splitlines()[0]
+    assert "The smallest constant faults that are seen in nine of ten cases" in out

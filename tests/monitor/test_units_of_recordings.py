@@ -153,3 +153,16 @@ def test_all_channels_in_fahrenheit_are_named_though_they_wander() -> None:
     only = np.column_stack([alike[:, 0], 1.8 * alike[:, 1] + 32, alike[:, 2]])
     assert units_of(["a", "b", "flow"], alike, *was, "the fit") == []
     assert units_of(["a", "b", "flow"], only, *was, "the fit") == []
+
+
+@pytest.mark.parametrize("factor", [10.0, 0.1])
+def test_all_channels_times_ten_are_unlike_the_fit(factor: float) -> None:
+    design = rs.design.kalman_filter(model().plant.with_sensor_faults())
+    monitor = rs.Monitor(design).fit([day(3), day(4)], dt=60.0)
+    u, y = day(5)
+    middle = [one.mean(axis=0) for one in (u, y)]
+    assert not monitor.run(u, y).is_unlike_the_fit
+    same_level = monitor.run(middle[0] + factor * (u - middle[0]), middle[1] + factor * (y - middle[1]))
+    assert same_level.is_unlike_the_fit  # a gain about the level, which the level does not show
+    assert any(f"all 3 channels move {factor:g} times as much" in note for note in same_level.notes)
+    assert monitor.run(factor * u, factor * y).is_unlike_the_fit
