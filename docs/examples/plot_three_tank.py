@@ -100,7 +100,8 @@ assert second_half.false_alarm_fraction <= 0.01
 # For each recording: how long after its beginning the fault raised an alarm, with the test above and, for comparison, with
 # single samples, three in a row over a threshold; and which group of faults scores best over the last 300 samples. The score is
 # the cosine of the angle between the averaged residual and the group's direction. The margin is the lead of the right group
-# over the best other one: negative where a wrong group is in front.
+# over the best other one: negative where a wrong group is in front. The word is that of the diagnosis: how well the faults, with any
+# course, explain what the residual has beyond noise. No wrong name is a *good match*.
 single = monitor_for(kalman, test=rs.decide.NormThreshold())
 diagnoses = {number: monitor.run(*recording, source=f"fault {number}") for number, recording in faulty.items()}
 
@@ -114,20 +115,28 @@ def verdict(diagnosis, fault):
     return best, final.max(), final[right] - final[rival], diagnosis.groups[rival]
 
 
+def said(diagnosis):
+    """Return the word of the longest alarm, and the faults that it is about."""
+    word = diagnosis.main_alarm.word
+    return f"{word.kind}: {', '.join(word.names)}" if word.kind in ("good match", "either") else word.kind
+
+
 def delay(diagnosis):
     """Return the seconds from the beginning of the fault to the first alarm after it."""
     return next(alarm.raised - ONSET for alarm in diagnosis.alarms if alarm.raised >= ONSET)
 
 
 print(
-    f"{'':2}  {'really failed':<13} {'delay':>6} {'(single)':>9}   {'best at the end':<32} {'score':>6} {'margin':>7}"
+    f"{'':2}  {'really failed':<13} {'delay':>6} {'(single)':>9}   {'best at the end':<32} {'score':>6} {'margin':>7}       word"
 )
 verdicts = {number: verdict(diagnosis, really[number]) for number, diagnosis in diagnoses.items()}
 for number, diagnosis in diagnoses.items():
     best, score, margin, rival = verdicts[number]
-    mark = "" if really[number] in best else "  WRONG"
+    mark = "     " if really[number] in best else "WRONG"
     delays = f"{delay(diagnosis):4.0f} s {delay(single.run(*faulty[number])):7.0f} s"
-    print(f"{number:2}  {really[number]:<13} {delays}   {' or '.join(best):<32} {score:6.3f} {margin:+7.3f}{mark}")
+    print(f"{number:2}  {really[number]:<13} {delays}   {' or '.join(best):<32} {score:6.3f} {margin:+7.3f} {mark} {said(diagnosis)}")
+    word = diagnosis.main_alarm.word
+    assert word.kind != "good match" or really[number] in word.faults[0]
 correct = [number for number, (best, *_) in verdicts.items() if really[number] in best]
 lasting = sum(d.alarm[-300:].all() for d in diagnoses.values())
 early = [number for number, d in diagnoses.items() if any(alarm.raised < ONSET for alarm in d.alarms)]
