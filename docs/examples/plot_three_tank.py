@@ -134,7 +134,8 @@ for number, diagnosis in diagnoses.items():
     best, score, margin, rival = verdicts[number]
     mark = "     " if really[number] in best else "WRONG"
     delays = f"{delay(diagnosis):4.0f} s {delay(single.run(*faulty[number])):7.0f} s"
-    print(f"{number:2}  {really[number]:<13} {delays}   {' or '.join(best):<32} {score:6.3f} {margin:+7.3f} {mark} {said(diagnosis)}")
+    row = f"{number:2}  {really[number]:<13} {delays}   {' or '.join(best):<32} {score:6.3f} {margin:+7.3f}"
+    print(f"{row} {mark} {said(diagnosis)}")
     word = diagnosis.main_alarm.word
     assert word.kind != "good match" or really[number] in word.faults[0]
 correct = [number for number, (best, *_) in verdicts.items() if really[number] in best]
