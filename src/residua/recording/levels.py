@@ -105,6 +105,7 @@ def units_of(channels: Sequence[str], values: Values, mean: Values, spread: Valu
     """
     shown = values[:: rows_apart(len(values))]
     told: dict[int, str] = {}
+    factors: list[float] = []
     fahrenheit, perhaps = False, {}
     for i, channel in enumerate(channels):
         column = shown[np.isfinite(shown[:, i]), i]
@@ -112,6 +113,8 @@ def units_of(channels: Sequence[str], values: Values, mean: Values, spread: Valu
             continue
         low, high = np.quantile(column, (0.01, 0.99))
         level, own = (float(one[0]) for one in level_and_spread(column[:, None]))
+        if own > 0:
+            factors.append(own / float(spread[i]))
         nearest = float(np.clip(mean[i], low, high))
         was = mean[i], spread[i]
         note = (
@@ -126,23 +129,21 @@ def units_of(channels: Sequence[str], values: Values, mean: Values, spread: Valu
         elif own > 0 and _fahrenheit(level, own, *was, _LIKE_BESIDE) and _outside(nearest, own, *was):
             perhaps[i] = note
     told |= perhaps if fahrenheit else {}
-    return [told[i] for i in sorted(told)] or _times_ten(shown, spread, reference)
+    return [told[i] for i in sorted(told)] or _times_ten(factors, reference)
 
 
-def _times_ten(shown: Values, spread: Values, reference: str) -> list[str]:
+def _times_ten(factors: Sequence[float], reference: str) -> list[str]:
     """Say that all channels move ten times as much as they did, or a hundred times, or a tenth, as in other units."""
-    own = level_and_spread(shown)[1]
-    known = (spread > 0) & np.isfinite(own) & (own > 0)
-    if known.sum() < _SEVERAL:
+    if len(factors) < _SEVERAL:
         return []
-    powers = np.log10(own[known] / spread[known])
+    powers = np.log10(factors)
     middle = float(np.median(powers))
     power = round(middle)
     if not power or abs(middle - power) > _NEAR_POWER or np.abs(powers - middle).max() > _ALIKE_POWERS:
         return []
     return [
-        f"all {known.sum()} channels move {10.0**power:g} times as much as in {reference}: are they in other units, or "
-        "times a gain?"
+        f"all {len(factors)} channels move {10.0**power:g} times as much as in {reference}: are they in other units, "
+        "or times a gain?"
     ]
 
 
