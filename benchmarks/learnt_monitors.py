@@ -356,7 +356,8 @@ def targets(sets: Sequence[Mapping[str, object]], events: Sequence[Mapping[str, 
         wanted = math.ceil(0.9 * len(sets))
         for name in ("false", *(f"false, log {seed}" for seed in OTHER_LOGS)):
             few = sum(float(str(one[name])) <= 3 for one in sets)
-            yield f"{name.replace('false', 'false alarms')} within 3 times the rate: {few} of {len(sets)} ({wanted} asked)", few >= wanted
+            said = f"{name.replace('false', 'false alarms')} within 3 times the rate: {few} of {len(sets)}"
+            yield f"{said} ({wanted} asked)", few >= wanted
         for kind in ("soon", "lasting"):
             close = sum(one[f"{kind} within {AGREES:g}"] == "yes" for one in sets)
             yield f"{kind}: printed within {AGREES:g} of measured: {close} of {len(sets)}", close >= wanted
