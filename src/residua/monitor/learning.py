@@ -223,7 +223,9 @@ def learn(
     >>> import numpy as np
     >>> import residua as rs
     >>> rng = np.random.default_rng(0)
-    >>> load = np.cumsum(rng.standard_normal(4000)) / 30
+    >>> load = rng.standard_normal(4000)
+    >>> for k in range(1, 4000):
+    ...     load[k] = 0.95 * load[k - 1] + 0.3 * load[k]
     >>> log = np.column_stack([np.sin(load), 3 + 2 * load, load**2]) + 0.05 * rng.standard_normal((4000, 3))
     >>> learnt = rs.learn(log[:3000], inputs=[], outputs=["flow", "level", "power"])
     >>> learnt.chosen
