@@ -1,4 +1,4 @@
-"""What is promised of learnt monitors is in the tables, and a part of the campaign comes out."""
+"""The tables of learnt monitors hold their promises, and a part of the campaign comes out."""
 
 from __future__ import annotations
 

@@ -230,9 +230,10 @@ def _status(diagnosis: Diagnosis, strict: bool) -> int:
     """Return the exit status of a run."""
     if diagnosis.fault_detected:
         return FAULT
-    if diagnosis.is_unlike_the_fit or verdict(diagnosis).kind == "outside":
+    kind = verdict(diagnosis).kind
+    if diagnosis.is_unlike_the_fit or kind == "outside":
         return UNLIKE
-    return CANNOT_TELL if strict and verdict(diagnosis).kind == "cannot tell" else NO_FAULT
+    return CANNOT_TELL if strict and kind == "cannot tell" else NO_FAULT
 
 
 #: Bytes of a file from which on it is read piece by piece: about 300 MB of memory at once otherwise.

@@ -102,15 +102,13 @@ def learn(
     check_recordings(normal)
     check_outputs([output], normal)
     reading = Reading(time, dt, variable, fill_gaps, tolerance, day_first, time_format, decimal, columns, transpose)
-    guess, named = inputs is None, [] if inputs in (None, "none") else parse_names(checked_names(inputs))
+    named = [] if inputs in (None, "none") else parse_names(checked_names(inputs))
     data = Channels(named, parse_names(outputs)).read(normal, reading)
     options = settings_of(data, order, max_order, past, method, feedthrough, delay, units)
-    if guess:
-        del options["inputs"], options["outputs"]
-    chosen = {name: options.pop(name) for name in ("inputs", "outputs") if name in options}
+    channels = {name: options.pop(name) for name in ("inputs", "outputs")}
     learnt = learn_monitor(
         data,
-        **chosen,
+        **({} if inputs is None else channels),
         false_alarm_rate=false_alarm_rate,
         form=form.value,
         sensor_faults=sensor_faults,

@@ -25,7 +25,7 @@ from residua.decide.structured import codes_of
 from residua.design import MatchedFilters, ResidualGenerator
 from residua.monitor.diagnosis import Alarm, Diagnosis
 from residua.monitor.fit_check import FitCheck
-from residua.monitor.visible_sizes import SOON
+from residua.monitor.visible_sizes import HEADER
 from residua.report.tables import alarm_times
 from residua.report.verdict import verdict
 from residua.visible import visible
@@ -295,10 +295,7 @@ def show_visible(check: FitCheck) -> None:
     say(*([check.explains] if check.explains else []))
     if not check.visible:
         return
-    show_table(
-        ["constant fault", f"seen within {SOON} samples from", "as long as it lasts from", "detectable when constant"],
-        [[one.fault, one.text(one.soon), one.text(one.lasting), one.is_detectable] for one in check.visible],
-    )
+    show_table(HEADER, [one.cells for one in check.visible])
 
 
 def _alarm_row(k: int, alarm: Alarm, diagnosis: Diagnosis) -> list[object]:

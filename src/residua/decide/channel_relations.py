@@ -10,13 +10,14 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.arrays import runs as runs_of
 from residua.decide.checks import check_rate, is_number, rate_aimed_at
 from residua.decide.dependence import correlation_times
 from residua.decide.fault_free import FaultFree
 from residua.decide.multiscale_ewma import MultiscaleEWMA, MultiscaleEWMATest
 from residua.decide.multiscale_fit import averaged
 from residua.decide.persistence import AlarmRuns, held, run_alarm
-from residua.decide.relations import FORMS, HORIZON, LAGS, STATIC, Relations, RelationsState, fit_relations
+from residua.decide.relations import CURVE, FORMS, HORIZON, LAGS, STATIC, Relations, RelationsState, fit_relations
 from residua.decide.stream_test import StreamState
 from residua.decide.test import Block, FaultFreeRun, ResidualTest, Tested, TestSettings, Watched
 from residua.decide.whitened_norm import NINE_OF_TEN
@@ -67,7 +68,6 @@ class ChannelsState(Record):
         Those of weights 1/8 and 1/64.
     armed : ndarray of bool, shape (plants, channels)
         Whether a slow mean starts anew once the fast ones are small again.
-    alarm : ndarray of bool, shape (plants, parts)
     last : ndarray, shape (plants, sensors)
     same : ndarray of int, shape (plants, sensors)
         Samples in a row that were equal to the one before; -1 before the first.
@@ -76,13 +76,13 @@ class ChannelsState(Record):
     counted : ndarray of int, shape (plants, sensors)
         Changes so far, up to the rows over which they are compared.
     runs : AlarmRuns
+        With an alarm for each part.
     """
 
     model: StreamState
     relations: RelationsState
     means: NDArray[np.float64]
     armed: NDArray[np.bool_]
-    alarm: NDArray[np.bool_]
     last: NDArray[np.float64]
     same: NDArray[np.int64]
     changes: NDArray[np.float64]
@@ -151,12 +151,11 @@ class ChannelRelationsTest(ResidualTest):
             self.relations.start(plants),
             np.zeros((plants, 2, q)),
             np.zeros((plants, q), bool),
-            np.zeros((plants, 1 + q), bool),
             np.zeros((plants, p)),
             np.full((plants, p), -1),
             np.zeros((plants, _QUIET_ROWS - 1, p)),
             np.zeros((plants, p), np.int64),
-            AlarmRuns.empty(plants).without_down(),
+            replace(AlarmRuns.empty(plants), alarm=np.zeros((plants, 1 + q), bool)).without_down(),
         )
 
     def run(self, state: ChannelsState, block: Block) -> tuple[ChannelsState, Tested]:
@@ -173,16 +172,16 @@ class ChannelRelationsTest(ResidualTest):
             judged & (np.where(judged, quick, np.inf) <= _RELEASE) & (np.where(judged, ratios, np.inf) <= _SLOW_RELEASE)
         )
         fired = [tested.alarm]
-        fired += [held(over[..., j + 1], under[..., j], state.alarm[:, j + 1]) for j in range(under.shape[2])]
+        fired += [held(over[..., j + 1], under[..., j], state.runs.alarm[:, j + 1]) for j in range(under.shape[2])]
         fired = np.stack(fired, axis=2)
         exceeded = np.asarray(over.any(axis=2))
-        _, up, runs = run_alarm(exceeded, usable, replace(state.runs, alarm=state.alarm.any(axis=1)), 1, 1)
+        _, up, runs = run_alarm(exceeded, usable, replace(state.runs, alarm=state.runs.alarm.any(axis=1)), 1, 1)
         alarm = np.asarray(fired.any(axis=2))
         statistic = np.where(usable, np.fmax.reduce(every, axis=2), np.nan)
         usable = usable & np.isfinite(statistic)
         if usable.shape[1]:
-            runs = replace(runs, alarm=alarm[:, -1].copy()).without_down()
-            state = replace(state, model=model, alarm=fired[:, -1].copy(), runs=runs)
+            runs = replace(runs, alarm=fired[:, -1].copy()).without_down()
+            state = replace(state, model=model, runs=runs)
         return state, Tested(usable, statistic, exceeded, alarm, up, tested.whitened, every, fired)
 
     def of_channels(
@@ -429,10 +428,10 @@ class ChannelRelationsTest(ResidualTest):
 
 
 _SAID = {
-    "static": "what the others do not say",
-    "curve": "what a curve of one or two others does not say",
-    "lags": "what the others and their past do not say",
-    "horizon": "what the model does not foretell 50 rows ahead",
+    STATIC: "what the others do not say",
+    CURVE: "what a curve of one or two others does not say",
+    LAGS: "what the others and their past do not say",
+    HORIZON: "what the model does not foretell 50 rows ahead",
 }
 
 
@@ -487,7 +486,7 @@ class ChannelRelations(TestSettings):
         Part of each recording that the model is from: its residual there is no measure of what it is elsewhere, and
         thresholds of residuals are from the rest.
     raised : mapping of str to float, or sequence of Raised
-        Factors on thresholds, by channel or ``"model"``, from a check on other rows.
+        Factors on thresholds, by channel or :data:`MODEL` (``"prediction of the model"``), from a check on other rows.
 
     See Also
     --------
@@ -559,8 +558,11 @@ class ChannelRelations(TestSettings):
             )
         plant, count = watched.generator.plant, int(run.usable.sum())
         channels, p = (*plant.inputs, *plant.outputs), len(plant.outputs)
-        rest = replace(run, usable=run.usable & ~_first_part(run, self.unseen))
         factors = {one.part: one.factor for one in self.raised}
+        unknown = [name for name in factors if name not in (MODEL, *channels)]
+        if unknown:
+            raise SettingError(f"raised: {echo(unknown[0])} is no channel; there are {', '.join((MODEL, *channels))}")
+        rest = replace(run, usable=run.usable & ~_first_part(run, self.unseen))
         model = _raised(
             MultiscaleEWMA(source="data").fitted(watched, rest, rate / 2), _MODEL_MARGIN * factors.get(MODEL, 1.0)
         )
@@ -575,9 +577,6 @@ class ChannelRelations(TestSettings):
         means = np.where(known, left, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
         limits, noise, clips = _limits(left - means, recordings, relations.moving, rate / 2)
         frozen, quiet = _standstills(run.signals[:, len(channels) - p :], recordings)
-        unknown = [name for name in factors if name not in (MODEL, *channels)]
-        if unknown:
-            raise SettingError(f"raised: {echo(unknown[0])} is no channel; there are {', '.join((MODEL, *channels))}")
         raised = _MARGIN * np.array([factors.get(name, 1.0) for name in channels])
         basis = f"{one_in(rate)} samples in alarm, half of them by the residual ({model.basis}), half by the channels"
         basis += f" ({count} fault-free samples, each foretold by a fit to others)"
@@ -598,7 +597,6 @@ class ChannelRelations(TestSettings):
             clips=clips * raised,
             frozen=frozen,
             quiet=quiet,
-            promised=None,
         )
 
     def asked(self, watched: Watched, rows: int = 0) -> float:
@@ -677,7 +675,7 @@ def _standstills(y: NDArray[np.float64], recordings: Sequence[slice]) -> tuple[N
             steps = np.diff(values)
             if not steps.size:
                 continue
-            longest = max(longest, int(_run_lengths(steps == 0, 0).max()))
+            longest = max(longest, int(np.diff(runs_of(steps == 0)).max(initial=0)))
             if len(steps) >= _QUIET_ROWS:
                 squares = np.lib.stride_tricks.sliding_window_view(steps * steps, _QUIET_ROWS)
                 least = min(least, float(np.sqrt(squares.mean(axis=1).min())))

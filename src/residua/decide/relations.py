@@ -9,9 +9,10 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.decide.multiscale_fit import averaged
 from residua.errors import DataError
 from residua.linear import StateSpace
-from residua.linear.systems.recursion import ordered_product, run_filter
+from residua.linear.systems.recursion import ordered_product
 from residua.number_kinds import NumberKind
 from residua.records import Record
 from residua.tolerances import DATA_ROUNDING, TINY
@@ -122,9 +123,7 @@ class Relations(Record):
         innovations : ndarray, shape (plants, time, residuals)
             NaN where they are not known.
         """
-        z = (signals - self.middle) / np.where(self.spread > 0, self.spread, 1.0)
-        z = np.where(self.spread > 0, z, 0.0)  # a channel that never moved says nothing, whatever it does now
-        features = z
+        z = features = _in_spreads(signals, self.middle, self.spread)
         if self.form == HORIZON:
             state, left = self._over_horizon(state, innovations)
         elif self.form == CURVE:
@@ -148,7 +147,6 @@ class Relations(Record):
         known = np.asarray(np.isfinite(z).all(axis=2))
         means = np.repeat(state.averages[:, None], time, axis=1)
         averages, begun = state.averages.copy(), state.begun.copy()
-        one = np.eye(q)
         for plant in range(plants):
             at = np.flatnonzero(known[plant])
             if not at.size:
@@ -157,13 +155,10 @@ class Relations(Record):
                 averages[plant], begun[plant] = entering[plant, at[0]], True
             held = np.maximum.accumulate(np.where(known[plant], np.arange(time), -1))
             for k, weight in enumerate(LAG_WEIGHTS):
-                filtered = run_filter(
-                    (1 - weight) * one, weight * one, (1 - weight) * one, weight * one,
-                    averages[plant, k][None], entering[plant, at][None],
-                )  # fmt: skip
+                after, last = averaged(weight, averages[plant, k][None], entering[plant, at][None])
                 rows = np.cumsum(known[plant])[held] - 1
-                means[plant, :, k] = np.where((held >= 0)[:, None], filtered[1][0][rows], averages[plant, k])
-                averages[plant, k] = filtered[0][0]
+                means[plant, :, k] = np.where((held >= 0)[:, None], after[0][rows], averages[plant, k])
+                averages[plant, k] = last[0]
         features = np.concatenate([z, means.reshape(plants, time, len(LAG_WEIGHTS) * q)], axis=2)
         return replace(state, averages=averages, begun=begun), features
 
@@ -237,7 +232,7 @@ def fit_relations(
     rows = signals[used]
     middle, spread = rows.mean(axis=0), rows.std(axis=0)
     spread = np.where(spread > DATA_ROUNDING * np.abs(rows).max(axis=0), spread, 0.0)
-    z = np.where(spread > 0, (rows - middle) / np.where(spread > 0, spread, 1.0), 0.0)
+    z = _in_spreads(rows, middle, spread)
     blank = Relations(
         form, middle, spread, np.zeros(q), np.zeros((0, q)), np.full((q, 2), -1),
         np.tile(np.arange(_KNOTS * 1.0), (q, 1)),
@@ -253,16 +248,29 @@ def fit_relations(
         return made, np.where(used[:, None], left, np.nan)
     features = z
     if form == LAGS:
-        parts = [
-            blank._with_lags(blank.start(1), ((signals[p] - middle) / np.where(spread > 0, spread, 1.0))[None])
-            for p in recordings
-        ]
-        features = np.nan_to_num(np.concatenate([one[1][0] for one in parts])[used])
+        whole = _in_spreads(signals, middle, spread)
+        parts = [blank._with_lags(blank.start(1), whole[None, p])[1][0] for p in recordings]
+        features = np.concatenate(parts)[used]
     folds = np.minimum(np.arange(count) * _FOLDS // count, _FOLDS - 1)
     fitted, off = _curves(z, folds) if form == CURVE else _regressions(features, z, folds)
     left = np.full(signals.shape, np.nan)
     left[used] = off
     return replace(blank, **fitted), np.where(spread > 0, left, np.nan)
+
+
+def _in_spreads(
+    signals: NDArray[np.float64], middle: NDArray[np.float64], spread: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return deviations from the middle in spreads; zero of a channel that never moved, whatever it does now."""
+    return np.where(spread > 0, (signals - middle) / np.where(spread > 0, spread, 1.0), 0.0)
+
+
+def _normal_equations(
+    basis: NDArray[np.float64], targets: NDArray[np.float64], folds: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the products of a basis with itself and with targets, of each fold."""
+    parts = [(basis[folds == f], targets[folds == f]) for f in range(_FOLDS)]
+    return np.array([own.T @ own for own, _ in parts]), np.array([own.T @ one for own, one in parts])
 
 
 def _regressions(
@@ -271,8 +279,7 @@ def _regressions(
     """Return each channel regressed on features of the others, by the penalty that foretells folds best."""
     count, q = z.shape
     ones = np.hstack([np.ones((count, 1)), features])
-    grams = np.array([ones[folds == f].T @ ones[folds == f] for f in range(_FOLDS)])
-    right = np.array([ones[folds == f].T @ z[folds == f] for f in range(_FOLDS)])
+    grams, right = _normal_equations(ones, z, folds)
     owner = np.concatenate([[-1], np.arange(features.shape[1]) % q])
     constant, gains, off = np.zeros(q), np.zeros((features.shape[1], q)), np.zeros((count, q))
     total, whole = grams.sum(axis=0), right.sum(axis=0)
@@ -293,14 +300,10 @@ def _regressions(
                 weights = np.linalg.solve(total[square] + ridge, whole[mine, i])
                 constant[i], gains[:, i] = weights[0], 0.0
                 gains[mine[1:] - 1, i] = weights[1:]
-    reach = np.abs(gains).T / (_OUTSIDE * _deviations(off))[:, None]
+    size = np.sqrt(np.mean(off**2, axis=0))
+    reach = np.abs(gains).T / (_OUTSIDE * np.where(size > 0, size, 1.0))[:, None]
     ranges = {"lows": features.min(axis=0), "highs": features.max(axis=0)}
     return {"constant": constant, "gains": gains, "reach": reach, **ranges}, off
-
-
-def _deviations(off: NDArray[np.float64]) -> NDArray[np.float64]:
-    size = np.sqrt(np.mean(off**2, axis=0))
-    return np.where(size > 0, size, 1.0)
 
 
 def _curves(z: NDArray[np.float64], folds: NDArray[np.int64]) -> tuple[dict[str, NDArray], NDArray[np.float64]]:
@@ -357,8 +360,7 @@ def _foretold(
     basis: NDArray[np.float64], targets: NDArray[np.float64], folds: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return errors of targets by least squares, each fold by the others, and the weights of all rows."""
-    grams = np.array([basis[folds == f].T @ basis[folds == f] for f in range(_FOLDS)])
-    right = np.array([basis[folds == f].T @ targets[folds == f] for f in range(_FOLDS)])
+    grams, right = _normal_equations(basis, targets, folds)
     total, whole, held = grams.sum(axis=0), right.sum(axis=0), DATA_ROUNDING * len(basis) * np.eye(basis.shape[1])
     errors = np.empty_like(targets)
     for f in range(_FOLDS):

@@ -396,7 +396,7 @@ class Diagnosis:
 
     @property
     def _nothing_found(self) -> str:
-        """What no alarm means."""
+        """The meaning of no alarm."""
         nothing = self.fit_check.sees_nothing if self.fit_check else ""
         return f"cannot tell: {nothing}" if nothing else "no fault found"
 

@@ -91,7 +91,7 @@ class FitCheck(Record):
 
     @property
     def explains(self) -> str:
-        """How much of each output the filter predicts, in a line; empty where it predicts none."""
+        """The shares of outputs that the filter predicts, in a line; empty where it predicts none."""
         if not self.explained:
             return ""
         least = sorted(self.explained, key=lambda one: one.share)
@@ -107,21 +107,18 @@ class FitCheck(Record):
         blind = [one for one in self.visible if not one.is_detectable]
         out = []
         if seen:
-            more = f"; and {counted(len(seen) - _TOLD, 'more fault')}" if len(seen) > _TOLD else ""
-            listed = "; ".join(str(one) for one in seen[:_TOLD])
             out.append(
                 f"The smallest constant faults that are seen in nine of ten cases, within {SOON} samples | as long as "
-                f"they last: {listed}{more}."
+                f"they last: {_first([str(one) for one in seen])}."
             )
         if blind:
-            more = f"; and {counted(len(blind) - _TOLD, 'more fault')}" if len(blind) > _TOLD else ""
-            listed = "; ".join(f"{one.fault} (from {one.text(one.lasting)} on)" for one in blind[:_TOLD])
-            out.append(f"Of a constant fault at {DETECTABLE:g} deviations nothing can be told: {listed}{more}.")
+            named = _first([f"{one.fault} (from {one.text(one.lasting)} on)" for one in blind])
+            out.append(f"Of a constant fault at {DETECTABLE:g} deviations nothing can be told: {named}.")
         return tuple(out)
 
     @property
     def sees_nothing(self) -> str:
-        """Why a monitor that raises no alarm says next to nothing; empty where it sees some fault that lasts."""
+        """The reason for which no alarm says next to nothing; empty where some fault that lasts is seen."""
         if not self.visible or any(one.is_detectable for one in self.visible):
             return ""
         best = min(self.visible, key=lambda one: one.lasting / (one.deviation if one.deviation > 0 else 1.0))
@@ -173,6 +170,12 @@ class FitCheck(Record):
 
     def __str__(self) -> str:
         return "\n".join(filter(None, (self.false_alarms, *self.notes)))
+
+
+def _first(faults: list[str]) -> str:
+    """Return the first of some faults, and how many there are besides."""
+    more = [f"and {counted(len(faults) - _TOLD, 'more fault')}"] if len(faults) > _TOLD else []
+    return "; ".join([*faults[:_TOLD], *more])
 
 
 #: Faults that a sentence tells the sizes of.

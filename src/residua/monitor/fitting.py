@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from residua.decide.checks import check_samples, is_number
 from residua.decide.explanation import Whitening, colour_of
 from residua.decide.fault_free import FaultFree, shrunk
-from residua.decide.held_out import alarms_held_out, held_out_rows
+from residua.decide.held_out import LEAST, alarms_held_out, held_out_rows
 from residua.decide.isolation import NoIsolation
 from residua.decide.stationarity import changes, transient_samples
 from residua.decide.test import FaultFreeRun, ResidualTest, TestSettings, Watched
@@ -34,8 +34,6 @@ from residua.words import counted, listing
 
 #: Largest part that may be held out.
 MOST_HELD_OUT = 0.5
-#: Rows below which a share that is explained says nothing.
-_FEW_ROWS = 30
 #: Residuals this many times as large as the noise of the plant makes them are no matter of its size.
 _FAR_LARGER = 10.0
 
@@ -96,7 +94,7 @@ def _explained(
     """Return how much of its outputs a filter predicts, on the rows that were held out where there are some."""
     rows = run.usable if held is None else run.usable & held
     m, plant = len(generator.plant.inputs), generator.plant
-    if run.signals is None or np.count_nonzero(rows) < _FEW_ROWS:
+    if run.signals is None or np.count_nonzero(rows) < LEAST:
         return ()
     rows = rows & np.isfinite(run.signals).all(axis=1)
     out = []

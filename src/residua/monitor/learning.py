@@ -98,8 +98,6 @@ class Learnt:
     inputs, outputs : tuple of str
     guessed : bool
         Whether inputs were guessed.
-    cautions : tuple of str
-        What makes this monitor doubtful; every run repeats it.
     notes : tuple of str
         Of the recordings.
     """
@@ -111,8 +109,13 @@ class Learnt:
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     guessed: bool
-    cautions: tuple[str, ...]
     notes: tuple[str, ...] = ()
+
+    @property
+    def cautions(self) -> tuple[str, ...]:
+        """The reasons to doubt this monitor, which every run repeats."""
+        check = self.monitor.fit_check
+        return check.cautions if check else ()
 
     @property
     def lines(self) -> tuple[str, ...]:
@@ -241,7 +244,9 @@ def learn(
     gathered, guessed = _with_inputs(recordings, y, inputs, outputs, dt)
     rows, m = gathered.whole(), len(gathered.inputs)
     complete = sum(int(np.isfinite(one).all(axis=1).sum()) for one in rows)
-    generator, report, cautions = _modelled(gathered, rows, model, progress, sensor_faults, actuator_faults)
+    first = [(one[: _at(one, _CHECK), :m], one[: _at(one, _CHECK), m:]) for one in rows]
+    last = [one[_at(one, _CHECK) :] for one in rows]
+    generator, report, cautions = _modelled(gathered, rows, first, model, progress, sensor_faults, actuator_faults)
     rate = ChannelRelations(false_alarm_rate=false_alarm_rate).asked(None, complete)  # pyright: ignore
     total = sum(map(len, rows))
     if complete < _MOSTLY * total:
@@ -256,8 +261,6 @@ def learn(
         )
     if complete < _FEW:
         cautions.append(f"{complete:,} complete rows are few: {_FEW} at least for thresholds that hold")
-    first = [(one[: _at(one, _CHECK), :m], one[: _at(one, _CHECK), m:]) for one in rows]
-    last = [one[_at(one, _CHECK) :] for one in rows]
     routes = _Routes(generator, gathered, rate)
     tried, factors = [], {}
     for one in ROUTES if form == "auto" else (form,):
@@ -274,7 +277,7 @@ def learn(
         ))  # fmt: skip
     check = monitor.fit_check
     assert check is not None
-    check = replace(check, held_out=replace(alarmed, asked=rate), cautions=tuple(cautions))
+    check = replace(check, held_out=alarmed, cautions=tuple(cautions))
     monitor._check = check
     blind = check.sees_nothing
     if blind and not force:
@@ -287,7 +290,6 @@ def learn(
         gathered.inputs,
         gathered.outputs,
         guessed,
-        tuple(cautions),
         gathered.notes,
     )
 
@@ -301,9 +303,10 @@ def _with_inputs(recordings: Any, y: Any, inputs: Names, outputs: Names, dt: flo
     gathered = gather(recordings, y, inputs=inputs, outputs=outputs, dt=dt)
     if inputs is not None or gathered.inputs:
         return gathered, False
-    found = guessed_inputs(gathered.whole(), gathered.channels)
+    rows = gathered.whole()
+    found = guessed_inputs(rows, gathered.channels)
     if y is not None or not found:
-        exact = exact_channels(gathered.whole(), gathered.channels) if y is None else ()
+        exact = exact_channels(rows, gathered.channels) if y is None else ()
         if exact:
             raise DataError(
                 f"{listing(map(repr, exact))} follow from one another exactly, as the commands of a controller do from "
@@ -334,6 +337,7 @@ def _stable_model(parts: Any, names: Mapping[str, Any], options: dict[str, Any])
 def _modelled(
     gathered: Gathered,
     rows: Sequence[Rows],
+    parts: Sequence[tuple[Rows, Rows]],
     options: Mapping[str, Any] | None,
     progress: Progress | bool | None,
     sensors: bool,
@@ -341,7 +345,6 @@ def _modelled(
 ) -> tuple[ResidualGenerator, FitReport | None, list[str]]:
     """Return the Kalman filter of a model of the first half, its report, and what is doubtful about it."""
     m, cautions = len(gathered.inputs), []
-    parts = [(one[: _at(one, _CHECK), :m], one[: _at(one, _CHECK), m:]) for one in rows]
     names = {"inputs": gathered.inputs, "outputs": gathered.outputs, "dt": gathered.dt}
     made = _stable_model(parts, names | {"held_out": 1 - _MODEL / _CHECK, "progress": progress}, dict(options or {}))
     try:

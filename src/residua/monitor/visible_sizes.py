@@ -11,6 +11,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.decide.by_channel import channel_faults
 from residua.decide.sizes import fault_unit
 from residua.decide.test import FaultFreeRun, ResidualTest
 from residua.design import ResidualGenerator
@@ -23,6 +24,10 @@ from residua.words import number
 SOON, LASTING = 100, 1000
 #: Deviations of its channel up to which a fault that lasts counts as detectable.
 DETECTABLE = 5.0
+#: Of a table of sizes.
+HEADER = (
+    *("constant fault", f"seen within {SOON} samples from", "as long as it lasts from", "detectable when constant"),
+)
 #: Places in the fit at which changes are tried.
 _PLACES = 4
 #: Share of the samples in which a fault that lasts is seen.
@@ -70,6 +75,11 @@ class VisibleSize(Record):
         own = "" if math.isnan(self.deviation) else f" ({number(size / self.deviation, 2)} deviations)"
         return f"{number(size, 3)}{unit}{own}"
 
+    @property
+    def cells(self) -> tuple[str, str, str, str]:
+        """The row of a table under :data:`HEADER`."""
+        return self.fault, self.text(self.soon), self.text(self.lasting), "yes" if self.is_detectable else "no"
+
     def __str__(self) -> str:
         unit = f" {self.unit}" if self.unit else ""
         sizes = " | ".join(number(one, 3) for one in (self.soon, self.lasting))
@@ -107,24 +117,15 @@ def visible_sizes(generator: ResidualGenerator, test: ResidualTest, run: FaultFr
     leads = test.leads(residuals, changes, _places(signals, run, len(changes[0])))
     if leads is None:
         return ()
-    out = []
+    columns = {name: i for i, name in enumerate((*plant.inputs, *plant.outputs))}
+    channels, out = channel_faults(generator), []
     for k, fault in enumerate(plant.faults):
         soon, lasting = float(leads[k, :SOON].max(initial=0.0)), float(np.quantile(leads[k, SOON:], 1 - _SHARE))
-        channel = _channel(generator, fault)
+        channel = columns.get(channels.get(fault, ""))
         deviation = float(spread[channel]) if channel is not None and spread[channel] > 0 else math.nan
         soon, lasting = (1 / one if one > 0 else math.inf for one in (soon, lasting))
         out.append(VisibleSize(fault, fault_unit(plant, fault), soon, lasting, deviation))
     return tuple(out)
-
-
-def _channel(generator: ResidualGenerator, fault: str) -> int | None:
-    """Return the column of the channel that a fault is of."""
-    plant = generator.plant
-    i = plant.faults.index(fault)
-    kind, component = plant.fault_kinds[i], plant.fault_components[i]
-    if kind == "sensor" and component in plant.outputs:
-        return len(plant.inputs) + plant.outputs.index(component)
-    return plant.inputs.index(component) if kind == "actuator" and component in plant.inputs else None
 
 
 def _responses(generator: ResidualGenerator) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.alarm import Candidate
-from residua.decide.statement import angle, left_out_text, longest_alarms, ranked, sizes_text, tied_name
+from residua.decide.statement import angle, capital, left_out_text, longest_alarms, ranked, sizes_text, tied_name
 from residua.design.core.evidence import Evidence, format_pole
 from residua.monitor.fault_learning import learnt_table
-from residua.monitor.visible_sizes import DETECTABLE, SOON
+from residua.monitor.visible_sizes import DETECTABLE, HEADER
 from residua.report.choosing import SHOWN_FAULTS
 from residua.report.text import escape
 from residua.words import number, score, some
@@ -54,26 +54,12 @@ def visible_table(diagnosis: Diagnosis) -> str:
     check = diagnosis.fit_check
     if check is None or not check.visible:
         return ""
-    rows = [
-        [
-            escape(one.fault),
-            escape(one.text(one.soon)),
-            escape(one.text(one.lasting)),
-            "yes" if one.is_detectable else "no",
-        ]
-        for one in check.visible[:MAX_ROWS]
-    ]
-    header = (
-        "Constant fault",
-        f"Seen within {SOON} samples from",
-        "As long as it lasts from",
-        "Detectable when constant",
-    )
     caption = (
         "The smallest constant faults that this monitor sees in nine of ten cases, by its fit. Deviations are those "
+        f"of the channel in the fit; detectable: as long as it lasts, at {DETECTABLE:g} deviations or less."
     )
-    caption += f"of the channel in the fit; detectable: as long as it lasts, at {DETECTABLE:g} deviations or less."
-    return html_table(header, rows, caption=caption)
+    rows = [list(map(escape, one.cells)) for one in check.visible[:MAX_ROWS]]
+    return html_table([capital(name) for name in HEADER], rows, caption=caption)
 
 
 def text_table(table: Table) -> str:

@@ -108,9 +108,7 @@ def _verdict(diagnosis: Diagnosis) -> Verdict:
         sentences.append(f"This monitor may not see {some(diagnosis.unjudged)}: without a {want} in it.")
     check = diagnosis.fit_check
     if diagnosis.outside > _MOSTLY:
-        return Verdict(
-            "outside", f"Cannot tell: {_outside(diagnosis)[0].lower()}{_outside(diagnosis)[1:]}.", tuple(sentences)
-        )
+        return Verdict("outside", f"Cannot tell: {_outside(diagnosis)}.", tuple(sentences))
     if check is not None:
         sentences += check.could_have_seen
         if check.sees_nothing:
