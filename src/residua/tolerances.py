@@ -30,6 +30,19 @@ SIGNAL_ROUNDING = 1e-12
 #: Recorded values this far below the largest of their signal are rounding of it: a signal that stands still.
 DATA_ROUNDING = 1e-9
 
+#: Singular values below this are zero in balanced units, whose entries are near one. Between 1e-7 and 1e-13 no rank of
+#: 10,000 generated plants was wrong; below, rounding of staircases comes near.
+BALANCED_RANK = 1e-11
+
+#: A pole or a mode is stable if it is farther than this inside of the boundary, in units of the rate of the plant.
+BALANCED_STABLE = 1e-11
+
+#: What a fault of size one drives in a quotient, balanced, is none below this.
+BALANCED_ANSWER = 1e-8
+
+#: Decisions within this factor of their tolerance are near.
+NEAR = 1e3
+
 #: Singular values this far below the largest are zero where a rank of a model is decided, in comparable units.
 RANK = 1e-10
 
@@ -38,6 +51,9 @@ SAME = 1e-9
 
 #: An identity that defines a design, such as ``T E = 0``, holds to this, relative to its terms.
 IDENTITY = 1e-8
+
+#: Known inputs reach a residual or an estimate by less: peak over peak of what should cancel.
+LEAK = 1e-6
 
 #: What must not reach a residual reaches it by less, relative to the terms that cancel there.
 LEAKAGE = 1e-7

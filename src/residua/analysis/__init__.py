@@ -6,7 +6,7 @@ from residua.facade import hand_on
 
 if TYPE_CHECKING:
     from residua.analysis.diagnosability import Diagnosability, diagnosability
-    from residua.analysis.unknown_input import UnknownInputExistence, unknown_input_observer_existence
+    from residua.analysis.existence import UnknownInputExistence, unknown_input_observer_existence
 
 __all__ = [
     "Diagnosability",
@@ -19,6 +19,6 @@ hand_on(
     __name__,
     {
         "residua.analysis.diagnosability": ("Diagnosability", "diagnosability"),
-        "residua.analysis.unknown_input": ("UnknownInputExistence", "unknown_input_observer_existence"),
+        "residua.analysis.existence": ("UnknownInputExistence", "unknown_input_observer_existence"),
     },
 )

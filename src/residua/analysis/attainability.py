@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from residua.analysis.coding_sets import CodingSet, Structure, structure_rows
 from residua.analysis.diagnosability import group_twins
 from residua.analysis.fault_space import FaultSpace, fault_space
-from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
 from residua.words import counted
 
@@ -84,7 +83,6 @@ def attainable(
     *,
     constant: bool = False,
     most: int = MOST_ROWS,
-    rtol: float = DEFAULT_RTOL,
 ) -> Attainability:
     r"""Tell which rows of a structure are attainable, or list all that are.
 
@@ -106,8 +104,6 @@ def attainable(
         ignores it ignores for any time course.
     most : int
         Rows that are listed at most.
-    rtol : float
-        Relative tolerance of the rank decisions.
 
     Returns
     -------
@@ -126,9 +122,7 @@ def attainable(
     After the disturbances are divided out, faults are columns over the rational functions. A residual that ignores
     some of them ignores all combinations of theirs, the *closure*; so the attainable rows are the complements of the
     closed sets, the flats of a matroid, and are enumerated as such. Of ``m`` independent residuals, one can ignore at
-    most ``m - 1`` independent faults. Decided at a few fixed points, like :func:`residua.diagnosability`: a column is
-    outside the closure when its angle to it exceeds 1e-7 and what rounding may have done; or, like there, in rational
-    numbers.
+    most ``m - 1`` independent faults. Decided like :func:`residua.diagnosability`.
 
     References
     ----------
@@ -150,7 +144,7 @@ def attainable(
       3: y1 sensor
       4: y2 sensor
     """
-    space = fault_space(plant, rtol=rtol)
+    space = fault_space(plant)
     if structure is None:
         rows = all_rows(space, constant, most)
         names = tuple(f"r{i + 1}" for i in range(len(rows)))
@@ -246,7 +240,7 @@ class MutualIsolability:
         return "\n".join([*lines, *(f"{name}: {why}" for name, why in self.reasons.items())])
 
 
-def mutually_isolable(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> MutualIsolability:
+def mutually_isolable(plant: Plant) -> MutualIsolability:
     r"""Tell which pairs of faults residuals can separate, whatever the method.
 
     Two faults are not mutually isolable when their columns :math:`g_i, g_j`, after the disturbances are divided out,
@@ -256,7 +250,6 @@ def mutually_isolable(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> MutualIsol
     Parameters
     ----------
     plant : Plant
-    rtol : float
 
     Returns
     -------
@@ -288,11 +281,11 @@ def mutually_isolable(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> MutualIsol
     valve: same effect on the outputs as leak, up to a filter
     leak: same effect on the outputs as valve, up to a filter
     """
-    space = fault_space(plant, rtol=rtol)
+    space = fault_space(plant)
     n = len(plant.faults)
     hidden = np.array([space.closure([i]) if space.visible[i] else np.ones(n, dtype=bool) for i in range(n)])
     apart = np.asarray(~hidden & ~hidden.T)
-    bare = fault_space(plant.without_disturbances(), rtol=rtol).visible
+    bare = fault_space(plant.without_disturbances()).visible
     reasons = {}
     for i, name in enumerate(plant.faults):
         others = [plant.faults[j] for j in np.flatnonzero(space.visible & ~apart[i]) if j != i]

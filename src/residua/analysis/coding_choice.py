@@ -17,7 +17,6 @@ from residua.analysis.coding_sets import CodingSet
 from residua.analysis.cover import Cover, Found, even_cover, far_cover, fewest
 from residua.analysis.fault_space import FaultSpace, fault_space
 from residua.errors import DesignError, SettingError
-from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
 from residua.words import counted
 
@@ -37,7 +36,6 @@ def choose(
     constant: bool = False,
     time_limit: float = TIME_LIMIT,
     most: int = MOST_ROWS,
-    rtol: float = DEFAULT_RTOL,
 ) -> CodingSet:
     r"""Choose a coding set for a plant: isolating, with the fewest residuals, as even as possible, its codes far apart.
 
@@ -69,8 +67,6 @@ def choose(
         there goes to the search, which always takes at least a first choice.
     most : int
         Attainable rows to choose from at most.
-    rtol : float
-        Relative tolerance of the rank decisions.
 
     Returns
     -------
@@ -118,7 +114,7 @@ def choose(
     check_choice(quality, max_residuals, time_limit)
     ignored = [plant.faults[j] for j in arrays.positions(ignore, plant.faults, "fault")]
     watched = plant.faults_as_disturbances(ignored)
-    space = fault_space(watched, rtol=rtol)
+    space = fault_space(watched)
     rows = all_rows(space, constant, most)
     if not len(rows):
         raise DesignError(

@@ -7,26 +7,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.analysis.fault_space import fault_space
-from residua.analysis.rational_visibility import (
-    RationalColumns,
-    are_rational,
-    rational_columns,
-    rational_limit_columns,
-)
-from residua.analysis.unknown_input import UnknownInputExistence, unknown_input_observer_existence
-from residua.analysis.visibility import (
-    Visible,
-    check_regular,
-    generic_points,
-    in_canonical_units,
-    limit_columns,
-    visible_columns,
-)
+from residua.analysis.existence import UnknownInputExistence, unknown_input_observer_existence
+from residua.analysis.fault_space import FaultSpace, fault_space
 from residua.errors import ModelError
-from residua.linear.subspaces.rank import DEFAULT_RTOL, check_rtol
+from residua.linear.subspaces.rank import RankDecision
 from residua.plant import Plant
-from residua.tolerances import TINY
+from residua.tolerances import BALANCED_ANSWER
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,8 +35,9 @@ class Diagnosability:
     groups : tuple of tuple of str
         Faults that no method can tell apart; undetectable faults are in no group.
     visibility : ndarray, shape (faults,)
-        The evidence: the fraction of each fault's direction that is left after the disturbances are
-        removed, at the best of the test points.
+        The evidence: how strongly each fault, balanced, drives what residuals see that ignore the disturbances.
+    near : tuple of RankDecision
+        Rank decisions that double precision hardly allows; empty where all are clear.
     unknown_input_observer : UnknownInputExistence
         Whether an exact observer exists that ignores all disturbances at once, and if not, why.
     """
@@ -63,6 +50,7 @@ class Diagnosability:
     strongly_isolable: NDArray[np.bool_]
     groups: tuple[tuple[str, ...], ...]
     visibility: NDArray[np.float64]
+    near: tuple[RankDecision, ...]
     unknown_input_observer: UnknownInputExistence
 
     def constant_twins(self, fault: str) -> tuple[str, ...]:
@@ -100,7 +88,7 @@ class Diagnosability:
     def _why_undetectable(self, i: int) -> str:
         if len(self.plant.disturbances) == 0:
             return "no output sees it"
-        if fault_space(self.plant.without_disturbances(), rtol=DEFAULT_RTOL).visible[i]:
+        if fault_space(self.plant.without_disturbances()).visible[i]:
             return f"hidden by the disturbances {', '.join(self.plant.disturbances)}, which can imitate it"
         return "no output sees it"
 
@@ -120,10 +108,12 @@ class Diagnosability:
         lines += [f"{name}: {why}" for name, why in self.reasons().items()]
         if self.plant.disturbances:
             lines.append(str(self.unknown_input_observer))
+        if self.near:
+            lines.append(f"near: {self.near[0]}; double precision hardly decides this rank")
         return "\n".join(lines)
 
 
-def diagnosability(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> Diagnosability:
+def diagnosability(plant: Plant) -> Diagnosability:
     r"""Tell which faults can be detected and which can be isolated from each other, before any design.
 
     A fault ``i`` is detectable when :math:`\operatorname{rank}\begin{bmatrix} A-sE & B_d & b_i\\ C & D_d & d_i
@@ -135,9 +125,6 @@ def diagnosability(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> Diagnosabilit
     ----------
     plant : Plant
         ``E`` may be singular.
-    rtol : float
-        Relative tolerance of the rank decisions. A fault is seen when more than ``10 * rtol`` of its direction
-        (and more than rounding) is left; two are isolable when their angle exceeds 1e-7.
 
     Returns
     -------
@@ -154,11 +141,9 @@ def diagnosability(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> Diagnosabilit
     Assumes: the model is exact, linear and time-invariant, one fault is there at a time, and disturbances may be
     any signals. Noise is not considered: an isolation that is possible in principle may take long in noise.
 
-    The pencil is evaluated at a few fixed points; what the disturbances leave of each fault's column is its
-    projection on the left null space there. At ``s = 0`` (``z = 1``) a zero of the plant enlarges the null space at
-    that one point: of it the part counts that goes on around the point, which power series tell. Of a plant of up to
-    24 states and channels whose numbers have at most 32 binary digits all ranks are those of rational numbers, unless
-    ``rtol`` is wider than its default; what is seen may be less than rounding leaves to any filter then.
+    The balanced plant is divided by what the disturbances reach unseen. A fault is seen if it drives the observable
+    part of what is left by more than 1e-8; a coupling below 1e-11 of the balanced plant counts as none, and one within
+    a factor of 1000 of that is ``near``.
 
     References
     ----------
@@ -173,34 +158,34 @@ def diagnosability(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> Diagnosabilit
     >>> result.groups
     (('u1 actuator', 'leak'), ('clog',))
     """
-    check_rtol(rtol)
     if not plant.faults:
         raise ModelError(
             "the plant has no faults: name what may fail with with_sensor_faults, with_actuator_faults or with_faults"
         )
-    model = in_canonical_units(plant)
-    points = generic_points(model)
-    check_regular(model, points)
-    generic = visible_columns(model, points, rtol)
-    if are_rational(model, rtol):
-        detectable, isolable = _ranks(rational_columns(model))
-        strong, strongly_isolable = _ranks(rational_limit_columns(model))
-    else:
-        detectable, isolable = _decide(generic, rtol)
-        strong, strongly_isolable = _decide(limit_columns(model, rtol, generic.rank), rtol)
-    strong &= detectable
-    strongly_isolable &= isolable
+    space = fault_space(plant)
+    detectable = space.visible
+    isolable = np.array([~space.closure([j]) for j in range(len(plant.faults))]).T & detectable[:, None]
+    strong = space.lasting([])
     return Diagnosability(
         plant=plant,
         faults=plant.faults,
         detectable=detectable,
         strongly_detectable=strong,
         isolable=isolable,
-        strongly_isolable=strongly_isolable,
+        strongly_isolable=isolable & strong[:, None] & _apart(space, strong),
         groups=group_twins(plant.faults, detectable, isolable),
-        visibility=np.linalg.norm(generic.columns, axis=1).max(axis=0),
-        unknown_input_observer=unknown_input_observer_existence(plant, rtol=rtol),
+        visibility=space.drive([]),
+        near=space.near(),
+        unknown_input_observer=unknown_input_observer_existence(plant),
     )
+
+
+def _apart(space: FaultSpace, lasting: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return whose lasting trace, ``[i, j]``, is no multiple of whose."""
+    traces = space.limit([])
+    size = np.linalg.norm(traces, axis=0)
+    unit = np.where(lasting, traces / np.where(size > 0, size, 1.0), 0.0)
+    return np.array([np.linalg.norm(unit - np.outer(one, one @ unit), axis=0) > BALANCED_ANSWER for one in unit.T]).T
 
 
 def group_twins(
@@ -216,34 +201,6 @@ def group_twins(
         else:
             groups.append([int(i)])
     return tuple(tuple(faults[i] for i in group) for group in groups)
-
-
-def _decide(seen: Visible, rtol: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return who is visible and who is isolable from whom, the best over the test points."""
-    size = np.linalg.norm(seen.columns, axis=1)
-    floor = np.maximum(seen.rounding, 10 * rtol)[:, None]
-    visible = (size > floor).any(axis=0)
-    sines = _sines(seen.columns)
-    weaker = np.maximum(np.minimum(size[:, :, None], size[:, None]), TINY)
-    limit = np.clip(10 * floor[:, :, None] / weaker, 1e-7, 1e-2)
-    apart = (sines > limit).any(axis=0)
-    return visible, visible[:, None] & (apart | ~visible[None, :]) & ~np.eye(len(visible), dtype=bool)
-
-
-def _ranks(seen: RationalColumns) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return who is visible and who is isolable from whom, in rational numbers."""
-    return seen.present, seen.isolable()
-
-
-def _sines(columns: NDArray) -> NDArray[np.float64]:
-    """Return the sine of the angle between every two columns at every point, shape (points, faults, faults)."""
-    unit = columns / np.maximum(np.linalg.norm(columns, axis=1, keepdims=True), TINY)
-    out = np.zeros((len(columns), columns.shape[2], columns.shape[2]))
-    for k, U in enumerate(unit):
-        cosines = U.conj().T @ U
-        for j in range(U.shape[1]):
-            out[k, :, j] = np.linalg.norm(U - np.outer(U[:, j], cosines[j]), axis=0)
-    return out
 
 
 def _yes(value: bool | np.bool_) -> str:

@@ -1,100 +1,68 @@
-"""Which sets of faults hide which others from every residual: the faults as columns over the rational functions."""
+"""Which faults residuals can see, which they can see while ignoring others, and which leave a lasting trace."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.analysis.rational_visibility import (
-    RationalColumns,
-    are_rational,
-    rational_columns,
-    rational_limit_columns,
-)
-from residua.analysis.visibility import (
-    Visible,
-    check_regular,
-    generic_points,
-    in_canonical_units,
-    limit_columns,
-    visible_columns,
-)
 from residua.errors import DesignError
-from residua.linear.subspaces.rank import check_rtol
-from residua.linear.systems.array_cache import cached_by_contents
+from residua.linear.subspaces.quotient import Quotient
+from residua.linear.subspaces.rank import RankDecision
 from residua.plant import Plant
-from residua.tolerances import TINY
-
-#: Two columns closer than this are the same, as for diagnosability.
-LEAST_SINE = 1e-7
-#: The least distance, over its limit, of a column that is outside a span in rational numbers.
-_OUTSIDE = 2.0
-#: Columns whose smallest angle is known to better than this are projected off one another as they are.
-_WELL_APART = 1e-4
-
-
-@dataclass(frozen=True, eq=False)
-class _Directions:
-    """The columns at some points, of unit length, and what rounding may have done to them.
-
-    Attributes
-    ----------
-    unit : ndarray, shape (points, residual dimension, faults)
-    doubt : ndarray, shape (points, faults)
-        Infinite where a column is not visible.
-    size : ndarray, shape (points, faults)
-        Lengths of the columns before, as fractions of what the faults put into the equations.
-    """
-
-    unit: NDArray[np.complex128]
-    doubt: NDArray[np.float64]
-    size: NDArray[np.float64]
+from residua.plant.balanced import BalancedPlant
+from residua.tolerances import BALANCED_ANSWER
 
 
 @dataclass(frozen=True, eq=False)
 class FaultSpace:
-    """What the disturbances leave of each fault, and what is left of it when other faults are ignored too.
+    """The faults of a plant as residuals see them, for any set of faults that they ignore with the disturbances.
 
-    A residual that ignores some faults ignores all in their *closure*: those whose columns, over the rational
-    functions, are combinations of theirs. The closed sets are the flats of a matroid.
+    A residual that ignores some faults ignores all in their *closure*. The closed sets are the flats of a matroid: of
+    independent residuals, each ignores one independent fault more.
 
     Attributes
     ----------
-    faults : tuple of str
-    visible : ndarray of bool, shape (faults,)
-        Seen by some residual that ignores the disturbances.
-    dimension : int
-        How many independent residuals there are.
+    model : BalancedPlant
     """
 
-    faults: tuple[str, ...]
-    visible: NDArray[np.bool_]
-    dimension: int
-    generic: _Directions
-    limit: _Directions  # at s = 0 (z = 1), as a limit where the plant has a zero there
-    model: Plant  # in units of its own
-    rank: int  # of its pencil with the disturbances
-    rtol: float
-    rational: RationalColumns | None = None  # where the numbers of the plant are exact: the answer
+    model: BalancedPlant
 
-    def distances(self, basis: Sequence[int]) -> NDArray[np.float64]:
-        """Return how far each column is outside the span of independent ones: the sine of the angle over its limit."""
-        sines, limits = _outside(self.generic, basis)
-        ratio = np.where(np.isfinite(limits), sines / np.maximum(limits, TINY), 0.0).max(axis=0, initial=0.0)
-        if self.rational is not None:
-            ratio = np.where(self.rational.inside(basis), 0.0, np.maximum(ratio, _OUTSIDE))
-        return np.where(self.visible, ratio, 0.0)
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """Names of the faults."""
+        return self.model.plant.faults
+
+    @property
+    def dimension(self) -> int:
+        """How many independent residuals ignore the disturbances."""
+        return len(self.model.quotient().H)
+
+    @cached_property
+    def visible(self) -> NDArray[np.bool_]:
+        """Which faults some residual sees that ignores the disturbances."""
+        return self.drive(()) > BALANCED_ANSWER
+
+    def drive(self, ignored: Sequence[int]) -> NDArray[np.float64]:
+        """Return how strongly each fault drives what residuals see that ignore the disturbances and some faults."""
+        return np.linalg.norm(_columns(self.model, self.model.quotient(ignored)), axis=0)
+
+    def closure(self, ignored: Sequence[int]) -> NDArray[np.bool_]:
+        """Return which faults a residual ignores that ignores these."""
+        closed = self.drive(ignored) <= BALANCED_ANSWER
+        closed[list(ignored)] = True
+        return closed
 
     def basis(self, chosen: Iterable[int]) -> list[int]:
-        """Return a largest independent subset of some faults; the one that is farthest from those taken comes next."""
+        """Return a largest independent subset of some faults; the one that is seen best beside those taken is next."""
         left, taken = [j for j in chosen if self.visible[j]], []
         while left:
-            ratio = self.distances(taken)[left]
-            best = int(ratio.argmax())
-            if ratio[best] <= 1:
+            drive = np.where(self.closure(taken), 0.0, self.drive(taken))[left]
+            best = int(drive.argmax())
+            if not drive[best]:
                 break
             taken.append(left.pop(best))
         return taken
@@ -103,42 +71,35 @@ class FaultSpace:
         """Tell whether any residual is left that ignores some faults and the disturbances."""
         return len(self.basis([self.faults.index(name) for name in ignored])) < self.dimension
 
-    def closure(self, basis: Sequence[int]) -> NDArray[np.bool_]:
-        """Return which faults a residual ignores that ignores these, which must be independent."""
-        closed = self.distances(basis) <= 1
-        closed[list(basis)] = True
-        return closed
+    def lasting(self, ignored: Sequence[int]) -> NDArray[np.bool_]:
+        """Return which faults leave a lasting trace while constant, in some residual that ignores others."""
+        return ~self.closure(ignored) & (np.linalg.norm(self.limit(ignored), axis=0) > BALANCED_ANSWER)
 
-    def lasting(self, basis: Sequence[int]) -> NDArray[np.bool_]:
-        """Return which faults leave a lasting trace while constant, in some residual that ignores the basis.
+    def limit(self, ignored: Sequence[int]) -> NDArray[np.float64]:
+        r"""Return what all residuals that ignore some faults settle to for constant faults, a column for each.
 
-        The limit of what the disturbances leave is projected off the basis; where the basis loses rank there, the limit
-        is taken with the basis among the disturbances. What that does not see is asked for in rational numbers.
+        The rows that annihilate :math:`[F - s_0 I; G]` of the part that is seen, at :math:`s_0 = 0` (:math:`z = 1`).
         """
-        left = self.visible & ~self.closure(basis)
-        sines, limits = _outside(self.limit, basis)
-        if np.isfinite(limits[0, list(basis)]).all() and limits[0].min(initial=np.inf) <= _WELL_APART:
-            seen = sines[0] > limits[0]
-            if self.rational is None or seen[left].all():
-                return np.asarray(left & seen)
-        ignored = self.model.faults_as_disturbances([self.faults[j] for j in basis])
-        if self.rational is not None:
-            there = rational_limit_columns(ignored).present
-        else:
-            after = limit_columns(ignored, self.rtol, self.rank + len(basis))
-            there = np.isfinite(_directions(after, self.rtol).doubt[0])
-        out = np.zeros(len(self.faults), dtype=bool)
-        out[[j for j in range(len(self.faults)) if j not in basis]] = there
-        return np.asarray(left & out)
+        q = self.model.quotient(ignored)
+        O = q.split.seen  # noqa: E741
+        F, G = q.pair
+        M = np.vstack([O.T @ F @ O - self.model.boundary * np.eye(O.shape[1]), G @ O])
+        left = np.linalg.svd(M)[0][:, M.shape[1] :] if M.size else np.eye(len(M))
+        return left.T @ _columns(self.model, q)
 
     def hiders(self, fault: int, basis: Sequence[int]) -> list[int]:
         """Return a smallest part of a basis that hides a fault of its closure; empty for one that is not visible."""
         needed = list(basis)
         for j in basis:
             fewer = [i for i in needed if i != j]
-            if self.distances(fewer)[fault] <= 1:
+            if self.closure(fewer)[fault]:
                 needed = fewer
         return needed
+
+    def near(self, ignored: Sequence[int] = ()) -> tuple[RankDecision, ...]:
+        """Return the rank decisions that double precision hardly allows."""
+        q = self.model.quotient(ignored)
+        return tuple(one for one in (*q.decisions, *q.split.decisions) if not one.is_clear)
 
     def flats(self, most: int) -> list[tuple[NDArray[np.bool_], list[int]]]:
         """Return every closed set but the whole, with a basis, those of fewest dimensions first.
@@ -174,47 +135,12 @@ class FaultSpace:
         return known
 
 
-def fault_space(plant: Plant, *, rtol: float) -> FaultSpace:
-    """Return what the disturbances leave of each fault of a plant, at a few generic points and near the limit."""
+def fault_space(plant: Plant) -> FaultSpace:
+    """Return the faults of a plant as residuals see them."""
     if not plant.faults:
         raise DesignError("the plant has no faults: add some with with_sensor_faults or with_faults")
-    check_rtol(rtol)
-    return _fault_space(in_canonical_units(plant), rtol)
+    return FaultSpace(plant.balanced)
 
 
-@cached_by_contents
-def _fault_space(model: Plant, rtol: float) -> FaultSpace:
-    """Return the same of a plant in units of its own."""
-    points = generic_points(model)
-    check_regular(model, points)
-    columns = visible_columns(model, points, rtol)
-    generic = _directions(columns, rtol)
-    limit = _directions(limit_columns(model, rtol, columns.rank), rtol)
-    visible, dimension = np.asarray(np.isfinite(generic.doubt).any(axis=0)), columns.columns.shape[1]
-    rational = rational_columns(model) if are_rational(model, rtol) else None
-    if rational is not None:
-        visible, dimension = rational.present, len(rational.rows)
-    return FaultSpace(model.faults, visible, dimension, generic, limit, model, columns.rank, rtol, rational)
-
-
-def _directions(visible: Visible, rtol: float) -> _Directions:
-    """Return the columns with unit length, and the doubt that rounding leaves about each."""
-    size = np.linalg.norm(visible.columns, axis=1)
-    floor = np.maximum(visible.rounding, 10 * rtol)[:, None]
-    unit = visible.columns / np.maximum(size, TINY)[:, None]
-    doubt = np.clip(10 * floor / np.maximum(size, TINY), LEAST_SINE, 1e-2)
-    return _Directions(unit, np.where(size > floor, doubt, np.inf), size)
-
-
-def _outside(columns: _Directions, basis: Sequence[int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return at each point the sine of each column to the span of some, and the limit below which it is inside."""
-    chosen = list(basis)
-    if not chosen:
-        return np.linalg.norm(columns.unit, axis=1), columns.doubt
-    U, s, _ = np.linalg.svd(columns.unit[:, :, chosen], full_matrices=False)
-    left = columns.unit
-    for _ in range(2):
-        left = left - U @ (U.conj().transpose(0, 2, 1) @ left)
-    doubt = np.maximum(columns.doubt, columns.doubt[:, chosen].max(axis=1, keepdims=True))
-    least = s[:, -1:] if len(chosen) <= columns.unit.shape[1] else np.zeros((len(s), 1))
-    return np.linalg.norm(left, axis=1), doubt / np.maximum(least, TINY)
+def _columns(model: BalancedPlant, q: Quotient) -> NDArray[np.float64]:
+    return q.drive(*model.faults)

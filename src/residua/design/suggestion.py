@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from residua.analysis.diagnosability import Diagnosability, diagnosability
-from residua.analysis.unknown_input import is_singular
+from residua.analysis.output_free_form import is_singular
 from residua.design.banks.bank import Bank
 from residua.design.banks.matched_filters import MatchedFilters
 from residua.design.catalogue import methods

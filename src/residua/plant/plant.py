@@ -17,6 +17,7 @@ from residua.errors import ModelError
 from residua.linear import StateSpace
 from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.linear.systems.state_space import square
+from residua.plant.balanced import BalancedPlant, balanced
 from residua.plant.channels import (
     FAULT_NOTES,
     ROLES,
@@ -208,6 +209,11 @@ class Plant(FaultFacts):
         if chosen not in self._systems:
             self._systems[chosen] = self._system(chosen)
         return self._systems[chosen]
+
+    @cached_property
+    def balanced(self) -> BalancedPlant:
+        """The plant in balanced units, as ordinary state equations."""
+        return balanced(self)
 
     @cached_property
     def _systems(self) -> dict[tuple[str, ...], StateSpace]:

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from residua.analysis.codes import equal_codes, strongly_isolating
 from residua.analysis.coding_sets import Structure, structure_rows
-from residua.design.core.canonical_design import in_own_units, in_units_of
 from residua.design.core.decoupling import Decoupled, MeasuredBefore
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import Member, ResidualGenerator, make_generator
@@ -21,8 +20,7 @@ from residua.design.observers.observer import Observer
 from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace
 from residua.plant import Plant
-from residua.plant.comparable_units import canonical_units
-from residua.tolerances import LEAKAGE, POLYNOMIAL_LEAKAGE
+from residua.tolerances import LEAK, POLYNOMIAL_LEAKAGE
 from residua.words import counted
 
 #: Designs one member: takes its name, and the plant in which what the member ignores are disturbances; returns it for
@@ -211,21 +209,18 @@ def for_whole_plant(part: ResidualGenerator, plant: Plant) -> ResidualGenerator:
     known = part.known_form
     if known is not None:
         known = known.select(inputs=_columns(part.plant, plant))
-    units = canonical_units(plant)
-    own = units.applied(plant)
-    scaled = in_own_units(part, units, own, known)
     made = make_generator(
-        scaled.system,
-        own,
+        part.system,
+        plant,
         part.method,
         part.evidence,
         decouples=MeasuredBefore(part.system, part.plant, part.evidence.decoupling),
-        state_map=scaled.state_map,
-        static_map=scaled.static_map,
-        known_form=scaled.known_form,
+        state_map=part.state_map,
+        static_map=part.static_map,
+        known_form=known,
     )
     relations = None if part.relations is None else replace(part.relations, plant=plant)
-    return replace(in_units_of(plant, units, made), relations=relations)
+    return replace(made, relations=relations)
 
 
 def _columns(part: Plant, plant: Plant) -> list[int]:
@@ -259,11 +254,7 @@ def stacked_members(
     parts: dict[str, ResidualGenerator], method: str, reference: str, *, decoupled: bool = True
 ) -> ResidualGenerator:
     """Return the members as one generator, with their codes; ``decoupled``: from the disturbances of the plant."""
-    plant = next(iter(parts.values())).plant
-    units = canonical_units(plant)
-    own = units.applied(plant)
-    scaled = {name: in_own_units(part, units, own) for name, part in parts.items()}
-    made = in_units_of(plant, units, _stacked(scaled, method, reference, decoupled))
+    made = _stacked(parts, method, reference, decoupled)
     relations = [part.relations for part in parts.values() if part.relations is not None]
     if len(relations) < len(parts):
         return made
@@ -271,7 +262,7 @@ def stacked_members(
 
 
 def _stacked(parts: dict[str, ResidualGenerator], method: str, reference: str, decoupled: bool) -> ResidualGenerator:
-    """Return members for one plant in its own units as one generator."""
+    """Return members for one plant as one generator."""
     generators = list(parts.values())
     plant = generators[0].plant
     system = _named(stack_systems([g.system for g in generators]), parts)
@@ -295,7 +286,7 @@ def _stacked(parts: dict[str, ResidualGenerator], method: str, reference: str, d
         # filters of polynomials have passed by what these may lose
         "decouples": Decoupled(
             disturbances=decoupled,
-            limit=LEAKAGE if all(g.relations is None for g in generators) else POLYNOMIAL_LEAKAGE,
+            limit=LEAK if all(g.relations is None for g in generators) else POLYNOMIAL_LEAKAGE,
         ),
         "members": tuple(members),
         "codes": np.array(codes, dtype=bool).reshape(len(codes), len(plant.faults)),

@@ -3,29 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
-import numpy as np
 from numpy.typing import ArrayLike
 
-from residua.design.banks.bank import MemberDesign, for_whole_plant
+from residua.design.banks.bank import MemberDesign
 from residua.design.banks.decoupled_residual import decoupled_residual
-from residua.design.core.canonical_design import designed_in_own_units
 from residua.design.core.generator import ResidualGenerator
 from residua.design.detection_filters.directional_gain import checked_options
 from residua.design.observers.descriptor_observer import descriptor_observer
 from residua.design.observers.perfect_observer import perfect_observer
 from residua.design.observers.unknown_input_observer import unknown_input_observer
 from residua.errors import DesignError
-from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
-from residua.plant.comparable_units import PlantUnits, canonical_units
 
 KINDS = ("unknown-input", "reduced-order", "perfect", "minimal")
 
 
 def member_design(
-    kind: str, plant: Plant, *, poles: Sequence[complex] | ArrayLike | None, margin: float | None, rtol: float
+    kind: str, plant: Plant, *, poles: Sequence[complex] | ArrayLike | None, margin: float | None
 ) -> MemberDesign:
     """Return how members of a kind are designed.
 
@@ -37,7 +32,6 @@ def member_design(
     poles : sequence of complex, optional
         The same for every member.
     margin : float, optional
-    rtol : float
 
     Returns
     -------
@@ -51,15 +45,15 @@ def member_design(
     """
     checked_options(poles, margin)  # once, not for every member
     if kind == "unknown-input":
-        return lambda _, p: unknown_input_observer(p, poles=poles, margin=margin, rtol=rtol).residual_generator()
+        return lambda _, p: unknown_input_observer(p, poles=poles, margin=margin).residual_generator()
     if kind == "reduced-order":
-        return lambda _, p: _with_some_held_out(p, poles, margin, rtol)
+        return lambda _, p: _with_some_held_out(p, poles, margin)
     if kind == "minimal":
-        return decoupled_member(plant, poles=poles, margin=margin, rtol=rtol)
+        return decoupled_member(plant, poles=poles, margin=margin)
     if kind == "perfect":
         if poles is not None or margin is not None:
             raise DesignError("a perfect observer has no poles to place: leave out poles and margin")
-        return lambda _, p: perfect_observer(p, rtol=rtol).residual_generator()
+        return lambda _, p: perfect_observer(p).residual_generator()
     raise DesignError(f"unknown kind of observer {kind!r}; known: {', '.join(KINDS)}")
 
 
@@ -68,37 +62,14 @@ def decoupled_member(
     *,
     poles: Sequence[complex] | ArrayLike | None = None,
     margin: float | None = None,
-    rtol: float = DEFAULT_RTOL,
 ) -> MemberDesign:
-    """Return how members that are decoupled residuals are designed, each with all faults of a plant.
-
-    In the plant's own units from the design to the check with all faults, so that banks share their members.
-    """
-    # of poles and margins that a user chooses nothing is kept: they may be arrays, or wrong
-    kept = poles is None and margin is None and isinstance(rtol, float)
+    """Return how members that are decoupled residuals are designed, each with all faults of a plant."""
 
     def design(_: str, part: Plant) -> ResidualGenerator:
         ignored = part.disturbances[len(plant.disturbances) :]
-
-        def member(own: Plant) -> ResidualGenerator:
-            found = decoupled_residual(own.faults_as_disturbances(ignored), poles=poles, margin=margin, rtol=rtol)
-            return for_whole_plant(found, own)
-
-        asked = ("member", ignored, rtol) if kept else None
-        return designed_in_own_units(plant, member, asked, _units_of_member(plant, part, ignored))
+        return decoupled_residual(plant, insensitive_to=ignored, poles=poles, margin=margin)
 
     return design
-
-
-def _units_of_member(plant: Plant, part: Plant, ignored: tuple[str, ...]) -> PlantUnits:
-    """Return the units of a plant in which it is in canonical ones once the faults that a member ignores are no faults.
-
-    A residual of outputs alone is in those of the first signal that reaches it, which is another then.
-    """
-    units, own = canonical_units(part), len(plant.disturbances)
-    of_fault = dict(zip((*part.faults, *ignored), [*units.faults, *units.disturbances[own:]], strict=True))
-    faults = np.array([of_fault[name] for name in plant.faults])
-    return replace(units, disturbances=units.disturbances[:own], faults=faults)
 
 
 def advice_for(kind: str) -> str:
@@ -107,7 +78,7 @@ def advice_for(kind: str) -> str:
 
 
 def _with_some_held_out(
-    plant: Plant, poles: Sequence[complex] | ArrayLike | None, margin: float | None, rtol: float
+    plant: Plant, poles: Sequence[complex] | ArrayLike | None, margin: float | None
 ) -> ResidualGenerator:
     """Return a reduced observer that leaves some measurements out of the estimate and is judged by those.
 
@@ -123,7 +94,7 @@ def _with_some_held_out(
             held = {usable[(start + k) % len(usable)] for k in range(count)}
             used = [i for i in range(plant.n_outputs) if i not in held]
             try:
-                observer = descriptor_observer(plant, poles=poles, margin=margin, outputs=used, rtol=rtol)
+                observer = descriptor_observer(plant, poles=poles, margin=margin, outputs=used)
                 generator = observer.residual_generator()
             except DesignError as error:
                 reason, failed = str(error), failed + 1

@@ -13,7 +13,6 @@ from residua.design.core.method import method
 from residua.design.core.needs import SENSOR_FAULTS, each_scheme
 from residua.design.core.own_time import in_own_time
 from residua.errors import DesignError
-from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
 
 
@@ -39,7 +38,6 @@ def sensor_fault_bank(
     poles: Sequence[complex] | ArrayLike | None = None,
     margin: float | None = None,
     allow_missing: bool = False,
-    rtol: float = DEFAULT_RTOL,
 ) -> Bank:
     r"""Design one observer per sensor, none of which any disturbance reaches.
 
@@ -64,8 +62,6 @@ def sensor_fault_bank(
         Stability margin in 1/s, used without ``poles``.
     allow_missing : bool
         Whether members that do not exist are left out, and listed in ``failures``, instead of raised.
-    rtol : float
-        Relative tolerance of every rank decision.
 
     Returns
     -------
@@ -101,7 +97,7 @@ def sensor_fault_bank(
     return build_bank(
         plant,
         wanted_by_scheme(scheme, _sensors(plant), "without"),
-        member_design(observer, plant, poles=poles, margin=margin, rtol=rtol),
+        member_design(observer, plant, poles=poles, margin=margin),
         f"{scheme} bank of {observer} observers",
         allow_missing=allow_missing,
         advice=advice_for(observer),

@@ -8,7 +8,6 @@ from residua.design.banks.member_design import decoupled_member
 from residua.design.core.method import method
 from residua.design.core.needs import FAULTS_APART, ROWS
 from residua.design.core.own_time import in_own_time
-from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
 
 
@@ -30,7 +29,6 @@ def structured_bank(
     *,
     margin: float | None = None,
     allow_missing: bool = False,
-    rtol: float = DEFAULT_RTOL,
 ) -> Bank:
     r"""Design one residual per row of an incidence matrix: it answers to the ones and ignores the zeros.
 
@@ -48,8 +46,6 @@ def structured_bank(
         Stability margin of every member in 1/s; chosen for each when omitted.
     allow_missing : bool
         Whether rows that are not attainable are left out, and listed in ``failures``, instead of raised.
-    rtol : float
-        Relative tolerance of every rank decision, in balanced units.
 
     Returns
     -------
@@ -86,7 +82,7 @@ def structured_bank(
     return build_bank(
         plant,
         wanted_rows(structure, plant.faults),
-        decoupled_member(plant, margin=margin, rtol=rtol),
+        decoupled_member(plant, margin=margin),
         "structured bank",
         allow_missing=allow_missing,
         reference="Gertler (1991), section 4",

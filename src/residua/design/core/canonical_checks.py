@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from residua.design.core.decoupling import Decoupled, Leaks, Promise
 from residua.design.core.evidence import Evidence
-from residua.design.core.internal_form import check_known_form, check_state_map, internal_form
-from residua.design.core.signatures import Signature, checked_responses, signatures_of
+from residua.design.core.internal_form import check_known_form, internal_form
+from residua.design.core.signatures import Signature, signatures_of
 from residua.linear import StateSpace
 from residua.linear.systems.array_cache import Latest, entries
 from residua.linear.systems.balancing import power_of_two
@@ -150,7 +150,5 @@ def _measured(one: _Filter, plant: Plant, evidence: Evidence, promise: Decoupled
         identity = check_known_form(one.system, plant, form)
         return Checked(leaks, identity, *signatures_of(one.system, plant, form, one.T, one.V), residuals)
     form = internal_form(one.system, plant, one.T, one.V)
-    known = checked_responses(one.system, plant, form, one.T, one.V)
-    leaks = promise.leaks(one.system, plant, evidence, known) if promise else _NONE
-    identity = check_state_map(one.system, plant, one.T, one.V)
-    return Checked(leaks, identity, *signatures_of(one.system, plant, form, one.T, one.V, known), residuals)
+    leaks, identity = promise.measured(one.system, plant, one.T, one.V) if promise else (_NONE, 0.0)
+    return Checked(leaks, identity, *signatures_of(one.system, plant, form, one.T, one.V), residuals)

@@ -10,10 +10,11 @@ import numpy as np
 
 from residua.design.core.evidence import Evidence, measured_from
 from residua.design.core.internal_form import JointResponses, leak_frequencies, leakage_of_inputs
+from residua.design.core.leak import Matrix, leak
 from residua.errors import AccuracyError
 from residua.linear import StateSpace
 from residua.plant import Plant
-from residua.tolerances import LEAKAGE
+from residua.tolerances import LEAK
 
 #: The entry of the evidence for the disturbances and the faults that are ignored, together.
 IGNORED = "everything ignored"
@@ -45,10 +46,25 @@ class Decoupled:
     disturbances: bool = True
     faults: tuple[str, ...] = ()
     apart: bool = False
-    limit: float = LEAKAGE
+    limit: float = LEAK
+
+    def measured(
+        self, system: StateSpace, plant: Plant, state_map: Matrix, static_map: Matrix | None
+    ) -> tuple[Leaks, float]:
+        """Return the leaks of a filter with a state map, and how far its identities are missed; or raise."""
+        watched, n_u = plant.faults_as_disturbances(self.faults) if self.faults else plant, len(plant.inputs)
+        unknown = (watched.Bd, watched.Dd) if self.disturbances else (watched.Bd[:, :0], watched.Dd[:, :0])
+        found = leak(system, plant, state_map, static_map, unknown=unknown)
+        gains = {"control": found.gains[:, :n_u]}
+        if self.disturbances and (self.apart or not self.faults):
+            gains |= {"disturbance": found.gains[:, n_u : n_u + len(plant.disturbances)]}
+        if self.faults:
+            gains |= {IGNORED: found.gains[:, n_u:]}
+        leaks = self._accepted({name: float(part.max()) for name, part in gains.items() if part.size})
+        return Leaks(leaks, measured_from(np.array([found.slowest]), plant.dt) if leaks else {}), found.defects
 
     def leaks(self, system: StateSpace, plant: Plant, evidence: Evidence, known: JointResponses | None = None) -> Leaks:
-        """Return the measured leaks, or raise when one is too large."""
+        """Return the measured leaks of a filter without a state map, or raise when one is too large."""
         del evidence
         watched = plant.faults_as_disturbances(self.faults) if self.faults else plant
         if not (plant.inputs or watched.disturbances):

@@ -10,7 +10,7 @@ import numpy as np
 from residua.analysis.coding import choose
 from residua.analysis.coding_sets import CodingSet
 from residua.analysis.diagnosability import Diagnosability
-from residua.analysis.unknown_input import is_singular
+from residua.analysis.output_free_form import is_singular
 from residua.design.core.method import Chosen, Need
 from residua.plant import Plant
 

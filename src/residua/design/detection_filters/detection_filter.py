@@ -9,7 +9,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from residua.analysis.unknown_input import OutputFreeForm, output_free_form
+from residua.analysis.output_free_form import OutputFreeForm, output_free_form
 from residua.arrays import index_of
 from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence
@@ -28,8 +28,8 @@ from residua.design.detection_filters.directional_gain import (
     scalar_gain,
     scalar_pole,
 )
-from residua.design.observers.observer import Observer, in_units_of_the_plant
-from residua.design.observers.observer_gain import POLE_ERROR, gain_size
+from residua.design.observers.even_units import POLE_ERROR, gain_size, in_units_of_the_plant
+from residua.design.observers.observer import Observer
 from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace
 from residua.linear.poles.matrix_poles import explicit_poles

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua import arrays
-from residua.design.observers.observer_gain import gain_size
+from residua.design.observers.even_units import gain_size
 from residua.errors import DesignError
 from residua.linear.poles.spectrum import describe_modes
 from residua.linear.subspaces.observability import detectability

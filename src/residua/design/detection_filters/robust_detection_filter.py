@@ -5,14 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from residua.analysis.unknown_input import (
-    OrdinaryDecoupling,
-    decomposed_existence,
-    decoupling_map,
-    output_free_form,
-)
+from residua.analysis.existence import unknown_input_observer_existence
+from residua.analysis.output_free_form import OutputFreeForm, decoupling_map, output_free_form
+from residua.arrays import matrix
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator
 from residua.design.core.method import method
@@ -20,12 +17,13 @@ from residua.design.core.needs import FAULTS, disturbances
 from residua.design.core.own_time import in_own_time
 from residua.design.detection_filters.detection_filter import REFERENCES, directional_filters
 from residua.design.detection_filters.directional_gain import Poles
-from residua.design.observers.unknown_input_observer import REFERENCE, decoupling_gain
+from residua.design.observers.unknown_input_observer import REFERENCE
 from residua.errors import DesignError
 from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.linear.systems.balancing import without_rounding
 from residua.plant import Plant
-from residua.plant.comparable_units import own_units
+from residua.plant.comparable_units import even_plant, own_units
+from residua.tolerances import above_rounding
 from residua.words import counted, used_up
 
 
@@ -108,7 +106,7 @@ def robust_detection_filter(
     {'n_low sensor': 2, 'n_high sensor': 2}
     """
     plant = plant.explicit()
-    existence = decomposed_existence(plant, rtol=rtol)
+    existence = unknown_input_observer_existence(plant)
     if not existence:
         raise DesignError("; ".join(existence.reasons))
     if not existence.useful:
@@ -116,13 +114,12 @@ def robust_detection_filter(
             f"{used_up(plant.n_outputs)} to decouple {counted(len(plant.disturbances), 'disturbance')}: "
             "nothing is left to see faults with; add a sensor or decouple fewer disturbances"
         )
-    parts = existence.decomposition
-    assert isinstance(parts, OrdinaryDecoupling)
-    even, form, T, H = parts.even, parts.form, parts.T, parts.H
+    even = even_plant(plant, explicit=True)
     if H0 is not None:  # as the equations say, in the units of the plant
-        even, form = own_units(plant), output_free_form(plant, rtol=rtol)
-        H = decoupling_gain(form, H0)
-        T = decoupling_map(H, plant.C)
+        even = own_units(plant)
+    form = output_free_form(even.plant, rtol=rtol)
+    H = decoupling_gain(form, H0)
+    T = decoupling_map(H, even.plant.C)
     p, q = len(form.W), form.E.shape[1]
     used = f"{q} {'is' if q == 1 else 'are'}"
     base = Evidence(
@@ -149,3 +146,21 @@ def robust_detection_filter(
         rtol=rtol,
         form=form,
     )
+
+
+def decoupling_gain(form: OutputFreeForm, H0: ArrayLike | None = None) -> NDArray[np.float64]:
+    """Return ``H`` on the measured outputs, with ``(H C - I) E = 0`` (eq. 5; Lemma 1)."""
+    CE = form.C @ form.E
+    p = len(form.C)
+    inverse = np.linalg.pinv(CE) if CE.size else np.zeros((CE.shape[1], p))
+    inverse = np.where(np.any(form.C, axis=1), inverse, 0.0)  # rounding on a dead output is no gain
+    H = form.E @ inverse
+    for _ in range(2):  # channels in very different units make one pseudoinverse inexact
+        H = H + (form.E - H @ CE) @ inverse
+    # what rounding left of nothing would couple states that nothing couples, in some units strongly
+    H = above_rounding(H, p * (np.abs(form.E) @ np.abs(inverse)))
+    if H0 is not None:
+        n = len(form.A)
+        free = matrix(H0, "H0", (n, form.W.shape[1]), what="states x outputs") @ form.W.T
+        H = H + free @ (np.eye(p) - CE @ inverse)
+    return H @ form.W

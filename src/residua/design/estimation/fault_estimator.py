@@ -9,28 +9,25 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua import arrays
-from residua.analysis.unknown_input import unknown_input_observer_existence
+from residua.analysis.existence import unknown_input_observer_existence
 from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.design.core.internal_form import frequency_grid, internal_form
 from residua.design.core.method import method
 from residua.design.core.needs import FAULTS, groups_of_faults
-from residua.design.core.own_time import has_rates, in_own_time
+from residua.design.core.own_time import has_rates
 from residua.design.core.signals import sampled_filter, stack_signals
 from residua.design.estimation.fault_reading import FaultReading, read_faults
-from residua.design.observers.observer import Observer, observer_in_units_of
-from residua.design.observers.observer_gain import own_rate
+from residua.design.observers.even_units import own_rate
+from residua.design.observers.observer import Observer
 from residua.design.observers.unknown_input_observer import unknown_input_observer
 from residua.errors import AccuracyError, DesignError, SettingError
 from residua.linear import StateSpace
 from residua.linear.norms.system_norms import h2_norm, hinf_norm
 from residua.linear.poles.placement import default_margin
-from residua.linear.subspaces.rank import DEFAULT_RTOL
-from residua.linear.systems.array_cache import cached_by_contents, copied
 from residua.linear.systems.balancing import sum_without_rounding
 from residua.plant import Plant
-from residua.plant.comparable_units import PlantUnits, canonical_units
 from residua.words import as_given
 
 _METHOD = "fault estimator"
@@ -156,7 +153,6 @@ class FaultEstimator:
     many=True,
     calls=groups_of_faults,
 )
-@in_own_time()
 def fault_estimator(
     plant: Plant,
     *,
@@ -164,7 +160,6 @@ def fault_estimator(
     poles: Sequence[complex] | ArrayLike | None = None,
     margin: float | None = None,
     bandwidth: float | None = None,
-    rtol: float = DEFAULT_RTOL,
 ) -> FaultEstimator:
     r"""Design an observer that estimates faults, several at once where the outputs allow it.
 
@@ -193,15 +188,13 @@ def fault_estimator(
     poles : sequence of complex, optional
         Poles of the state estimate's error: as many as states, or as many as are free.
     margin : float, optional
-        Its stability margin in 1/s, used without ``poles``; when omitted too, the geometric mean of the sizes of
-        the plant's poles.
+        Decay rate in 1/s that every free pole must have at least, used without ``poles``; as for
+        :func:`unknown_input_observer`.
     bandwidth : float, optional
         :math:`1/\tau` in rad/s: a wider one follows faults faster and passes more noise (see the evidence). With
         one, all estimates are filtered with it (a sampled plant: by a pole at :math:`e^{-dt/\tau}`). When
         omitted, only those of a continuous plant that need it, with the geometric mean of the sizes of the poles of
         the error, or of the plant if that is larger.
-    rtol : float
-        Relative tolerance of every rank decision.
 
     Returns
     -------
@@ -250,50 +243,26 @@ def fault_estimator(
     names = _chosen(plant, faults)
     if bandwidth is not None and not (np.isfinite(bandwidth) and bandwidth > 0):
         raise SettingError(f"bandwidth must be a positive number in rad/s, got {as_given(bandwidth)!r}")
-    units = canonical_units(plant)
-    own = _designed(units.applied(plant), names, poles, margin, bandwidth, rtol)
-    return _in_units_of(plant, names, units, copied(own))  # what is kept is not handed out to be changed
-
-
-@dataclass(frozen=True, eq=False)
-class _Design:
-    """An estimator of a plant in its own units: the observer, what the estimates are of it, and both as one filter."""
-
-    observer: Observer
-    reading: FaultReading
-    smoothing: _Smoothing
-    system: StateSpace
-    form: StateSpace
-    evidence: Evidence
-
-
-@cached_by_contents
-def _designed(
-    plant: Plant,
-    names: tuple[str, ...],
-    poles: Sequence[complex] | ArrayLike | None,
-    margin: float | None,
-    bandwidth: float | None,
-    rtol: float,
-) -> _Design:
-    """Return the estimator of a plant in its own units."""
-    if poles is None and margin is None:
-        margin = own_rate(plant)
     disturbed = plant.faults_as_disturbances(names)
     try:
-        observer = unknown_input_observer(disturbed, poles=poles, margin=margin, rtol=rtol)
+        observer = unknown_input_observer(disturbed, poles=poles, margin=margin)
     except DesignError as error:
-        if unknown_input_observer_existence(disturbed, rtol=rtol):  # the poles or the margin are wrong, not the plant
+        if unknown_input_observer_existence(disturbed):  # the poles or the margin are wrong, not the plant
             raise
         raise DesignError(
             f"no observer of the state ignores {', '.join(names)} as unknown inputs: {error}; "
             "to estimate fewer faults at once may help"
         ) from error
+    if observer.order and len(observer.evidence.fixed_poles) == observer.order:
+        raise DesignError(
+            f"no pole of an estimate that ignores {', '.join(names)} is free: nothing that these faults leave corrects "
+            "the state, and errors of the model would look like faults; estimate fewer faults at once, or add a sensor"
+        )
     if observer.plant.E is None:
         plant = plant.explicit()
-    reading = read_faults(observer.plant, names, rtol=rtol)
+    reading = read_faults(observer.plant, names)
     smoothing = _smoothing(plant, observer, reading, bandwidth)
-    system, form = _realised(plant, names, observer, reading, smoothing)
+    system, form, maps = _realised(plant, names, observer, reading, smoothing)
     evidence = observer.evidence.extended(
         method=_METHOD,
         poles=system.poles(),
@@ -304,36 +273,18 @@ def _designed(
             **({"bandwidth (rad/s)": smoothing.rate} if smoothing.rate else {}),
         },
     )
-    return _Design(observer, reading, smoothing, system, form, evidence)
-
-
-def _in_units_of(plant: Plant, names: tuple[str, ...], units: PlantUnits, own: _Design) -> FaultEstimator:
-    """Return an estimator for the scaled plant as one for the plant, with what of its evidence is in units of it."""
-    disturbed = plant.faults_as_disturbances(names)
-    ordinary = own.observer.plant.E is None
-    if ordinary:
-        plant, disturbed = plant.explicit(), disturbed.explicit()
-    observer = observer_in_units_of(own.observer, disturbed, units)
-    f = units.faults[[plant.faults.index(name) for name in names], None]
-    z = np.ones(own.system.n_states)
-    z[: observer.order] = 1 / units.states if observer.order == plant.n_states else 1.0  # those of the observer
-    signals, hidden = 1 / units.signals, 1 / units.hidden(len(plant.noises))
-    s, form = own.system, own.form
-    system = s.replaced(A=s.A / z[:, None] * z, B=s.B / z[:, None] * signals, C=f * s.C * z, D=f * s.D * signals)
-    form = form.replaced(B=form.B * hidden, C=f * form.C, D=f * form.D * hidden)
-    # by its internal form, not its state map: the latter may be zero (all states read off), and has no units then
     generator = make_generator(
         system,
         plant,
         _METHOD,
-        own.evidence,
+        evidence,
         decouples=Decoupled(),
-        known_form=form,
-        state_units=1 / z,
+        state_map=maps[0],
+        static_map=maps[1] if plant.E is not None else None,
         estimated=names,
     )
     return FaultEstimator(
-        plant, names, observer, system, own.smoothing.lags(names, plant.dt), _with_numbers(generator, own.smoothing)
+        plant, names, observer, system, smoothing.lags(names, plant.dt), _with_numbers(generator, smoothing)
     )
 
 
@@ -380,8 +331,8 @@ def _smoothing(plant: Plant, observer: Observer, reading: FaultReading, bandwidt
 
 def _realised(
     plant: Plant, names: tuple[str, ...], observer: Observer, reading: FaultReading, smoothing: _Smoothing
-) -> tuple[StateSpace, StateSpace]:
-    r"""Return the estimator as one system, and its internal form, by its state map and static map.
+) -> tuple[StateSpace, StateSpace, tuple[NDArray, NDArray]]:
+    r"""Return the estimator as one system, its internal form, and its state map and static map.
 
     With :math:`r = L_s (y_0 - C \hat x) - P (A \hat x + B u)`, :math:`y_0 = y - D u`, and
     :math:`q = \hat f - L_d y_0 / \tau`: :math:`\dot q = (r - \hat f) / \tau`. In sampled time
@@ -429,7 +380,8 @@ def _realised(
         inputs=o.inputs,
         outputs=[f"estimate {name}" for name in names],
     )
-    return system, internal_form(system, plant, np.vstack([observer.T, map_q]), static)
+    maps = np.vstack([observer.T, map_q]), static
+    return system, internal_form(system, plant, *maps), maps
 
 
 def _on_signals(plant: Plant, on_y0: NDArray, dynamics: NDArray) -> NDArray:

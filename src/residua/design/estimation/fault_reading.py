@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import AccuracyError, DesignError
-from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_basis, null_basis
+from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, decide_rank, left_null_basis, null_basis
 from residua.linear.systems.balancing import descriptor_units, without_rounding
 from residua.plant import Plant
 from residua.tolerances import RESIDUE, RESPONSE_ROUNDING, above_rounding
@@ -58,7 +58,7 @@ class _Scaled:
     units: NDArray
 
 
-def read_faults(plant: Plant, faults: tuple[str, ...], *, rtol: float) -> FaultReading:
+def read_faults(plant: Plant, faults: tuple[str, ...], *, rtol: float = DEFAULT_RTOL) -> FaultReading:
     r"""Return how to read faults off a plant in which they are the last disturbances.
 
     What the faults and disturbances ``v`` do at once, :math:`D v = y - D u - C x` and :math:`N B v = -N (A x + B u)`

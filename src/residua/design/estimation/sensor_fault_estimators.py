@@ -12,7 +12,6 @@ from residua.design.core.method import method
 from residua.design.core.own_time import has_rates, in_own_time
 from residua.design.estimation.fault_estimator import FaultEstimator, fault_estimator
 from residua.errors import AccuracyError, DesignError
-from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
 from residua.words import counted
 
@@ -71,7 +70,6 @@ def sensor_fault_estimators(
     poles: Sequence[complex] | ArrayLike | None = None,
     margin: float | None = None,
     bandwidth: float | None = None,
-    rtol: float = DEFAULT_RTOL,
 ) -> SensorFaultEstimators:
     """Design one fault estimator for each sensor, each ignoring what its own sensor reads.
 
@@ -84,7 +82,7 @@ def sensor_fault_estimators(
         Sensor faults that it does not have are added.
     outputs : sequence of str or int, optional
         The sensors; all when omitted.
-    poles, margin, bandwidth, rtol
+    poles, margin, bandwidth
         Of every estimator; see :func:`fault_estimator`.
 
     Returns
@@ -128,9 +126,7 @@ def sensor_fault_estimators(
     kinds: set[type[Exception]] = set()
     for name, fault in faults.items():
         try:
-            members[name] = fault_estimator(
-                plant, faults=[fault], poles=poles, margin=margin, bandwidth=bandwidth, rtol=rtol
-            )
+            members[name] = fault_estimator(plant, faults=[fault], poles=poles, margin=margin, bandwidth=bandwidth)
         except (DesignError, AccuracyError) as error:
             failures[name] = str(error)
             kinds.add(type(error))

@@ -7,10 +7,8 @@ from collections.abc import Iterable, Sequence
 from numpy.typing import ArrayLike
 
 from residua.design.core.method import method
-from residua.design.core.own_time import in_own_time
 from residua.design.observers.observer import Observer
 from residua.design.observers.reduced_order import reduced_observer
-from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
 
 
@@ -24,14 +22,12 @@ from residua.plant import Plant
     singular=True,
     noise="unfiltered",
 )
-@in_own_time()
 def descriptor_observer(
     plant: Plant,
     *,
     poles: Sequence[complex] | ArrayLike | None = None,
     margin: float | None = None,
     outputs: Iterable[str | int] | str | None = None,
-    rtol: float = DEFAULT_RTOL,
 ) -> Observer:
     r"""Design the standard observer of order n - p of a singular plant.
 
@@ -54,8 +50,6 @@ def descriptor_observer(
     outputs : sequence of str, optional
         The measurements that are used, all when omitted. The errors of those that are left out are the residual:
         with all of them used there is none.
-    rtol : float
-        Relative tolerance of every rank decision, in balanced units.
 
     Returns
     -------
@@ -104,5 +98,4 @@ def descriptor_observer(
         poles=poles,
         margin=margin,
         outputs=outputs,
-        rtol=rtol,
     )

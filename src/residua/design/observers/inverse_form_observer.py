@@ -12,24 +12,22 @@ import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
 from residua import arrays
-from residua.analysis.unknown_input import (
-    OrdinaryDecoupling,
-    UnknownInputExistence,
-    decomposed_existence,
-)
+from residua.analysis.existence import UnknownInputExistence, unknown_input_observer_existence
 from residua.arrays import matrix
 from residua.design.core.evidence import Evidence, format_pole
 from residua.design.core.method import method
 from residua.design.core.needs import FAULTS
 from residua.design.core.own_time import has_rates, in_own_time
-from residua.design.observers.observer import Observer, in_units_of_the_plant
-from residua.design.observers.unknown_input_observer import observer_of
+from residua.design.observers.even_units import in_units_of_the_plant
+from residua.design.observers.observer import Observer
+from residua.design.observers.unknown_input_observer import unknown_input_observer
 from residua.errors import AccuracyError, DesignError
 from residua.linear import is_stable_mode
 from residua.linear.poles.placement import place_observer_poles
 from residua.linear.poles.spectrum import spectrum_error
 from residua.linear.subspaces.rank import DEFAULT_RTOL, decide_rank, equilibrated
 from residua.linear.systems.balancing import evened
+from residua.plant.comparable_units import even_plant
 from residua.plant import Plant
 from residua.tolerances import IDENTITY, RESIDUE, TINY
 from residua.words import rates_in, unit_of_rates
@@ -164,14 +162,13 @@ def inverse_form_observer(
         raise DesignError("give poles or K, not both")
     chosen = [plant.faults[i] for i in arrays.positions(faults, plant.faults, "fault")]
     plant = (plant.faults_as_disturbances(chosen) if chosen else plant).explicit()
-    existence = _existence(plant, rtol)
-    assert isinstance(existence.decomposition, OrdinaryDecoupling)
-    even = existence.decomposition.even
+    _existence(plant, rtol)
+    even = even_plant(plant, explicit=True)
     S, Y = even.states[:, None], even.outputs
     if K is not None:
         K = matrix(K, "K", (plant.n_states, plant.n_outputs), what="states x outputs") / S / Y
     if K is None and poles is None:
-        chosen_poles = _off_zero(observer_of(plant, existence, None, None, None, rtol).poles, plant.dt)
+        chosen_poles = _off_zero(unknown_input_observer(plant).poles, plant.dt)
     else:
         chosen_poles = None if poles is None else np.asarray(np.atleast_1d(poles), dtype=complex)
     made = _designed(even.plant, chosen_poles, K, first, rtol, asked=poles is not None)
@@ -234,7 +231,7 @@ def _existence(plant: Plant, rtol: float) -> UnknownInputExistence:
     if independent.rank < q:
         raise DesignError(f"the {q} unknown inputs have only {independent.rank} independent directions")
     _refuse_singular(plant.A, rtol)
-    existence = decomposed_existence(plant, rtol=rtol)
+    existence = unknown_input_observer_existence(plant)
     if not existence:
         raise DesignError("; ".join(existence.reasons))
     return existence

@@ -5,20 +5,19 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator
 from residua.design.core.method import method
 from residua.design.core.needs import NOISE
-from residua.design.core.own_time import in_own_time
-from residua.design.observers.observer import Observer
+from residua.design.observers.observer import balanced_observer
 from residua.errors import AccuracyError, DesignError
-from residua.linear.poles.riccati import RiccatiSolution, filter_riccati
-from residua.linear.systems.array_cache import cached_by_contents
-from residua.linear.systems.balancing import without_rounding
+from residua.linear.poles.observer_gain import ObserverGain, observer_gain
+from residua.linear.poles.spectrum import describe_modes
+from residua.linear.subspaces.quotient import ObservableSplit
 from residua.plant import Plant
-from residua.plant.comparable_units import canonical_units
+from residua.plant.balanced import BalancedPlant, undetectable
+from residua.tolerances import RANK
 
 _BOTH = "give both kinds, with_noise(process=..., measurement=...)"
 
@@ -33,7 +32,6 @@ _BOTH = "give both kinds, with_noise(process=..., measurement=...)"
     noise="least",
     time_course="constant",
 )
-@in_own_time()
 def kalman_filter(plant: Plant) -> ResidualGenerator:
     r"""Use the innovations of the stationary Kalman filter as residuals.
 
@@ -88,69 +86,55 @@ def kalman_filter(plant: Plant) -> ResidualGenerator:
     plant = plant.explicit()
     if plant.Bw.shape[1] == 0:
         raise DesignError("a Kalman filter needs the noise of the plant: with_noise(process=..., measurement=...)")
-    noiseless = not np.any(plant.process_noise)
-    try:
-        solution = _solution(plant)
-    except AccuracyError as error:
-        if not noiseless:
-            raise
+    model = plant.balanced
+    hidden = undetectable(model)
+    if hidden.size:
         raise DesignError(
-            f"the plant has no process noise, and without any the Kalman filter could not be computed: {_BOTH}"
-        ) from error
-    n, p = plant.n_states, plant.n_outputs
-    K = np.asarray(solution.gain)
+            f"(C, A) is not detectable: no measurement sees the mode {describe_modes(hidden)}; add a sensor"
+        )
+    gain = _gain(plant, model)
     notes = ()
     if plant.disturbances:
         notes = (f"disturbances are not decoupled by a Kalman filter: {', '.join(plant.disturbances)}",)
-    if noiseless and not np.any(K):
+    if not np.any(plant.process_noise) and not np.any(gain.K):
         notes += (f"no process noise, so that the gain is zero and the outputs correct nothing: {_BOTH}",)
-    evidence = Evidence(
-        method="Kalman filter",
-        poles=np.asarray(solution.poles, dtype=complex),
-        conditions={
-            "residual of the Riccati equation": float(solution.residual),
-            "condition of the innovation covariance": float(np.linalg.cond(solution.innovation_covariance)),
-        },
-        notes=notes,
-        references=("Gertler (1991), Automatica 27(4), eqs. (3-14) to (3-17) and section 5.3",),
-    )
-    observer = Observer(
+    return balanced_observer(
         plant,
-        without_rounding(np.hstack([np.eye(n), -K]), np.vstack([plant.A, plant.C])),
-        np.eye(n),
-        K,
-        np.eye(n),
-        np.zeros((n, p)),
-        np.eye(p),
-        "Kalman filter",
-        False,
-        evidence,
-    )
-    return observer.residual_generator()
+        gain,
+        Evidence(
+            method="Kalman filter",
+            conditions={"size of K": gain.norm},
+            notes=notes,
+            references=("Gertler (1991), Automatica 27(4), eqs. (3-14) to (3-17) and section 5.3",),
+        ),
+    ).residual_generator()
 
 
-def _solution(plant: Plant) -> RiccatiSolution:
-    """Return the solution of the Riccati equation of a plant in its own units, in those of the plant."""
-    units = canonical_units(plant)
-    own = units.applied(plant)
-    noise = own.process_noise, own.measurement_noise, own.cross_noise
-    found = _kept_riccati(own.A, own.C, *noise, plant.dt)
-    S, Y = units.states, units.outputs
-    return replace(
-        found,
-        covariance=S[:, None] * found.covariance * S / units.noise**2,
-        gain=S[:, None] * found.gain * Y,
-        innovation_covariance=found.innovation_covariance / Y[:, None] / Y / units.noise**2,
-    )
-
-
-@cached_by_contents
-def _kept_riccati(
-    A: NDArray[np.float64],
-    C: NDArray[np.float64],
-    Q: NDArray[np.float64],
-    R: NDArray[np.float64],
-    cross: NDArray[np.float64],
-    dt: float,
-) -> RiccatiSolution:
-    return filter_riccati(A, C, Q, R, cross, dt=dt)
+def _gain(plant: Plant, model: BalancedPlant) -> ObserverGain:
+    """Return the gain of least variance, with noise in the units of the balanced plant."""
+    units, rate = model.units, model.units.rate
+    X, Y = units.states, units.outputs
+    R = Y[:, None] * plant.measurement_noise * Y * rate
+    size = np.sqrt(np.where(np.diag(R) > 0, np.diag(R), 1.0))  # outputs as large as their noise
+    n = plant.n_states
+    try:
+        if not plant.is_discrete and not np.linalg.eigvalsh(R / size[:, None] / size).min(initial=1.0) > RANK:
+            raise DesignError(
+                "the measurement noise is singular, and a continuous Kalman filter divides by it: give every "
+                f"measurement noise of its own, with_noise(measurement=...), or sample the plant: {_BOTH}"
+            )
+        gain = observer_gain(
+            model.A,
+            model.C / size[:, None],
+            ObservableSplit(np.eye(n), np.zeros((n, 0)), []),
+            sampled=plant.is_discrete,
+            process=plant.process_noise / X[:, None] / X / rate,
+            measurement=R / size[:, None] / size,
+            cross=plant.cross_noise / X[:, None] * Y / size,
+        )
+    except AccuracyError as error:
+        raise DesignError(
+            "there is no stationary Kalman filter: a mode on the boundary of stability, or beyond it, gets no noise "
+            f"or is hardly seen; {_BOTH}, or add a sensor"
+        ) from error
+    return replace(gain, K=gain.K / size)

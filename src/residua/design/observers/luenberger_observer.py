@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from residua import arrays
-from residua.analysis.unknown_input import is_singular
+from residua.analysis.output_free_form import is_singular
 from residua.design.core.evidence import Evidence
 from residua.design.core.method import method
-from residua.design.core.own_time import in_own_time
-from residua.design.observers.estimate_check import check_estimate
-from residua.design.observers.observer import Observer, in_units_of_the_plant, kept_observer_for
-from residua.design.observers.observer_gain import gain_size, place, pole_evidence
+from residua.design.observers.observer import Observer, balanced_observer, with_checked_estimate
+from residua.design.observers.observer_gain import asked, default_weights
 from residua.errors import DesignError
-from residua.linear.subspaces.rank import DEFAULT_RTOL, without_rounded_gains
-from residua.linear.systems.array_cache import cached_by_contents
-from residua.linear.systems.balancing import without_rounding
+from residua.linear.poles.observer_gain import observer_gain
+from residua.linear.poles.spectrum import describe_modes
+from residua.linear.subspaces.quotient import observable_split
 from residua.plant import Plant
-from residua.plant.comparable_units import even_plant
+from residua.plant.balanced import undetectable
 
 
 @method(
@@ -30,14 +27,12 @@ from residua.plant.comparable_units import even_plant
     source="Twardy and Kaczorek, part I, Theorems 1 and 2",
     state="estimate, converges",
 )
-@in_own_time()
 def luenberger_observer(
     plant: Plant,
     *,
     poles: Sequence[complex] | ArrayLike | None = None,
     margin: float | None = None,
     outputs: Iterable[str | int] | str | None = None,
-    rtol: float = DEFAULT_RTOL,
 ) -> Observer:
     r"""Design a full-order observer by pole placement.
 
@@ -54,12 +49,11 @@ def luenberger_observer(
     poles : sequence of complex, optional
         Poles of the error, closed under conjugation: as many as states, or as many as are observable.
     margin : float, optional
-        Stability margin in 1/s, used without ``poles``; when omitted, the geometric mean of the sizes of the
-        plant's poles.
+        Decay rate in 1/s that every pole must have at least, used without ``poles``. When omitted too, the gain is that
+        of least squares with equal noise in all states and outputs of the balanced plant: poles are as slow as the
+        plant where it is hardly seen.
     outputs : sequence of str, optional
         The measurements that drive the observer, all when omitted. The residual is the error of these.
-    rtol : float
-        Relative tolerance of every rank decision.
 
     Returns
     -------
@@ -99,32 +93,32 @@ def luenberger_observer(
             "unknown_input_observer, which also serves singular plants without disturbances"
         )
     used = arrays.different_positions(outputs, plant.outputs, "output")
-    return kept_observer_for(plant, lambda own: _designed(own, used, poles, margin, rtol))
-
-
-@cached_by_contents
-def _designed(
-    plant: Plant,
-    used: list[int],
-    poles: Sequence[complex] | ArrayLike | None,
-    margin: float | None,
-    rtol: float,
-) -> Observer:
-    """Return the observer of a plant in its own units that uses the numbered outputs."""
-    original, even = plant.explicit(), even_plant(plant, explicit=True)
-    plant = even.plant
-    placed = place(plant.A, plant.C[used], poles, margin, plant.dt, rtol)
-    n, W = plant.n_states, np.eye(plant.n_outputs)[used]
-    K = without_rounded_gains(placed.gain) @ W  # which would couple states that nothing couples
-    F = without_rounding(np.hstack([np.eye(n), -K]), np.vstack([plant.A, plant.C]))
+    plant = plant.explicit()
+    model = plant.balanced
+    hidden = undetectable(model, used)
+    if hidden.size:
+        raise DesignError(
+            f"not detectable: mode {describe_modes(hidden)} is not seen by any output and is not stable; add a sensor "
+            "that sees it"
+        )
+    poles, margin = asked(plant, poles, margin)
+    C = model.C[used]
+    process, measurement = default_weights(model)
+    gain = observer_gain(
+        model.A,
+        C,
+        observable_split(model.A, C),
+        sampled=plant.is_discrete,
+        process=process,
+        measurement=measurement[np.ix_(used, used)],
+        poles=poles,
+        margin=margin,
+    )
     names = ", ".join(plant.disturbances)
     evidence = Evidence(
         method="Luenberger observer",
-        **pole_evidence(placed, F),
-        conditions={"pole error": placed.error, "size of K": gain_size(F, K, plant.C)},
+        conditions={"pole error": gain.error, "size of K": gain.norm},
         notes=(f"disturbances are not decoupled by a Luenberger observer: {names}",) if names else (),
         references=("Twardy and Kaczorek, part I, Theorem 2",),
     )
-    made = Observer(plant, F, np.eye(n), K, np.eye(n), np.zeros(K.shape), W, evidence.method, False, evidence)
-    evidence = evidence.extended(conditions={"estimate off the state": check_estimate(made)})
-    return in_units_of_the_plant(replace(made, evidence=evidence), original, even)
+    return with_checked_estimate(balanced_observer(plant, gain, evidence, used))

@@ -2,32 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residua.analysis.unknown_input import algebraic_equations, output_free_form
 from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
-from residua.design.core.internal_form import frequency_grid
-from residua.design.core.own_time import has_rates, in_own_time
+from residua.design.core.leak import answers, leak
 from residua.design.core.signals import sampled_filter, signal_names, stack_signals
-from residua.errors import DesignError
+from residua.design.observers.observer_gain import gain_evidence
+from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace
-from residua.linear.poles.matrix_poles import explicit_poles
-from residua.linear.systems.array_cache import copied
-from residua.linear.systems.balancing import power_of_two, sum_without_rounding, without_rounding
-from residua.linear.systems.response_terms import in_even_units, response_terms
+from residua.linear.poles.observer_gain import ObserverGain
 from residua.plant import Plant
-from residua.plant.comparable_units import EvenPlant, PlantUnits, canonical_units, even_plant
-from residua.tolerances import DESIGN_ROUNDING, TINY, above_rounding
+from residua.tolerances import LEAK
 from residua.words import counted, used_up
 
 
-@has_rates(F=1, K=1, J=-1, V=-1)
 @dataclass(frozen=True, eq=False, repr=False)
 class Observer:
     r"""An observer of ``E x' = A x + B u + ...``, with the matrices named as by Twardy and Kaczorek.
@@ -98,13 +91,13 @@ class Observer:
     @property
     def G(self) -> NDArray[np.float64]:
         """``T B``: how control inputs enter the observer."""
-        return without_rounding(self.T, self.plant.Bu)
+        return self.T @ self.plant.Bu
 
     @property
     def _entrance(self) -> NDArray[np.float64]:
         """How controls and measurements enter, ``[T B - K D, K]``: of a control that is decoupled nothing is left."""
         p = self.plant
-        return np.hstack([sum_without_rounding((self.T, p.Bu), (-self.K, p.Du)), self.K])
+        return np.hstack([self.T @ p.Bu - self.K @ p.Du, self.K])
 
     @property
     def A1(self) -> NDArray[np.float64]:
@@ -126,14 +119,14 @@ class Observer:
     @property
     def poles(self) -> NDArray[np.complex128]:
         """Poles of the estimation error."""
-        return explicit_poles(self.F)
+        return np.asarray(np.linalg.eigvals(self.F), dtype=complex)
 
     @property
     def system(self) -> StateSpace:
         """The observer as a system from control inputs and outputs to the state estimate."""
         p = self.plant
         J = np.zeros((p.n_states, p.n_states)) if self.J is None else self.J
-        direct = sum_without_rounding((-self.H, p.Du), (-J, p.Bu))
+        direct = -self.H @ p.Du - J @ p.Bu
         return StateSpace(
             self.F,
             self._entrance,
@@ -157,7 +150,6 @@ class Observer:
         """
         return sampled_filter(self.system, self.plant, dt).simulate(stack_signals(self.plant, u, y))
 
-    @in_own_time()
     def residual_generator(self) -> ResidualGenerator:
         r"""Return the output error as residual, :math:`r = W (y - D u - C \hat x) = W[(I - CH)(y - Du) - C M z]`.
 
@@ -174,45 +166,27 @@ class Observer:
         J = np.zeros((p.n_states, p.n_states)) if self.J is None else self.J
         V = np.zeros((len(self.W), p.n_states)) if self.V is None else self.V
         read = self.W @ p.C + V @ p.A
-        even = even_plant(p)  # what is rounding does not depend on the units of the plant
-        R, S, Y = even.equations, even.states, even.outputs
-        z = S if self.order == p.n_states else np.ones(self.order)
-        through = _without_rounding(self.W / Y, -read * S, self.H / S[:, None] / Y) * Y
-        states = _without_rounding(np.zeros((len(self.W), self.order)), -read * S, self.M / S[:, None] * z) / z
-        static = _without_rounding(V / R, -read * S, J / S[:, None] / R) * R
-        terms = np.abs(self.W) + np.abs(read) @ np.abs(self.H)
-        alive = _more_than(through / Y, terms / Y) | _path(static / R, read * S, J / S[:, None] / R)
-        if not alive.any():
-            raise DesignError(self._why_blind())
-        keep = alive if self.V is not None or alive.all() else alive | self._copies(states, through)
-        # of a control that enters nothing rounding would be all that there is
-        sizes = terms @ np.abs(p.Du) + (np.abs(V) + np.abs(read) @ np.abs(J)) @ np.abs(p.Bu)
-        direct = above_rounding(-through @ p.Du - static @ p.Bu, sizes)[keep]
-        through, states, static = through[keep], states[keep], static[keep]
+        through, static = self.W - read @ self.H, V - read @ J
         system = StateSpace(
             self.F,
             self._entrance,
-            states,
-            np.hstack([direct, through]),
+            -read @ self.M,
+            np.hstack([-through @ p.Du - static @ p.Bu, through]),
             dt=p.dt,
             inputs=signal_names(p),
-            outputs=[name for name, kept in zip(self._residual_names(), keep, strict=True) if kept],
+            outputs=self._residual_names(),
         )
+        alive = answers(system, p, np.abs(self.W) + np.abs(read) @ np.abs(self.H))
+        if not alive.any():
+            raise DesignError(self._why_blind())
+        system = system.select(outputs=np.flatnonzero(alive))
         decouples = Decoupled(disturbances=self.decouples)
-        maps = {"state_map": self.T, "static_map": None if p.E is None else static}
+        maps = {"state_map": self.T, "static_map": None if p.E is None else static[alive]}
         return make_generator(system, p, self.method, self.evidence, decouples=decouples, observer=self, **maps)
 
     def __repr__(self) -> str:
         kind = f"dt={self.plant.dt:g} s" if self.plant.is_discrete else "continuous"
         return f"Observer({self.method} of {self.plant.name!r}: order {self.order}, {kind})"
-
-    def _copies(self, states: NDArray, through: NDArray) -> NDArray[np.bool_]:
-        """Tell which rows of a residual hear the measurements by way of the state, as filtered copies of other rows."""
-        system = in_even_units(StateSpace(self.F, self.K, states, through, dt=self.plant.dt)).system
-        w = frequency_grid(system, points=12)
-        points = np.asarray(np.exp(1j * w * system.dt) if system.is_discrete else 1j * w, dtype=np.complex128)
-        response = response_terms(system, points)
-        return np.any(np.abs(response.values) > DESIGN_ROUNDING * response.terms, axis=(0, 2))
 
     def _residual_names(self) -> list[str]:
         """Return the names of residuals: those of the outputs whose errors they are, if all differ; else numbers."""
@@ -240,87 +214,39 @@ class Observer:
         )
 
 
-def in_units_of_the_plant(observer: Observer, plant: Plant, even: EvenPlant) -> Observer:
-    """Return an observer that was designed for a plant in even units, for the plant itself."""
-    return observer_in_units_of(observer, plant, even.units)
+def balanced_observer(plant: Plant, gain: ObserverGain, evidence: Evidence, used: list[int] | None = None) -> Observer:
+    """Return the full-order observer ``F = A - K C`` of a gain for the balanced plant, in the units of the plant.
 
-
-def observer_in_units_of(observer: Observer, plant: Plant, units: PlantUnits) -> Observer:
-    """Return an observer for a scaled plant as one for the plant.
-
-    The states of a full-order observer take the units of the plant's; a residual that is the error of one output that
-    of this output, and any other stays as large as it is.
+    Its residual is the error of the outputs that are used, all when omitted.
     """
-    S, Y = units.states, units.outputs
-    R = 1 / S if observer.plant.E is None else units.equations  # an E may have been divided out
-    own = S if observer.order == plant.n_states else np.ones(observer.order)
-    rows = 1 / power_of_two(np.abs(observer.W * Y).max(axis=1, initial=0.0))
-    return replace(
-        observer,
-        plant=plant,
-        F=own[:, None] * observer.F / own,
-        T=own[:, None] * observer.T * R,
-        K=own[:, None] * observer.K * Y,
-        M=S[:, None] * observer.M / own,
-        H=S[:, None] * observer.H * Y,
-        W=rows[:, None] * observer.W * Y,
-        J=None if observer.J is None else S[:, None] * observer.J * R,
-        V=None if observer.V is None else rows[:, None] * observer.V * R,
+    units, n, p = plant.balanced.units, plant.n_states, plant.n_outputs
+    K = units.states[:, None] * gain.K * units.outputs * units.rate
+    W = np.eye(p) if used is None else np.eye(p)[used]
+    F = plant.A - K @ plant.C
+    evidence = evidence.extended(**gain_evidence(gain, units.rate))
+    return Observer(plant, F, np.eye(n), K, np.eye(n), np.zeros((n, p)), W, evidence.method, False, evidence)
+
+
+def with_checked_estimate(observer: Observer) -> Observer:
+    """Return an observer with how far its estimate is off the state in its evidence, or raise where that is too far.
+
+    The response of the error to the controls, and to the disturbances that are decoupled, peak over peak of the state.
+    """
+    p = observer.plant
+    unknown = (p.Bd, p.Dd) if observer.decouples else (p.Bd[:, :0], p.Dd[:, :0])
+    found = leak(
+        observer.system, p, observer.T, _read_equations(observer), unknown=unknown, estimate=np.eye(p.n_states)
     )
+    worst = float(found.gains.max(initial=0.0))
+    if not worst <= LEAK:
+        raise AccuracyError(
+            f"the estimate is off the state by {worst:.2g} (relative, limit {LEAK:.0e}): the measurements see "
+            "part of the plant too weakly; add a sensor, or ask for slower poles"
+        )
+    evidence = observer.evidence.extended(conditions={"estimate off the state": worst})
+    return replace(observer, evidence=evidence)
 
 
-def kept_observer_for(plant: Plant, design: Callable[[Plant], Observer]) -> Observer:
-    """Return what a design makes, and keeps, of the plant in canonical units, as one to hand out, for the plant."""
-    units = canonical_units(plant)
-    own = design(units.applied(plant))
-    if own.plant.E is None:
-        plant = plant.explicit()
-    return observer_in_units_of(copied(own), plant, units)
-
-
-def without_measured_equations(observer: Observer, plant: Plant, N: NDArray) -> Observer:
-    """Return an observer that was designed with the algebraic equations ``N`` as last outputs, for the plant itself.
-
-    Those outputs read zero, so that their columns go over into ``T``, ``J`` and ``V``. Without any the equations
-    that no disturbance enters are added to the residual, once outputs have told what the disturbances in them are.
-    """
-    p = plant.n_outputs
-    K, H, W = observer.K, observer.H, observer.W
-    V = without_rounding(W[:, p:], N)
-    if not len(N):
-        form = output_free_form(plant)
-        V = algebraic_equations(plant, without=form.E)
-        W = np.vstack([W, -without_rounding(V, form.G)])
-        V = np.vstack([np.zeros((len(observer.W), plant.n_states)), V])
-    return replace(
-        observer,
-        plant=plant,
-        T=sum_without_rounding((observer.T, np.eye(plant.n_states)), (-K[:, p:], N)),
-        K=K[:, :p],
-        H=H[:, :p],
-        W=W[:, :p],
-        J=without_rounding(H[:, p:], N),
-        V=V,
-    )
-
-
-def _without_rounding(direct: NDArray, read: NDArray, factor: NDArray) -> NDArray[np.float64]:
-    """Return ``direct + read factor``, exactly zero where it is nothing beside the largest term of its row.
-
-    An estimate is known to the rounding of its largest part: what is left of a measurement that the estimate
-    reproduces is no residual, however small its own terms are.
-    """
-    largest = np.abs(read).max(axis=1, initial=0.0)[:, None] * np.abs(factor).max(axis=0, initial=0.0)
-    terms = (np.abs(direct) + largest).max(axis=1, keepdims=True, initial=0.0)
-    total = direct + read @ factor
-    return above_rounding(total, (1 + read.shape[1]) * terms)
-
-
-def _more_than(values: NDArray, terms: NDArray) -> NDArray[np.bool_]:
-    """Tell in which rows something is more than the rounding of the terms that it is made of."""
-    return np.abs(values).max(axis=1, initial=0.0) > 1e-10 * np.maximum(TINY, terms.max(axis=1, initial=0.0))
-
-
-def _path(direct: NDArray, read: NDArray, factor: NDArray) -> NDArray[np.bool_]:
-    """Tell in which rows ``read`` times a factor, in a residual, is more than rounding."""
-    return _more_than(direct, np.abs(direct + read @ factor) + np.abs(read) @ np.abs(factor))
+def _read_equations(observer: Observer) -> NDArray[np.float64] | None:
+    """Return how the estimate reads the algebraic equations, ``J (A x + B u) = 0``; none for an ordinary plant."""
+    return observer.J

@@ -6,13 +6,11 @@ from collections.abc import Iterable, Sequence
 
 from numpy.typing import ArrayLike
 
-from residua.analysis.unknown_input import is_singular
+from residua.analysis.output_free_form import is_singular
 from residua.design.core.method import method
-from residua.design.core.own_time import in_own_time
 from residua.design.observers.observer import Observer
 from residua.design.observers.reduced_order import reduced_observer
 from residua.errors import DesignError
-from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
 
 
@@ -24,14 +22,12 @@ from residua.plant import Plant
     decouples=True,
     noise="unfiltered",
 )
-@in_own_time()
 def reduced_order_observer(
     plant: Plant,
     *,
     poles: Sequence[complex] | ArrayLike | None = None,
     margin: float | None = None,
     outputs: Iterable[str | int] | str | None = None,
-    rtol: float = DEFAULT_RTOL,
 ) -> Observer:
     r"""Design an observer of order n - p: what the measurements say is not estimated again.
 
@@ -52,8 +48,6 @@ def reduced_order_observer(
     outputs : sequence of str, optional
         The measurements that are used, all when omitted. The errors of those that are left out are the residual:
         with all of them used there is none.
-    rtol : float
-        Relative tolerance of every rank decision, in balanced units.
 
     Returns
     -------
@@ -97,5 +91,4 @@ def reduced_order_observer(
         poles=poles,
         margin=margin,
         outputs=outputs,
-        rtol=rtol,
     )

@@ -2,45 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import replace
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residua.analysis.unknown_input import (
-    OrdinaryDecoupling,
-    OutputFreeForm,
-    SingularDecoupling,
-    UnknownInputExistence,
-    decomposed_existence,
-    decoupling_map,
-    error_pair,
-    output_free_form,
-)
+from residua.analysis.existence import UnknownInputExistence, unknown_input_observer_existence
 from residua.arrays import matrix
 from residua.design.core.evidence import Evidence
 from residua.design.core.method import method
-from residua.design.core.own_time import in_own_time
-from residua.design.observers.estimate_check import check_estimate
-from residua.design.observers.observer import (
-    Observer,
-    in_units_of_the_plant,
-    kept_observer_for,
-    without_measured_equations,
-)
-from residua.design.observers.observer_gain import gain_size, margin_from, place, pole_evidence
-from residua.errors import AccuracyError, DesignError
-from residua.linear.poles.placement import Placement
-from residua.linear.subspaces.far_gain import refuse_far_gain
-from residua.linear.subspaces.observability import staircase
-from residua.linear.subspaces.observable_part import UndetectableError
-from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision
-from residua.linear.systems.array_cache import cached_by_contents
-from residua.linear.systems.balancing import sum_without_rounding, without_rounding
+from residua.design.observers.observer import Observer, with_checked_estimate
+from residua.design.observers.observer_gain import asked, default_weights, gain_evidence
+from residua.errors import DesignError
+from residua.linear.poles.observer_gain import ObserverGain, observer_gain
+from residua.linear.subspaces.quotient import observable_split
+from residua.linear.subspaces.rank import RankDecision
 from residua.plant import Plant
-from residua.tolerances import IDENTITY, RESIDUE, TINY, above_rounding
+from residua.plant.balanced import BalancedPlant
+from residua.tolerances import BALANCED_RANK
 from residua.words import counted
 
 REFERENCE = "Chen, Patton and Zhang (1996), Int. J. Control 63(1), eqs. (2) to (13)"
@@ -55,14 +34,12 @@ REFERENCE = "Chen, Patton and Zhang (1996), Int. J. Control 63(1), eqs. (2) to (
     decouples=True,
     singular=True,
 )
-@in_own_time()
 def unknown_input_observer(
     plant: Plant,
     *,
     poles: Sequence[complex] | ArrayLike | None = None,
     margin: float | None = None,
     H0: ArrayLike | None = None,
-    rtol: float = DEFAULT_RTOL,
 ) -> Observer:
     r"""Design a full-order observer whose error no disturbance reaches.
 
@@ -70,7 +47,7 @@ def unknown_input_observer(
 
        \dot z = F z + T B u + K y, \qquad \hat x = z + H y
 
-    with :math:`H = E(CE)^+` (in even units, so that the observer does not depend on those of the plant; with ``H0``
+    with :math:`H = E(CE)^+` (in balanced units, so that the observer does not depend on those of the plant; with ``H0``
     it is :math:`E(CE)^+ + H_0 [I - CE(CE)^+]` in those of the plant), :math:`T = I - HC`, :math:`A_1 = T A`,
     :math:`F = A_1 - K_1 C` stable and :math:`K = K_1 + F H`. For a singular plant :math:`E_s \dot x = A x + \dots`,
     :math:`T E_s + H C = I` and :math:`T E = 0` take the place of the first two; the observer itself is an ordinary
@@ -84,14 +61,12 @@ def unknown_input_observer(
     poles : sequence of complex, optional
         Poles of the error, closed under conjugation: as many as states, or as many as are free.
     margin : float, optional
-        Stability margin in 1/s, used without ``poles``; when omitted, the geometric mean of the sizes of the
-        poles of ``T A``.
+        Decay rate in 1/s that every free pole must have at least, used without ``poles``. When omitted too, the gain is
+        that of least squares with equal noise in all states and outputs of the balanced plant.
     H0 : array_like, shape (n, outputs), optional
         The free matrix of the general solution, in the units of the plant: zeros give the smallest ``H`` in these
         units, as in the paper. Of ``H0 [I - CE(CE)^+]`` only what acts on the outputs left over by the decoupling
         matters.
-    rtol : float
-        Relative tolerance of every rank decision.
 
     Returns
     -------
@@ -133,187 +108,144 @@ def unknown_input_observer(
            [0., 0.],
            [0., 0.]])
     """
-    if H0 is not None:  # as the equations say, in the units of the plant
-        return observer_of(plant, decomposed_existence(plant, rtol=rtol), poles, margin, H0, rtol)
-    return kept_observer_for(plant, lambda own: _designed(own, poles, margin, rtol))
+    existence = unknown_input_observer_existence(plant)
+    if not existence:
+        raise DesignError("; ".join(existence.reasons))
+    if len(plant.balanced.algebra):
+        if H0 is not None:
+            raise DesignError("H0 is the free matrix of an ordinary plant; for a singular one leave it out")
+        return with_checked_estimate(_of_singular_plant(plant, existence, poles, margin))
+    return with_checked_estimate(_of_ordinary_plant(plant.explicit(), existence, poles, margin, H0))
 
 
-@cached_by_contents
-def _designed(plant: Plant, poles: Sequence[complex] | ArrayLike | None, margin: float | None, rtol: float) -> Observer:
-    """Return the observer of a plant in its own units."""
-    return observer_of(plant, decomposed_existence(plant, rtol=rtol), poles, margin, None, rtol)
-
-
-def observer_of(
+def _of_ordinary_plant(
     plant: Plant,
     existence: UnknownInputExistence,
     poles: Sequence[complex] | ArrayLike | None,
     margin: float | None,
     H0: ArrayLike | None,
-    rtol: float,
 ) -> Observer:
-    """Return the observer of an answer about its existence, by the decomposition that the answer was read from."""
-    if not existence:
-        raise DesignError("; ".join(existence.reasons))
-    parts = existence.decomposition
-    if isinstance(parts, SingularDecoupling):
-        if H0 is not None:
-            raise DesignError("H0 is the free matrix of an ordinary plant; for a singular one leave it out")
-        return _of_singular_plant(plant, parts, poles, margin, existence, rtol)
-    assert isinstance(parts, OrdinaryDecoupling)
-    if H0 is not None:
-        return _with_free_matrix(plant.explicit(), H0, poles, margin, existence, rtol)
-    even = parts.even.plant
-    if poles is None and margin is None:
-        margin = margin_from(parts.A22, even)
-    with _known_to_exist():
-        placed = place(*parts.error_pair, poles, margin, plant.dt, rtol)
-    farthest = float(np.abs(placed.requested).max(initial=margin or 0.0))
-    refuse_far_gain(*parts.error_pair, placed.gain, 1.0 if plant.dt else farthest)
-    placed = replace(placed, gain=without_rounding(parts.M, placed.gain, parts.outputs))
-    made = assemble(even, parts.form, parts.T, parts.H, placed, existence)
-    return in_units_of_the_plant(made, plant.explicit(), parts.even)
+    """Return the observer of the paper, after the disturbances in the outputs are expressed by these."""
+    model = plant.balanced
+    units, n, p = model.units, plant.n_states, plant.n_outputs
+    B, D = model.disturbances
+    U, s, Vh = np.linalg.svd(D) if D.size else (np.eye(p), np.zeros(0), np.eye(D.shape[1]))
+    k = int(np.count_nonzero(s > BALANCED_RANK))
+    W, G = U[:, k:].T, B @ (Vh[:k].T / s[:k]) @ U[:, :k].T
+    A, C = model.A - G @ model.C, W @ model.C
+    E = np.linalg.svd(B @ Vh[k:].T)[0][:, : existence.rank_E.rank] if existence.rank_E.rank else B[:, :0]
+    X, Y = units.states[:, None], units.outputs
+    if H0 is None:
+        H = E @ np.linalg.pinv(C @ E)
+    else:  # the smallest one, and the free matrix, in the units of the plant
+        H = _with_free_matrix(X * E, W * Y @ plant.C, H0, W * Y) / X
+    T = np.eye(n) - H @ C
+    A1 = T @ A
+    poles, margin = asked(plant, poles, margin)
+    process, measurement = default_weights(model)
+    gain = observer_gain(
+        A1,
+        C,
+        observable_split(A1, C),
+        sampled=plant.is_discrete,
+        process=process,
+        measurement=W @ measurement @ W.T,
+        poles=poles,
+        margin=margin,
+    )
+    F = A1 - gain.K @ C
+    K = gain.K @ W + T @ G + F @ H @ W
+    q = existence.rank_E.rank
+    notes = ()
+    if q and len(W) > q:
+        notes = (
+            f"{len(W) - q} of the {len(W)} residuals are independent: the others are filtered copies, the price of "
+            f"decoupling {counted(q, 'disturbance')}",
+        )
+    return Observer(
+        plant,
+        units.rate * X * F / units.states,
+        X * T / units.states,
+        units.rate * X * K * Y,
+        np.eye(n),
+        X * H @ W * Y,
+        in_units_of_outputs(W * Y),
+        "unknown input observer",
+        True,
+        _evidence(model, existence, gain, notes),
+    )
 
 
-def _with_free_matrix(
-    plant: Plant,
-    H0: ArrayLike,
-    poles: Sequence[complex] | ArrayLike | None,
-    margin: float | None,
-    existence: UnknownInputExistence,
-    rtol: float,
-) -> Observer:
-    """Return the observer of one free matrix: as the equations say, in the units of the plant."""
-    form = output_free_form(plant, rtol=rtol)
-    H = decoupling_gain(form, H0)
-    T = decoupling_map(H, plant.C)
-    A1 = without_rounding(T, form.A)
-    if poles is None and margin is None:
-        margin = margin_from(A1, plant)
-    with _known_to_exist():
-        placed = place(A1, form.C, poles, margin, plant.dt, rtol)
-    return assemble(plant, form, T, H, placed, existence, even=False)
+def _with_free_matrix(E: NDArray, C: NDArray, H0: ArrayLike, W: NDArray) -> NDArray[np.float64]:
+    """Return ``E (C E)^+ + H0 [I - C E (C E)^+]`` for the outputs that are left."""
+    CE = C @ E
+    inverse = np.linalg.pinv(CE)
+    free = matrix(H0, "H0", (len(E), W.shape[1]), what="states x outputs") @ np.linalg.pinv(W)
+    return E @ inverse + free @ (np.eye(len(C)) - CE @ inverse)
 
 
-@contextmanager
-def _known_to_exist() -> Iterator[None]:
-    """Placement for an error that is known to be detectable: from the plant, whose modes are known better."""
-    try:
-        yield
-    except UndetectableError as error:
-        raise AccuracyError(
-            "an observer of this plant exists, but rounding in the matrices of its error moves fixed poles that are "
-            f"near one another across the boundary of stability ({error}); use reduced_order_observer or "
-            "decoupled_residual, or add a sensor"
-        ) from error
+def in_units_of_outputs(W: NDArray) -> NDArray[np.float64]:
+    """Return rows with the largest entry of each a one: a residual that is the error of one output is in its units."""
+    size = np.abs(W).max(axis=1, keepdims=True, initial=0.0)
+    at = np.abs(W).argmax(axis=1)
+    sign = np.sign(W[np.arange(len(W)), at])[:, None]
+    return W * sign / np.where(size > 0, size, 1.0)
 
 
 def _of_singular_plant(
     plant: Plant,
-    parts: SingularDecoupling,
+    existence: UnknownInputExistence,
     poles: Sequence[complex] | ArrayLike | None,
     margin: float | None,
-    existence: UnknownInputExistence,
-    rtol: float,
 ) -> Observer:
-    """Return the observer of a singular plant: the free part of the decoupling is placed along with the gain."""
-    even, form, free = parts.even.plant, parts.form, parts.decoupling
-    A1, C1 = error_pair(free, form)
-    if poles is None and margin is None:
-        margin = margin_from(A1, even)
-    p = len(form.C)
-    seen = staircase(A1, form.C, rtol=rtol).n_observable
-    needed = seen < staircase(A1, C1, rtol=rtol).n_observable  # or else the smallest T is the best
-    with _known_to_exist():
-        placed = place(A1, C1 if needed else form.C, poles, margin, plant.dt, rtol)
-    K1, Z = placed.gain[:, :p], placed.gain[:, p:] if needed else np.zeros((len(A1), len(free.N)))
-    T, H = free.T - Z @ free.N, without_rounding(free.H - Z @ free.M, form.W)
-    made = assemble(parts.measured, form, T, H, replace(placed, gain=K1), existence)
-    return in_units_of_the_plant(without_measured_equations(made, even, parts.equations), plant, parts.even)
+    """Return the observer of what is left of a singular plant when the disturbances are divided out."""
+    model = plant.balanced
+    q = model.quotient()
+    F, G = q.pair
+    poles, margin = asked(plant, poles, margin)
+    process, measurement = default_weights(model)
+    gain = observer_gain(
+        F,
+        G,
+        q.split,
+        sampled=plant.is_discrete,
+        process=q.N @ process @ q.N.T,
+        measurement=q.H @ measurement @ q.H.T,
+        poles=poles,
+        margin=margin,
+    )
+    units, p = model.units, plant.n_outputs
+    R, X, Y = units.equations, units.states[:, None], units.outputs
+    K, inverse = q.J + gain.K @ q.H, q.R @ q.known[0]
+    T = (q.N @ model.derivative - K[:, p:] @ model.algebra) * R
+    return Observer(
+        plant,
+        units.rate * (F - gain.K @ G),
+        T,
+        units.rate * K[:, :p] * Y,
+        X * (q.P - inverse @ q.C),
+        X * inverse[:, :p] * Y,
+        in_units_of_outputs(q.H[:, :p] * Y),
+        "unknown input observer",
+        True,
+        _evidence(model, existence, gain, ()),
+        J=X * (inverse[:, p:] @ model.algebra) * R / units.rate,
+        V=q.H[:, p:] @ model.algebra * R / units.rate,
+    )
 
 
-def decoupling_gain(form: OutputFreeForm, H0: ArrayLike | None = None) -> NDArray[np.float64]:
-    """Return ``H`` on the measured outputs, with ``(H C - I) E = 0`` (eq. 5; Lemma 1)."""
-    CE = form.C @ form.E
-    p = len(form.C)
-    inverse = np.linalg.pinv(CE) if CE.size else np.zeros((CE.shape[1], p))
-    inverse = np.where(np.any(form.C, axis=1), inverse, 0.0)  # rounding on a dead output is no gain
-    H = form.E @ inverse
-    for _ in range(2):  # channels in very different units make one pseudoinverse inexact
-        H = H + (form.E - H @ CE) @ inverse
-    # what rounding left of nothing would couple states that nothing couples, in some units strongly
-    H = above_rounding(H, p * (np.abs(form.E) @ np.abs(inverse)))
-    if H0 is not None:
-        n = len(form.A)
-        free = matrix(H0, "H0", (n, form.W.shape[1]), what="states x outputs") @ form.W.T
-        H = H + free @ (np.eye(p) - CE @ inverse)
-    return H @ form.W
-
-
-def assemble(
-    plant: Plant,
-    form: OutputFreeForm,
-    T: NDArray,
-    H: NDArray,
-    placed: Placement,
-    existence: UnknownInputExistence,
-    *,
-    even: bool = True,
-) -> Observer:
-    """Return the observer of a decoupling and a placed gain, with its identities checked.
-
-    In even units a gain is known to the rounding of the largest of its row, in others to that of its own terms only.
-    """
-    K1 = sum_without_rounding((placed.gain, form.W), (T, form.G))  # of nothing it would couple states
-    F = without_rounding(np.hstack([T, -K1]), np.vstack([plant.A, plant.C]))
-    made_of = np.abs(K1) + np.abs(F) @ np.abs(H)
-    K = above_rounding(K1 + F @ H, made_of)  # nothing, where H leaves nothing of an output
-    if even:
-        K = above_rounding(K, made_of.max(axis=1, keepdims=True, initial=0.0), RESIDUE)
-    # where nothing is left of T, or of a column, what counts is what it is the rounding of
-    sizes = max(1.0, float(np.linalg.norm(T))), float(np.linalg.norm(K))
-    terms = sizes[0] * np.linalg.norm(plant.Bd, axis=0) + sizes[1] * np.linalg.norm(plant.Dd, axis=0)
-    identity = _relative(T @ plant.Bd - K @ plant.Dd, terms[None, :], by_column=True)
-    if not identity < IDENTITY:
-        raise AccuracyError(
-            f"the disturbances are not decoupled: |T E| / |E| = {identity:.2g}; the outputs see them too weakly "
-            "beside one another; add a sensor, or decouple fewer disturbances"
-        )
-    TE = T if plant.E is None else T @ plant.E
-    whole = _relative(TE + H @ plant.C - np.eye(plant.n_states), np.abs(TE) + np.abs(H) @ np.abs(plant.C))
-    if not whole < IDENTITY:
-        raise AccuracyError(
-            f"T E + H C = I is missed by {whole:.2g} (relative): the outputs see the disturbances too weakly beside "
-            "one another; add a sensor, or decouple fewer disturbances"
-        )
-    q, p = form.E.shape[1], len(form.W)
-    method, notes = "unknown input observer", ()
-    if q and p > q and plant.E is None:
-        notes = (
-            f"{p - q} of the {p} residuals are independent: the others are filtered copies, the price of "
-            f"decoupling {counted(q, 'disturbance')}",
-        )
+def _evidence(
+    model: BalancedPlant, existence: UnknownInputExistence, gain: ObserverGain, notes: tuple[str, ...]
+) -> Evidence:
+    near = tuple(f"near: {one}; double precision hardly decides this rank" for one in existence.near[:1])
     evidence = Evidence(
-        method=method,
-        **pole_evidence(placed, F),
-        ranks=_ranks(plant, existence),
-        conditions={
-            "|T E| / |E|": identity,
-            "T E + H C = I": whole,
-            "pole error": placed.error,
-            "size of K1": gain_size(F, K1, plant.C),
-        },
-        notes=notes,
+        method="unknown input observer",
+        ranks=_ranks(model.plant, existence),
+        conditions={"pole error": gain.error, "size of K1": gain.norm},
+        notes=(*notes, *near),
         references=(REFERENCE,),
     )
-    made = Observer(plant, F, T, K, np.eye(plant.n_states), H, form.W, method, True, evidence)
-    return replace(made, evidence=evidence.extended(conditions={"estimate off the state": check_estimate(made)}))
-
-
-def _relative(missed: NDArray, terms: NDArray, *, by_column: bool = False) -> float:
-    """Return what an identity is missed by, relative to the largest of its terms, or of those of each column."""
-    size = terms.max(axis=0 if by_column else None, keepdims=True, initial=0.0)
-    return float(np.max(np.abs(missed) / np.maximum(size, TINY), initial=0.0))
+    return evidence.extended(**gain_evidence(gain, model.units.rate))
 
 
 def _ranks(plant: Plant, existence: UnknownInputExistence) -> dict[str, RankDecision]:

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua import arrays
-from residua.analysis.rational_visibility import are_rational, least_degree
 from residua.design.core.generator import ResidualGenerator
 from residua.design.core.method import method
 from residua.design.core.own_time import in_own_time
@@ -25,10 +24,6 @@ from residua.plant.input_output_model import InputOutputModel
 
 #: States of the filters of all relations of an order together, beyond which a design takes many seconds.
 _MOST_STATES = 300
-#: The last singular value of a relation that is this large leaves the next one clear of rounding.
-_SURELY_KEPT = 1e-6
-#: One that is dropped is zero where it is this small: rounding leaves less of nothing.
-_SURELY_DROPPED = 1e-15
 
 
 @method(
@@ -183,29 +178,8 @@ def parity_orders(
             f"{len(names)} outputs have {count} sets of up to {most}: limit their size with most_outputs"
         )
     sets = [chosen for size in range(1, most + 1) for chosen in combinations(names, size)]
-    watched = model.plant.faults_as_disturbances(ignored)
     spaces = {chosen: shortest_relations(model.reading(chosen), ignored, rtol) for chosen in sets}
-    return {
-        chosen: _order_of(space, watched, [names.index(name) for name in chosen], rtol)
-        for chosen, space in spaces.items()
-        if space is not None
-    }
-
-
-def _order_of(space: RelationSpace, plant: Plant, outputs: list[int], rtol: float) -> int:
-    """Return the order of the shortest relations, in rational numbers where one shorter may be rounding alone.
-
-    Of rates that are decades apart the singular values fall from order to order, or at once: where the last one that
-    counts is small, or the first that does not is more than rounding, that one may be no zero.
-    """
-    decision = space.decision
-    if not len(decision.singular_values) or not are_rational(plant, rtol):
-        return space.order
-    largest = decision.singular_values[0]
-    if decision.smallest_kept > _SURELY_KEPT * largest and decision.largest_dropped < _SURELY_DROPPED * largest:
-        return space.order
-    degree = least_degree(plant, outputs)
-    return space.order if degree is None else degree
+    return {chosen: space.order for chosen, space in spaces.items() if space is not None}
 
 
 def chow_willsky_matrices(plant: Plant, order: int) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]]]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from residua.design.core.generator import ResidualGenerator
 from residua.design.core.internal_form import frequency_grid, leak_frequencies
 from residua.design.core.own_time import has_rates, written_by
-from residua.design.observers.observer_gain import own_rate
+from residua.design.observers.even_units import own_rate
 from residua.design.parity.relation_model import state_pencil
 from residua.errors import ModelError
 from residua.linear.polynomials.pencil_null_space import Pencil, pencil, refined

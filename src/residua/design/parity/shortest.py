@@ -181,7 +181,7 @@ def _refusal(
     """Return what to raise when the search has no result: why there is no relation, or that rounding hides it."""
     what = ", ".join(f"'{name}'" for name in (*model.plant.disturbances, *ignored)) or "nothing"
     longest = search.space(pencil_null_vectors(search.pencil, model.most, rtol=rtol))
-    space = fault_space(model.plant, rtol=max(rtol, _OF_DATA))
+    space = fault_space(model.plant)
     hidden = space.closure(space.basis([model.plant.faults.index(name) for name in ignored]))
     if longest.count == 0 and not space.leaves(ignored):
         return DesignError(

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import SettingError
 from residua.progress import check_time
-from residua.tolerances import RANK, RESIDUE
+from residua.tolerances import NEAR, RANK, RESIDUE
 
 #: Singular values below this fraction of the scale count as zero, unless the caller says otherwise. The
 #: staircase algorithms lose about three digits at order 30, so this stays well above rounding.
@@ -60,8 +60,8 @@ class RankDecision:
 
     @property
     def is_clear(self) -> bool:
-        """Whether no singular value lies within a factor of 100 of the tolerance."""
-        return self.largest_dropped < self.tolerance / 100 and self.smallest_kept > self.tolerance * 100
+        """Whether no singular value lies within a factor of 1000 of the tolerance."""
+        return self.largest_dropped < self.tolerance / NEAR and self.smallest_kept > self.tolerance * NEAR
 
     def __str__(self) -> str:
         kept = f"{self.smallest_kept:.3g}" if self.rank else "none"

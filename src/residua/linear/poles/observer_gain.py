@@ -1,0 +1,150 @@
+"""The gain of an observer of a balanced pair: by least squares, with a margin, or with poles of one's choice."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import ArrayLike, NDArray
+
+from residua.errors import AccuracyError, DesignError
+from residua.linear.poles.placement import place_observer_poles
+from residua.linear.poles.spectrum import describe_modes
+from residua.linear.subspaces.quotient import ObservableSplit
+from residua.tolerances import BALANCED_STABLE, POLE
+
+Matrix = NDArray[np.float64]
+#: Parts of a margin that is asked for, that are tried in turn.
+_PARTS = (1.0, 0.25, 1 / 16, 1 / 64, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class ObserverGain:
+    """A gain, and the poles that it makes, in balanced units.
+
+    Attributes
+    ----------
+    K : ndarray, shape (n, p)
+    poles : ndarray
+        Those of the part that is seen.
+    requested, fixed : ndarray
+        The poles that were asked for, and those that no gain moves.
+    error : float
+        The largest distance of a pole from what was asked for, relative to its size.
+    note : str
+        What to say of it; empty where it is what was asked for.
+    """
+
+    K: Matrix
+    poles: NDArray[np.complex128]
+    requested: NDArray[np.complex128]
+    fixed: NDArray[np.complex128]
+    error: float = 0.0
+    note: str = ""
+
+    @property
+    def norm(self) -> float:
+        """Norm of the gain."""
+        return float(np.linalg.norm(self.K, 2)) if self.K.size else 0.0
+
+
+def observer_gain(
+    A: Matrix,
+    C: Matrix,
+    split: ObservableSplit,
+    *,
+    sampled: bool,
+    process: Matrix,
+    measurement: Matrix,
+    cross: Matrix | None = None,
+    poles: Sequence[complex] | ArrayLike | None = None,
+    margin: float | None = None,
+) -> ObserverGain:
+    """Return the gain of an observer.
+
+    Parameters
+    ----------
+    A, C : ndarray
+        A balanced pair, whose hidden modes are stable.
+    split : ObservableSplit
+        Its own.
+    sampled : bool
+    process, measurement, cross : ndarray
+        Covariances of the noise of states and outputs that least squares take.
+    poles : sequence of complex, optional
+        As many as states, or as are seen; in units of the balanced plant.
+    margin : float, optional
+        Decay rate that all poles of the part that is seen must have; a smaller one is taken where it has no gain.
+    """
+    O, hidden = split.seen, split.hidden  # noqa: E741
+    fixed = np.asarray(np.linalg.eigvals(hidden.T @ A @ hidden), dtype=complex)
+    F, G, none = O.T @ A @ O, C @ O, np.zeros(0, dtype=complex)
+    if poles is not None:
+        placed = place_observer_poles(F, G, _movable(poles, len(F), fixed), dt=1.0 if sampled else 0.0)
+        if placed.error > POLE:
+            raise AccuracyError(
+                f"a pole is off by {placed.error:.2g} > {POLE:.0e} of the requested pole: so ill-conditioned that "
+                "rounding moves it; ask for poles nearer to those of the plant or further apart, leave them out, or "
+                "add a sensor"
+            )
+        return ObserverGain(O @ placed.gain, placed.achieved, placed.requested, fixed, placed.error)
+    W = O.T @ process @ O
+    S = None if cross is None else O.T @ cross
+    for part in _PARTS if margin else (0.0,):
+        K = _least_squares(F, G, W, measurement, S, sampled, part * (margin or 0.0))
+        if K is not None:
+            found = np.asarray(np.linalg.eigvals(F - K @ G), dtype=complex)
+            note = "" if part == 1.0 or not margin else f"no gain has the margin: {part:.3g} of it was taken"
+            return ObserverGain(O @ K, found, none, fixed, note=note)
+    raise AccuracyError(
+        f"no gain was found for the part that the measurements see, with poles {describe_modes(np.linalg.eigvals(F))}: "
+        "they see a mode on the boundary of stability too weakly; add a sensor"
+    )
+
+
+def _movable(poles: Sequence[complex] | ArrayLike, count: int, fixed: NDArray[np.complex128]) -> NDArray:
+    """Return the poles that can be placed: all that were asked for, less those that are fixed."""
+    wanted = np.atleast_1d(np.asarray(poles, dtype=complex)).ravel()
+    if len(wanted) == count:
+        return wanted
+    if len(wanted) != count + len(fixed):
+        raise DesignError(
+            f"got {len(wanted)} poles, expected {count}"
+            + (f", or {count + len(fixed)} with the fixed ones {describe_modes(fixed)}" if len(fixed) else "")
+        )
+    left = list(wanted)
+    for mode in fixed:
+        left.pop(int(np.argmin(np.abs(np.asarray(left) - mode))))
+    return np.asarray(left)
+
+
+def _least_squares(
+    F: Matrix, G: Matrix, W: Matrix, V: Matrix, S: Matrix | None, sampled: bool, margin: float
+) -> Matrix | None:
+    """Return the gain of a filter Riccati equation, with all poles beyond a margin; nothing where none is found."""
+    if not len(F) or not len(G):
+        return np.zeros((len(F), len(G)))
+    shifted = F * np.exp(margin) if sampled else F + margin * np.eye(len(F))
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the poles are checked
+            solve = scipy.linalg.solve_discrete_are if sampled else scipy.linalg.solve_continuous_are
+            P = solve(shifted.T, G.T, W, V, s=S)
+            S = np.zeros((len(F), len(G))) if S is None else S
+            if sampled:
+                K = np.linalg.solve(G @ P @ G.T + V, (shifted @ P @ G.T + S).T).T
+            else:
+                K = np.linalg.solve(V, (P @ G.T + S).T).T
+    except (np.linalg.LinAlgError, ValueError):
+        return None
+    if not np.isfinite(K).all():
+        return None
+    if sampled and margin:
+        K = K * np.exp(-margin)
+    poles = np.linalg.eigvals(F - K @ G)
+    limit = np.exp(-margin) - BALANCED_STABLE if sampled else -margin - BALANCED_STABLE
+    stable = np.abs(poles) < limit if sampled else poles.real < limit
+    return np.asarray(K) if stable.all() else None

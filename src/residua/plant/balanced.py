@@ -1,0 +1,118 @@
+"""A plant in balanced units, as ordinary state equations: what every analysis and every design works on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.errors import ModelError
+from residua.linear.subspaces.quotient import Quotient, explicit, observable_split, quotient
+from residua.linear.systems.scaling import Scaling, scaling
+from residua.tolerances import BALANCED_RANK, BALANCED_STABLE
+
+if TYPE_CHECKING:
+    from residua.plant.plant import Plant
+
+Matrix = NDArray[np.float64]
+#: A point where a plant has neither pole nor zero, but by chance.
+_SOMEWHERE = 0.8317 + 0.6139j
+
+
+@dataclass(frozen=True, eq=False)
+class BalancedPlant:
+    r"""A plant in units in which its entries are near one, the states that ``E`` does not see written as inputs.
+
+    Without ``E`` these are :math:`\dot\xi = A \xi + B v, \; y = C \xi + D v` with time in units of ``1 / rate``. With
+    one, the variables that ``E`` does not see are further unknown inputs, and its algebraic equations further outputs,
+    which read zero.
+
+    Attributes
+    ----------
+    plant : Plant
+    units : Scaling
+        ``inputs`` are those of the controls, the disturbances, then the faults.
+    A, C : ndarray
+    free : tuple of ndarray
+        ``B`` and ``D`` of the variables that ``E`` does not see; no columns without ``E``.
+    controls, disturbances, faults : tuple of ndarray
+        ``B`` and ``D`` of each.
+    derivative : ndarray, shape (states, n)
+        ``T`` of :math:`\dot\xi = T (A x + \dots), \xi = T E x`, in balanced units.
+    back : ndarray, shape (n, states + free)
+        The states of the plant, balanced, from ``xi`` and the free variables.
+    algebra : ndarray, shape (algebraic equations, n)
+        Rows that annihilate ``E``.
+    """
+
+    plant: Plant
+    units: Scaling
+    A: Matrix
+    C: Matrix
+    free: tuple[Matrix, Matrix]
+    controls: tuple[Matrix, Matrix]
+    disturbances: tuple[Matrix, Matrix]
+    faults: tuple[Matrix, Matrix]
+    derivative: Matrix
+    back: Matrix
+    algebra: Matrix
+    _quotients: dict[frozenset[int], Quotient] = field(default_factory=dict, repr=False)
+
+    def unknown(self, ignored: Iterable[int] = ()) -> tuple[Matrix, Matrix]:
+        """Return ``B`` and ``D`` of all that is not known: free variables, disturbances, and some faults."""
+        chosen = sorted(ignored)
+        return (
+            np.hstack([self.free[0], self.disturbances[0], self.faults[0][:, chosen]]),
+            np.hstack([self.free[1], self.disturbances[1], self.faults[1][:, chosen]]),
+        )
+
+    def quotient(self, ignored: Iterable[int] = ()) -> Quotient:
+        """Return what is left of the plant when the disturbances and some faults are divided out."""
+        key = frozenset(ignored)
+        if key not in self._quotients:
+            B, D = self.unknown(key)
+            k, n = len(self.A), self.back.shape[1] - len(self.A)
+            P, R = self.back[:, :k], np.hstack([self.back[:, k:], np.zeros((len(self.back), B.shape[1] - n))])
+            self._quotients[key] = quotient(self.A, B, self.C, D, P, R)
+        return self._quotients[key]
+
+    @cached_property
+    def boundary(self) -> complex:
+        """The point on the boundary of stability at which constant signals are: 0, or 1 of a sampled plant."""
+        return 1.0 if self.plant.is_discrete else 0.0
+
+
+def balanced(plant: Plant) -> BalancedPlant:
+    """Return a plant in balanced units; that of one plant is computed once, as ``plant.balanced``."""
+    roles = [(plant.Bu, plant.Du), (plant.Bd, plant.Dd), (plant.Bf, plant.Df)]
+    B, D = (np.hstack([role[k] for role in roles]) for k in (0, 1))
+    units = scaling(plant.A, B, plant.C, D, plant.E, sampled=plant.is_discrete)
+    R, X, U, Y = units.equations[:, None], units.states, units.inputs, units.outputs[:, None]
+    A, B, C, D = R * plant.A * X / units.rate, R * B * U / units.rate, Y * plant.C * X, Y * D * U
+    n = len(A)
+    derivative, back, algebra, free = np.eye(n), np.eye(n), np.zeros((0, n)), 0
+    if plant.E is not None:
+        E = R * plant.E * X
+        if not np.linalg.svd(_SOMEWHERE * E - A, compute_uv=False).min(initial=1.0) > BALANCED_RANK:
+            raise ModelError("det(sE - A) is zero for every s: the model is not a plant (check E and A)")
+        A, B, C, D, derivative, back, algebra = explicit(A, B, C, D, E)
+        free = n - len(A)
+    widths = np.cumsum([free, *(role[0].shape[1] for role in roles)])[:-1]
+    parts = list(zip(np.split(B, widths, axis=1), np.split(D, widths, axis=1), strict=True))
+    return BalancedPlant(plant, units, A, C, *parts, derivative, back, algebra)
+
+
+def is_inside(modes: NDArray[np.complex128], sampled: bool) -> NDArray[np.bool_]:
+    """Tell which modes of a balanced plant are stable; the boundary counts as unstable."""
+    return np.abs(modes) < 1 - BALANCED_STABLE if sampled else np.real(modes) < -BALANCED_STABLE
+
+
+def undetectable(model: BalancedPlant, outputs: list[int] | None = None) -> NDArray[np.complex128]:
+    """Return the modes, in 1/s, that no output sees, or none of some, and that are not stable."""
+    modes = observable_split(model.A, model.C if outputs is None else model.C[outputs])
+    found = np.asarray(np.linalg.eigvals(modes.hidden.T @ model.A @ modes.hidden), dtype=complex)
+    return model.units.rate * found[~is_inside(found, model.plant.is_discrete)]
