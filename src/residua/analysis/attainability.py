@@ -187,7 +187,7 @@ def _failure(space: FaultSpace, row: NDArray[np.bool_], constant: bool) -> str:
     by_hiders: dict[tuple[int, ...], list[int]] = {}
     for j in hidden:
         if space.visible[j]:
-            by_hiders.setdefault(tuple(sorted(space.hiders(j, basis))), []).append(j)
+            by_hiders.setdefault(tuple(sorted(space.hiders(j, ignored))), []).append(j)
     for hiders, faults in by_hiders.items():
         one = f"a residual that ignores {_listed(space, hiders)} cannot see {_listed(space, faults)}"
         because = "they span the same direction" if len(hiders) == 1 else "together they can imitate it"

@@ -88,7 +88,10 @@ class FaultSpace:
         return left.T @ _columns(self.model, q)
 
     def hiders(self, fault: int, basis: Sequence[int]) -> list[int]:
-        """Return a smallest part of a basis that hides a fault of its closure; empty for one that is not visible."""
+        """Return a smallest part of some faults that hides one of their closure; empty for one that is not visible."""
+        alone = next((i for i in basis if self.closure([i])[fault]), None)
+        if alone is not None:
+            return [alone] if self.visible[fault] else []
         needed = list(basis)
         for j in basis:
             fewer = [i for i in needed if i != j]

@@ -10,7 +10,6 @@ from residua.design.banks.bank import Bank, build_bank, wanted_by_scheme
 from residua.design.banks.member_design import advice_for, member_design
 from residua.design.core.method import method
 from residua.design.core.needs import ACTUATOR_FAULTS, each_scheme
-from residua.design.core.own_time import in_own_time
 from residua.errors import DesignError
 from residua.plant import Plant
 
@@ -28,7 +27,6 @@ from residua.plant import Plant
     formerly=["actuator-bank"],
     calls=each_scheme,
 )
-@in_own_time()
 def actuator_fault_bank(
     plant: Plant,
     *,

@@ -11,7 +11,6 @@ from residua.design.banks.bank import Bank, build_bank, wanted_by_scheme
 from residua.design.banks.member_design import advice_for, member_design
 from residua.design.core.method import method
 from residua.design.core.needs import SENSOR_FAULTS, each_scheme
-from residua.design.core.own_time import in_own_time
 from residua.errors import DesignError
 from residua.plant import Plant
 
@@ -29,7 +28,6 @@ from residua.plant import Plant
     formerly=["sensor-bank"],
     calls=each_scheme,
 )
-@in_own_time()
 def sensor_fault_bank(
     plant: Plant,
     *,

@@ -7,7 +7,6 @@ from residua.design.banks.bank import Bank, build_bank, wanted_rows
 from residua.design.banks.member_design import decoupled_member
 from residua.design.core.method import method
 from residua.design.core.needs import FAULTS_APART, ROWS
-from residua.design.core.own_time import in_own_time
 from residua.plant import Plant
 
 
@@ -22,7 +21,6 @@ from residua.plant import Plant
     many=True,
     chosen={"structure": ROWS},
 )
-@in_own_time()
 def structured_bank(
     plant: Plant,
     structure: Structure,

@@ -33,6 +33,8 @@ _BEYOND = 30.0
 _INTEGRATES = 1e-5
 #: A term this far below what it is made of, or below the largest of its input, is rounding.
 _ROUNDING = 1e-9
+#: Terms are at least this part of the largest of their input: where nothing has to cancel, rounding is all there is.
+_FLOOR = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +98,8 @@ def leak(
     )
     E = np.eye(len(A)) if plant.E is None else R[:, None] * plant.E * X
     T = state_map / R
-    own = 1 / _power(np.abs(T).max(axis=1, initial=0.0))
+    driven = np.abs(np.hstack([T, system.B[:, n_u:] / Y / units.rate]))  # of T alone rounding may be all there is
+    own = 1 / _power(driven.max(axis=1, initial=0.0))
     T = own[:, None] * T
     F = own[:, None] * system.A / own / units.rate
     Gy = own[:, None] * system.B[:, n_u:] / Y / units.rate
@@ -118,13 +121,14 @@ def leak(
     response = np.abs(L @ through[1] + dC @ states + dD)
     if estimate is None:
         read = np.abs(C @ states + D)
-        made_of = np.abs(C) @ np.abs(states) + np.abs(D)
-        read = np.maximum(read, _ROUNDING * made_of)
-        terms = np.abs(Ju) + np.abs(L @ through[0] + Jy) @ read
+        read = np.maximum(read, _ROUNDING * (np.abs(C) @ np.abs(states) + np.abs(D)))
+        taken = np.abs(L @ through[0] + Jy)
+        terms = (np.abs(Ju) + taken @ read).max(axis=0, initial=0.0)
+        largest = taken.max(axis=(0, 2), initial=0.0)[:, None] * read.max(axis=(0, 1), initial=0.0)
     else:
-        terms = np.abs((height * estimate * X) @ states)
-    terms = terms.max(axis=0, initial=0.0)
-    terms = np.maximum(terms, _ROUNDING * terms.max(axis=0, keepdims=True, initial=0.0))
+        terms = np.abs((height * estimate * X) @ states).max(axis=0, initial=0.0)
+        largest = np.full_like(terms, max(1.0, float(terms.max(initial=0.0))))
+    terms = np.maximum(terms, _FLOOR * np.maximum(largest, terms.max(axis=0, keepdims=True, initial=0.0)))
     peak = response.max(axis=0, initial=0.0)
     gains = peak / np.where(terms > 0, terms, np.where(peak > 0, peak, 1.0))
     defects = max((float(np.abs(M).max(initial=0.0)) for M in (dA, dC)), default=0.0)

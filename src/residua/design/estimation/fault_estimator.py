@@ -346,7 +346,7 @@ def _realised(
         dynamics = sum_without_rounding((dynamics, np.eye(plant.n_states)), (-J, observer.J))
     # r and L_d y_0 as functions of (z, [u, y])
     on_y0 = sum_without_rounding((reading.static, np.eye(plant.n_outputs)), (-J, observer.H))
-    r_z, r_v = -J, _on_signals(plant, on_y0, dynamics)
+    r_z, r_v = -J @ observer.M, _on_signals(plant, on_y0, dynamics)
     d_v = _on_signals(plant, reading.derivative, np.zeros((n_f, plant.n_states)))
     own = np.flatnonzero(smoothing.filtered)
     k = len(own)

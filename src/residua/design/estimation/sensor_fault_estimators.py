@@ -62,7 +62,6 @@ class SensorFaultEstimators(Mapping[str, FaultEstimator]):
     singular=True,
     many=True,
 )
-@in_own_time()
 def sensor_fault_estimators(
     plant: Plant,
     *,

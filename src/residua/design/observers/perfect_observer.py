@@ -533,7 +533,7 @@ def check_existence(plant: Plant, rows: list[int], rtol: float) -> None:
             f"no perfect observer: {counted(len(rows), 'output')} cannot tell "
             f"{counted(q, 'disturbance')} apart; add sensors, or decouple fewer disturbances"
         )
-    zeros = invariant_zeros(plant.A, plant.Bd, plant.C[rows], plant.Dd[rows], plant.E, rtol=rtol)
+    zeros = invariant_zeros(plant.A, plant.Bd, plant.C[rows], plant.Dd[rows], plant.E)
     if zeros.normal_rank < q:
         raise DesignError(
             f"no perfect observer: the {counted(q, 'disturbance')} {'reaches' if q == 1 else 'reach'} "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -40,6 +41,7 @@ def unknown_input_observer(
     poles: Sequence[complex] | ArrayLike | None = None,
     margin: float | None = None,
     H0: ArrayLike | None = None,
+    scaling: Literal["plant", "even"] = "plant",
 ) -> Observer:
     r"""Design a full-order observer whose error no disturbance reaches.
 
@@ -47,8 +49,7 @@ def unknown_input_observer(
 
        \dot z = F z + T B u + K y, \qquad \hat x = z + H y
 
-    with :math:`H = E(CE)^+` (in balanced units, so that the observer does not depend on those of the plant; with ``H0``
-    it is :math:`E(CE)^+ + H_0 [I - CE(CE)^+]` in those of the plant), :math:`T = I - HC`, :math:`A_1 = T A`,
+    with :math:`H = E(CE)^+ + H_0 [I - CE(CE)^+]`, :math:`T = I - HC`, :math:`A_1 = T A`,
     :math:`F = A_1 - K_1 C` stable and :math:`K = K_1 + F H`. For a singular plant :math:`E_s \dot x = A x + \dots`,
     :math:`T E_s + H C = I` and :math:`T E = 0` take the place of the first two; the observer itself is an ordinary
     system. Guaranteed: the error obeys :math:`\dot e = F e` for any control input and any disturbance.
@@ -64,9 +65,11 @@ def unknown_input_observer(
         Decay rate in 1/s that every free pole must have at least, used without ``poles``. When omitted too, the gain is
         that of least squares with equal noise in all states and outputs of the balanced plant.
     H0 : array_like, shape (n, outputs), optional
-        The free matrix of the general solution, in the units of the plant: zeros give the smallest ``H`` in these
-        units, as in the paper. Of ``H0 [I - CE(CE)^+]`` only what acts on the outputs left over by the decoupling
-        matters.
+        The free matrix of the general solution, in the units of the plant; zero when omitted. Of
+        ``H0 [I - CE(CE)^+]`` only what acts on the outputs left over by the decoupling matters.
+    scaling : {"plant", "even"}
+        The units of the outputs in which :math:`(CE)^+` is the smallest inverse: those of the plant, as in the paper,
+        or balanced ones, so that the observer does not depend on the units of the plant.
 
     Returns
     -------
@@ -115,7 +118,7 @@ def unknown_input_observer(
         if H0 is not None:
             raise DesignError("H0 is the free matrix of an ordinary plant; for a singular one leave it out")
         return with_checked_estimate(_of_singular_plant(plant, existence, poles, margin))
-    return with_checked_estimate(_of_ordinary_plant(plant.explicit(), existence, poles, margin, H0))
+    return with_checked_estimate(_of_ordinary_plant(plant.explicit(), existence, poles, margin, H0, scaling))
 
 
 def _of_ordinary_plant(
@@ -124,6 +127,7 @@ def _of_ordinary_plant(
     poles: Sequence[complex] | ArrayLike | None,
     margin: float | None,
     H0: ArrayLike | None,
+    scaling: str,
 ) -> Observer:
     """Return the observer of the paper, after the disturbances in the outputs are expressed by these."""
     model = plant.balanced
@@ -132,30 +136,42 @@ def _of_ordinary_plant(
     U, s, Vh = np.linalg.svd(D) if D.size else (np.eye(p), np.zeros(0), np.eye(D.shape[1]))
     k = int(np.count_nonzero(s > BALANCED_RANK))
     W, G = U[:, k:].T, B @ (Vh[:k].T / s[:k]) @ U[:, :k].T
+    if scaling == "plant" and len(W):
+        W = np.linalg.qr((W * units.outputs).T)[0].T / units.outputs
     A, C = model.A - G @ model.C, W @ model.C
     E = np.linalg.svd(B @ Vh[k:].T)[0][:, : existence.rank_E.rank] if existence.rank_E.rank else B[:, :0]
     X, Y = units.states[:, None], units.outputs
-    if H0 is None:
-        H = E @ np.linalg.pinv(C @ E)
-    else:  # the smallest one, and the free matrix, in the units of the plant
-        H = _with_free_matrix(X * E, W * Y @ plant.C, H0, W * Y) / X
+    q = E.shape[1]
+    P = np.linalg.pinv(C @ E)
+    H, N = E @ P, np.linalg.svd(P @ C)[2][q:].T if q else np.eye(n)
+    rest = np.linalg.svd(C @ E)[0][:, q:].T if q else np.eye(len(C))
+    plain = H0 is None or not np.any(H0)
+    if not plain:
+        free = matrix(H0, "H0", (n, p), what="states x outputs") / X / Y @ np.linalg.pinv(W)
+        H = H + free @ (np.eye(len(C)) - C @ H)
     T = np.eye(n) - H @ C
-    A1 = T @ A
+    # x = E a + N b, and the outputs are a, and what reads b alone: of T E = 0 nothing is left to rounding
+    M, outputs = np.hstack([E, N]), np.vstack([P, rest])
+    inverse = np.linalg.inv(M)
+    A1, C1 = inverse @ T @ A @ M, outputs @ C @ M
+    C1[:q], C1[q:, :q] = np.eye(q, n), 0.0
+    if plain:
+        A1[:q] = 0.0
     poles, margin = asked(plant, poles, margin)
     process, measurement = default_weights(model)
     gain = observer_gain(
         A1,
-        C,
-        observable_split(A1, C),
+        C1,
+        observable_split(A1, C1),
         sampled=plant.is_discrete,
-        process=process,
-        measurement=W @ measurement @ W.T,
+        process=inverse @ process @ inverse.T,
+        measurement=outputs @ W @ measurement @ W.T @ outputs.T,
         poles=poles,
         margin=margin,
     )
-    F = A1 - gain.K @ C
-    K = gain.K @ W + T @ G + F @ H @ W
-    q = existence.rank_E.rank
+    K1 = M @ gain.K @ outputs
+    F = T @ A - K1 @ C
+    K = K1 @ W + T @ G + F @ H @ W
     notes = ()
     if q and len(W) > q:
         notes = (
@@ -174,14 +190,6 @@ def _of_ordinary_plant(
         True,
         _evidence(model, existence, gain, notes),
     )
-
-
-def _with_free_matrix(E: NDArray, C: NDArray, H0: ArrayLike, W: NDArray) -> NDArray[np.float64]:
-    """Return ``E (C E)^+ + H0 [I - C E (C E)^+]`` for the outputs that are left."""
-    CE = C @ E
-    inverse = np.linalg.pinv(CE)
-    free = matrix(H0, "H0", (len(E), W.shape[1]), what="states x outputs") @ np.linalg.pinv(W)
-    return E @ inverse + free @ (np.eye(len(C)) - CE @ inverse)
 
 
 def in_units_of_outputs(W: NDArray) -> NDArray[np.float64]:

@@ -15,6 +15,7 @@ from residua.linear.poles.placement import place_observer_poles
 from residua.linear.poles.spectrum import describe_modes
 from residua.linear.subspaces.quotient import ObservableSplit
 from residua.tolerances import BALANCED_STABLE, POLE
+from residua.words import counted
 
 Matrix = NDArray[np.float64]
 #: Parts of a margin that is asked for, that are tried in turn.
@@ -112,12 +113,17 @@ def _movable(poles: Sequence[complex] | ArrayLike, count: int, fixed: NDArray[np
         return wanted
     if len(wanted) != count + len(fixed):
         raise DesignError(
-            f"got {len(wanted)} poles, expected {count}"
-            + (f", or {count + len(fixed)} with the fixed ones {describe_modes(fixed)}" if len(fixed) else "")
+            f"got {counted(len(wanted), 'pole')} for {counted(count + len(fixed), 'state')}, of which {count} "
+            f"{'is' if count == 1 else 'are'} observable"
         )
     left = list(wanted)
     for mode in fixed:
-        left.pop(int(np.argmin(np.abs(np.asarray(left) - mode))))
+        nearest = int(np.argmin(np.abs(np.asarray(left) - mode)))
+        if abs(left.pop(nearest) - mode) > POLE * max(1.0, abs(mode)):
+            raise DesignError(
+                f"{len(fixed)} of the poles are fixed: their modes are not observable and stay where they are, and one "
+                f"of them is not among the poles asked for; ask for the other {count}"
+            )
     return np.asarray(left)
 
 

@@ -184,6 +184,8 @@ def pencil_rank_at(
     D: ArrayLike | None = None,
     E: ArrayLike | None = None,
     s: complex = 0.0,
+    *,
+    rtol: float = BALANCED_RANK,
 ) -> RankDecision:
     """Decide the rank of the system pencil at one ``s``, in balanced units.
 
@@ -193,6 +195,8 @@ def pencil_rank_at(
         See `invariant_zeros`.
     s : complex
         Finite.
+    rtol : float
+        Singular values below this count as zero; wider where ``s`` is known to fewer digits.
 
     Returns
     -------
@@ -210,4 +214,4 @@ def pencil_rank_at(
     dynamic = R * (A - s * (np.eye(len(A)) if E is None else E)) * X / units.rate
     pencil = np.block([[dynamic, R * B * U / units.rate], [Y * C * X, Y * D * U]])
     largest = max(1.0, float(np.abs(pencil).max(initial=0.0)))
-    return decide_rank(pencil, rtol=BALANCED_RANK, scale=largest)
+    return decide_rank(pencil, rtol=rtol, scale=largest)

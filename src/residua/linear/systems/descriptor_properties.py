@@ -180,7 +180,7 @@ def _scaled(A: NDArray, E: NDArray, C: NDArray) -> tuple[NDArray, NDArray, NDArr
 def _hidden_modes(A: NDArray, E: NDArray, C: NDArray, poles: NDArray, rtol: float) -> NDArray[np.complex128]:
     """Return the finite ``s`` at which ``[sE - A; C]`` loses rank; they are among the poles."""
     n = len(A)
-    zeros = invariant_zeros(A, np.zeros((n, 0)), C, None, E, rtol=rtol)
+    zeros = invariant_zeros(A, np.zeros((n, 0)), C, None, E)
     if zeros.normal_rank:
         raise ModelError("det(sE - A) is zero for every s: the equations do not determine the states")
     hidden = zeros.zeros
