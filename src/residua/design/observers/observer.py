@@ -18,7 +18,7 @@ from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace
 from residua.linear.poles.observer_gain import ObserverGain
 from residua.plant import Plant
-from residua.tolerances import LEAK
+from residua.tolerances import LEAK, above_rounding
 from residua.words import counted, used_up
 
 
@@ -168,11 +168,14 @@ class Observer:
         J = np.zeros((p.n_states, p.n_states)) if self.J is None else self.J
         V = np.zeros((len(self.W), p.n_states)) if self.V is None else self.V
         read = self.W @ p.C + V @ p.A
-        through, static = self.W - read @ self.H, V - read @ J
+        # what rounding leaves of nothing would be an answer
+        through = above_rounding(self.W - read @ self.H, np.abs(self.W) + np.abs(read) @ np.abs(self.H))
+        static = above_rounding(V - read @ J, np.abs(V) + np.abs(read) @ np.abs(J))
+        states = above_rounding(-read @ self.M, np.abs(read) @ np.abs(self.M))
         system = StateSpace(
             self.F,
             self._entrance,
-            -read @ self.M,
+            states,
             np.hstack([-through @ p.Du - static @ p.Bu, through]),
             dt=p.dt,
             inputs=signal_names(p),

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import AccuracyError, DesignError
+from residua.linear.poles.doubling import filter_covariance
 from residua.linear.poles.placement import place_observer_poles
 from residua.linear.poles.spectrum import describe_modes
 from residua.linear.subspaces.quotient import ObservableSplit
@@ -137,8 +137,7 @@ def _least_squares(
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the poles are checked
-            solve = scipy.linalg.solve_discrete_are if sampled else scipy.linalg.solve_continuous_are
-            P = solve(shifted.T, G.T, W, V, s=S)
+            P = filter_covariance(shifted, G, W, V, S, dt=1.0 if sampled else 0.0, rough=True)
             S = np.zeros((len(F), len(G))) if S is None else S
             if sampled:
                 K = np.linalg.solve(G @ P @ G.T + V, (shifted @ P @ G.T + S).T).T
