@@ -27,7 +27,7 @@ LIVE = "document.body.dataset.state === 'live'"
 def test_the_page_is_whole_without_a_server():
     page = live_page(NASTY)
     reader = read(page)
-    assert [tag for tag, _ in reader.tags].count("script") == 6
+    assert [tag for tag, _ in reader.tags].count("script") == 7
     assert not any("src" in dict(attributes) for tag, attributes in reader.tags if tag in ("script", "img", "iframe"))
     assert "three tanks" not in words(page)
     assert words(live_page("three <tanks>")).startswith("three <tanks>")
@@ -42,7 +42,7 @@ def test_no_data_is_ever_taken_as_html():
     """The scripts of the page put text, and nothing else, into it."""
     from importlib import resources
 
-    for name in ("live.js", "live_charts.js", "axes.js"):
+    for name in ("live.js", "live_charts.js", "axes.js", "reading.js"):
         text = resources.files("residua.report").joinpath("static", name).read_text()
         for word in ("innerHTML", "outerHTML", "insertAdjacentHTML", "document.write", "eval(", "new Function"):
             assert word not in text, name

@@ -205,9 +205,9 @@ def began_text(alarm: Alarm, clock: Clock) -> str:
     """Return when what an alarm is about began, as an interval; never its first crossing of the threshold as a fact."""
     began = alarm.began
     if began is None:
-        return f"when it began cannot be told: at or before {clock.at(alarm.raised)}"
+        return f"began at an unknown time, at or before {clock.at(alarm.raised)}"
     if began.earliest is None:
-        return f"began at or before {clock.at(began.latest)}: what was recorded before does not tell from when on"
+        return f"began at or before {clock.at(began.latest)}; the earlier data do not show when"
     between = f"began between {clock.at(began.earliest)} and {clock.at(began.latest)}"
     sure = f"{100 * began.confidence:g} % confidence if the residual began to move by a step or a ramp"
     return f"{between} ({sure}), most likely at {clock.at(began.estimate)}"
