@@ -275,6 +275,34 @@ def test_it_fits_its_window(page, view, width, hash):
         assert page.ask("document.documentElement.scrollWidth") <= width
 
 
+def test_the_ratio_reads_as_such_on_a_phone(page, view):
+    view.play(900)
+    page.size(390, 844, phone=True)
+    with Server(view) as running:
+        page.open(running.address)
+        page.wait("document.querySelector('tr[data-plant=north]')")
+        cell = "document.querySelector('tr[data-plant=north] td.num')"
+        assert float(page.ask(f"{cell}.textContent")) > 1
+        assert page.ask(f"getComputedStyle({cell}, '::after').content") == '" × the threshold"'
+
+
+def test_a_live_chart_is_read_by_keyboard_and_as_a_table(page, view):
+    view.play(400)
+    with Server(view) as running:
+        page.open(running.address + "#/north")
+        page.wait("document.body.dataset.drawnCharts > 0")
+        page.ask("document.querySelector('#statistic .plot').focus()")
+        heard = "document.activeElement.getAttribute('aria-valuetext')"
+        last = view.plants["north"].diagnosis.statistic[399]
+        assert float(page.ask(heard).split(": ")[1]) == pytest.approx(last, rel=1e-3)
+        page.call("Input.dispatchKeyEvent", type="keyDown", key="ArrowLeft")
+        before = view.plants["north"].diagnosis.statistic[398]
+        assert float(page.ask(heard).split(": ")[1]) == pytest.approx(before, rel=1e-3)
+        page.ask("document.querySelector('#statistic summary').click()")
+        page.wait("document.querySelectorAll('#statistic tbody tr').length === 24")
+        assert "alarm" in page.ask("document.querySelector('#statistic tbody').lastChild.textContent")
+
+
 @pytest.mark.parametrize("dark", [False, True])
 def test_charts_are_drawn_in_light_and_dark(page, view, tmp_path, dark):
     pytest.importorskip("matplotlib")
