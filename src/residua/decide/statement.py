@@ -17,9 +17,9 @@ POOR_SCORE = 0.90
 SHOWN_ALARMS = 20
 
 RULES = (
-    "A score alone does not say whether a fault explains the residual, so that no name is a good match by it. Either: "
-    f"the best candidate, those less than {CLOSE_MARGIN:.2f} behind it, or something not listed. Poor match: the best "
-    f"score is below {POOR_SCORE:.2f}. Too early: the alarm is shorter than what a name is judged over."
+    "A score alone cannot show that a fault explains the residual, so no name is a good match by it. Either: the best "
+    f"candidate, those less than {CLOSE_MARGIN:.2f} behind it, or something not listed. Poor match: the best score is "
+    f"below {POOR_SCORE:.2f}. Too early: the alarm is shorter than the window by which names are judged."
 )
 
 

@@ -319,7 +319,7 @@ def _num(text: str) -> str:
 
 def time_cell(text: str) -> str:
     """Return the cell of a time, or of an interval in two lines; never broken within a time."""
-    return f'<td class="num time">{text.replace(" to ", " to<br>")}</td>'
+    return f'<td class="num time">{text.replace(" to ", " to <br>")}</td>'
 
 
 def _name(text: str) -> str:

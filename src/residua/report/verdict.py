@@ -169,7 +169,7 @@ def _not_apart(diagnosis: Diagnosis, main: Alarm) -> list[str]:
         return []
     more = f"; and {len(others) - _TOLD} more groups" if len(others) > _TOLD + 1 else ""
     shown = others[: _TOLD if more else None]
-    return [f"This monitor cannot tell these apart either: {'; '.join(map(some, shown))}{more}."]
+    return [f"Other faults that this monitor cannot tell apart: {'; '.join(map(some, shown))}{more}."]
 
 
 def _sized(alarm: Alarm) -> list[str]:
