@@ -24,6 +24,10 @@ PAGES = [
     "docs/command-line.rst",
     "docs/limits.rst",
     "docs/thresholds.rst",
+    "docs/changing-plants.rst",
+    "docs/identification-benchmarks.rst",
+    "docs/learnt-faults.rst",
+    "docs/operating-modes.rst",
 ]
 LONGEST, MEAN = 25, 18  # words
 
