@@ -28,6 +28,7 @@ PAGES = [
     "docs/identification-benchmarks.rst",
     "docs/learnt-faults.rst",
     "docs/operating-modes.rst",
+    "docs/thresholds-benchmarks.rst",
 ]
 LONGEST, MEAN = 25, 18  # words
 
