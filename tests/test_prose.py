@@ -27,8 +27,11 @@ PAGES = [
     "docs/changing-plants.rst",
     "docs/identification-benchmarks.rst",
     "docs/learnt-faults.rst",
+    "docs/observers.rst",
     "docs/operating-modes.rst",
+    "docs/parity-or-filters.rst",
     "docs/thresholds-benchmarks.rst",
+    "docs/your-own-method.rst",
 ]
 LONGEST, MEAN = 25, 18  # words
 
