@@ -1,4 +1,4 @@
-"""Sentences of README and the main pages are short.
+"""Sentences of README and documentation are short.
 
 ``python tests/test_prose.py PAGE...`` prints the mean of each page and every sentence that is too long.
 """
@@ -13,42 +13,7 @@ from pathlib import Path
 import pytest
 
 REPOSITORY = Path(__file__).resolve().parent.parent
-PAGES = [
-    "README.md",
-    "docs/index.rst",
-    "docs/install.rst",
-    "docs/getting-started.rst",
-    "docs/identification.rst",
-    "docs/choose-a-method.rst",
-    "docs/plant-file.rst",
-    "docs/command-line.rst",
-    "docs/limits.rst",
-    "docs/thresholds.rst",
-    "docs/change-detection.rst",
-    "docs/changing-plants.rst",
-    "docs/clusters.rst",
-    "docs/damaged-files.rst",
-    "docs/default-test.rst",
-    "docs/fleets.rst",
-    "docs/how-sure.rst",
-    "docs/identification-benchmarks.rst",
-    "docs/large-recordings.rst",
-    "docs/learnt-faults.rst",
-    "docs/learnt-monitors.rst",
-    "docs/live.rst",
-    "docs/live-page.rst",
-    "docs/live-sinks.rst",
-    "docs/live-sources.rst",
-    "docs/observers.rst",
-    "docs/operating-modes.rst",
-    "docs/parity-or-filters.rst",
-    "docs/probabilities.rst",
-    "docs/robust-bounds.rst",
-    "docs/speed.rst",
-    "docs/thresholds-benchmarks.rst",
-    "docs/validation.rst",
-    "docs/your-own-method.rst",
-]
+PAGES = ["README.md", *sorted(f"docs/{page.name}" for page in REPOSITORY.glob("docs/*.rst"))]
 LONGEST, MEAN = 25, 18  # words
 
 FENCED = re.compile(r"^ *```.*?^ *```$", re.MULTILINE | re.DOTALL)
