@@ -5,13 +5,18 @@ from __future__ import annotations
 import doctest
 import importlib
 import importlib.metadata
+import json
 import os
 import re
 import shutil
+import socketserver
 import subprocess
 import sys
+import textwrap
+import threading
 import tomllib
 from collections.abc import Iterator
+from email import message_from_bytes
 from pathlib import Path
 
 import pytest
@@ -19,7 +24,8 @@ import pytest
 REPOSITORY = Path(__file__).resolve().parent.parent
 DOCS = REPOSITORY / "docs"
 FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
-PAGES = sorted(page for page in DOCS.glob("*.rst") if ">>> " in page.read_text(encoding="utf-8"))
+WRITTEN = sorted([*DOCS.glob("*.rst"), *DOCS.glob("how-to/*.rst")])
+PAGES = [page for page in WRITTEN if ">>> " in page.read_text(encoding="utf-8")]
 PUBLIC = (
     "residua",
     "analysis",
@@ -204,3 +210,44 @@ def test_the_reference_names_everything_that_is_public() -> None:
             value = getattr(module, entry)
             if callable(value):
                 assert value in listed, f"{module.__name__}.{entry} is missing from docs/api"
+
+
+class Mailbox(socketserver.StreamRequestHandler):
+    """Takes mail as an SMTP server does, into the list ``mails`` of its server."""
+
+    def handle(self) -> None:
+        self.wfile.write(b"220 here\r\n")
+        for line in self.rfile:
+            command = line[:4].upper()
+            if command == b"DATA":
+                self.wfile.write(b"354 go on\r\n")
+                self.server.mails.append(b"".join(iter(self.rfile.readline, b".\r\n")))  # pyright: ignore
+            self.wfile.write(b"221 bye\r\n" if command == b"QUIT" else b"250 fine\r\n")
+
+
+def test_the_program_that_mails_alarms(here: Path, demo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = (DOCS / "how-to" / "e-mail.rst").read_text(encoding="utf-8")
+    program, sink = (
+        textwrap.dedent(re.findall(rf"code-block:: {language}\n\n(.*?)\n(?=\S)", page, flags=re.DOTALL)[0])
+        for language in ("python", "toml")
+    )
+    shutil.copytree(demo, here, dirs_exist_ok=True)
+    (here / "mail_alarm.py").write_text(program, encoding="utf-8")
+    source = '[[sources]]\nkind = "replay"\nfile = "leak.csv"\nspeed = 0\n[store]\nfile = "live.db"\n'
+    python = sink.replace('"python"', json.dumps(sys.executable))
+    (here / "live.toml").write_text(
+        f'[[monitors]]\nfile = "tank.json"\nplants = ["north"]\n{source}{python}', encoding="utf-8"
+    )
+    with socketserver.ThreadingTCPServer(("127.0.0.1", 0), Mailbox) as server:
+        server.mails = []  # pyright: ignore
+        threading.Thread(target=server.serve_forever).start()
+        settings = {"MAIL_FROM": "tank@example.org", "MAIL_TO": "me@example.org", "SMTP_HOST": "127.0.0.1"}
+        for name, value in {**settings, "SMTP_PORT": str(server.server_address[1])}.items():
+            monkeypatch.setenv(name, value)
+        ((printed, status),) = after_demo(["residua live live.toml"])
+        server.shutdown()
+        mails = [message_from_bytes(mail) for mail in server.mails]  # pyright: ignore
+    assert status == 1, printed
+    assert [mail["Subject"].split(",")[0] for mail in mails] == ["north: raised", "north: renamed", "north: confirmed"]
+    assert mails[-1]["Subject"] == "north: confirmed, leak 3 (good match)"
+    assert len({mail["Message-ID"] for mail in mails}) == 3
