@@ -17,7 +17,9 @@ PAGES = [
     "README.md",
     "docs/index.rst",
     "docs/install.rst",
+    "docs/i-have-a-log.rst",
     "docs/getting-started.rst",
+    "docs/i-have-a-paper.rst",
     "docs/identification.rst",
     "docs/choose-a-method.rst",
     "docs/plant-file.rst",
@@ -43,6 +45,8 @@ PAGES = [
     "docs/validation.rst",
     "docs/your-own-method.rst",
 ]
+DOORS = ("i-have-a-log", "getting-started", "i-have-a-paper")
+HOW_TO = sorted(str(page.relative_to(REPOSITORY)) for page in (REPOSITORY / "docs" / "how-to").glob("*.rst"))
 LONGEST, MEAN = 25, 18  # words
 
 FENCED = re.compile(r"^ *```.*?^ *```$", re.MULTILINE | re.DOTALL)
@@ -111,12 +115,21 @@ def words(sentence: str) -> int:
     return len(re.findall(r"\S*\w\S*", sentence))
 
 
-@pytest.mark.parametrize("page", PAGES)
+@pytest.mark.parametrize("page", [*PAGES, *HOW_TO])
 def test_sentences_are_short(page: str) -> None:
     found = list(sentences((REPOSITORY / page).read_text(encoding="utf-8")))
     long = [f"{page}:{line}: {words(text)} words: {text}" for line, text in found if words(text) > LONGEST]
     assert not long, "\n".join(long)
     assert sum(words(text) for _, text in found) <= MEAN * len(found)
+
+
+@pytest.mark.parametrize("door", DOORS)
+def test_a_door_is_one_short_page(door: str) -> None:
+    assert len((REPOSITORY / "docs" / f"{door}.rst").read_text(encoding="utf-8").split()) <= 800
+
+
+def test_the_start_page_has_ten_rows_at_most() -> None:
+    assert (REPOSITORY / "docs" / "index.rst").read_text(encoding="utf-8").count("   * - ") <= 10
 
 
 def test_a_long_sentence_is_found_where_it_stands() -> None:
