@@ -149,7 +149,7 @@ def test_the_example_in_the_documentation_is_the_three_tank_plant() -> None:
     assert plant.fault_components == library.fault_components
     assert plant.units == library.units
     assert plant.operating_point == library.operating_point
-    for key in ("A", "C", "Bu", "Bf", "Df", "process_noise", "measurement_noise"):
+    for key in ("A", "C", "B", "Bf", "Df", "process_noise", "measurement_noise"):
         np.testing.assert_allclose(getattr(plant, key), getattr(library, key), rtol=1e-6, atol=1e-9)
 
 

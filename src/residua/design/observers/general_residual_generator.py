@@ -306,7 +306,7 @@ def _of_matrices(plant: Plant, entries: dict[str, Any], decouples: bool) -> Resi
     r = len(Ls)
     Ly = matrix(entries["Ly"], "Ly", (r, p), what="residuals x outputs")
     J = np.zeros((k, m)) if entries["J"] is None else matrix(entries["J"], "J", (k, m), what="order x inputs")
-    Lu = -Ly @ plant.Du if entries["Lu"] is None else matrix(entries["Lu"], "Lu", (r, m), what="residuals x inputs")
+    Lu = -Ly @ plant.D if entries["Lu"] is None else matrix(entries["Lu"], "Lu", (r, m), what="residuals x inputs")
     _require_stable(M, plant.dt, "M")
     form = GeneralMatrices(np.zeros((k, n)), M, J, N, Ls, Lu, Ly, np.zeros((r, n)))
     if entries["T"] is not None:
@@ -315,9 +315,9 @@ def _of_matrices(plant: Plant, entries: dict[str, Any], decouples: bool) -> Resi
         T = state_map(plant, form, decouples=decouples, control=entries["J"] is not None)
     form = static_map(plant, replace(form, T=T))
     if entries["J"] is None:
-        form = replace(form, J=T @ plant.Bu - N @ plant.Du)
+        form = replace(form, J=T @ plant.B - N @ plant.D)
     if entries["Lu"] is None:
-        form = replace(form, Lu=-Ly @ plant.Du - form.V @ plant.Bu)
+        form = replace(form, Lu=-Ly @ plant.D - form.V @ plant.B)
     errors = _checked(plant, form, decouples, solved=entries["T"] is None)
     system = StateSpace(
         M,

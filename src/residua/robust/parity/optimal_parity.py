@@ -422,9 +422,9 @@ def variant_columns(
         )
     driven = ExpectedSignals(inputs, None, states, time).driven(plant)
     S = driven.begin("the plant")
-    whole = np.block([[plant.A, plant.Bu, plant.Bd], [plant.C, plant.Du, plant.Dd]])
+    whole = np.block([[plant.A, plant.B, plant.Bd], [plant.C, plant.D, plant.Dd]])
     differences = [
-        (np.block([[one.A, one.Bu, one.Bd], [one.C, one.Du, one.Dd]]) - whole) @ S / np.sqrt(len(plants))
+        (np.block([[one.A, one.B, one.Bd], [one.C, one.D, one.Dd]]) - whole) @ S / np.sqrt(len(plants))
         for one in plants
     ]
     columns = np.hstack(differences)
