@@ -39,6 +39,7 @@ ROOMS = (
         "kernels",
         "facade",
         "forks",
+        "wrong_guesses",
         "progress",
         "files",
         "partial_files",

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 import residua as rs
-from residua.decide import GroupTest, NormTest, NormThreshold
-from residua.decide.member_thresholds import rows_of_groups
+from residua.decide import NormThreshold
+from residua.decide.member_thresholds import GroupTest, rows_of_groups
+from residua.decide.whitened_norm import NormTest
 from residua.errors import FileFormatError, SettingError
 from residua.monitor import Alarm
 

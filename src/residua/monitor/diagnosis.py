@@ -38,6 +38,7 @@ from residua.monitor.explaining import word_of
 from residua.monitor.fit_check import FitCheck
 from residua.recording.clock import Clock
 from residua.visible import echo, listed
+from residua.wrong_guesses import Guessed
 
 if TYPE_CHECKING:
     from residua.design import ResidualGenerator
@@ -77,7 +78,7 @@ class Totals:
 
 
 @dataclass(frozen=True, eq=False)
-class Diagnosis:
+class Diagnosis(Guessed):
     """The result of a monitor on a recording. Prints as a table.
 
     Attributes

@@ -53,9 +53,10 @@ from residua.monitor.setup import (
 from residua.monitor.specification import Specification
 from residua.monitor.starting import checked_start
 from residua.tolerances import SAME
+from residua.wrong_guesses import Guessed, guessed
 
 
-class Monitor:
+class Monitor(Guessed):
     """Watches recorded or live data for faults.
 
     Data are in plant units: the plant's operating point is subtracted inside. A continuous generator is sampled at
@@ -134,6 +135,7 @@ class Monitor:
     100.0
     """
 
+    @guessed("Monitor")
     def __init__(
         self,
         generator: Any,

@@ -34,10 +34,11 @@ from residua.plant.disturbances import factor_disturbance
 from residua.plant.fault_facts import FaultFacts
 from residua.plant.identification import Identification, identification as checked_identification
 from residua.plant.noise import covariance, cross_covariance, joint_factors, sampled_noise
+from residua.wrong_guesses import Guessed, guessed
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
-class Plant(FaultFacts):
+class Plant(FaultFacts, Guessed):
     r"""A linear plant with control, disturbance, fault and noise inputs.
 
     .. math::
@@ -114,6 +115,7 @@ class Plant(FaultFacts):
     description: str
     identification: Identification | None
 
+    @guessed("Plant")
     def __init__(
         self,
         A: ArrayLike,
