@@ -39,6 +39,7 @@ ROOMS = (
         "kernels",
         "facade",
         "forks",
+        "shown",
         "wrong_guesses",
         "progress",
         "files",

@@ -429,6 +429,6 @@ def test_the_report_says_it_all() -> None:
         "'pump' takes only",
     ):
         assert part in text
-    assert repr(made.report).startswith("EquationReport(orders ")
+    assert repr(made.report).startswith("EquationReport(1 equation by ARX: ")
     assert repr(made).startswith("ArxModel(orders ")
     assert repr(made.report.equations[0]).startswith("Equation('level', order ")

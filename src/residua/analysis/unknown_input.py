@@ -28,6 +28,7 @@ from residua.plant import OperatingPoint, Plant
 from residua.plant.channels import ROLES
 from residua.plant.comparable_units import EvenPlant, even_plant, in_unit_of_rates
 from residua.plant.disturbances import factor_disturbance
+from residua.shown import Shown
 from residua.tolerances import RANK, RESIDUE, TINY, above_rounding
 from residua.words import rates_in
 
@@ -93,8 +94,8 @@ def _units(F: NDArray, n_states: int) -> tuple[NDArray, NDArray]:
     return rows, np.where(silent, 1.0 / np.maximum(np.abs(F).max(axis=0, initial=0.0), TINY), columns)
 
 
-@dataclass(frozen=True, eq=False)
-class UnknownInputExistence:
+@dataclass(frozen=True, eq=False, repr=False)
+class UnknownInputExistence(Shown):
     r"""Whether an unknown input observer exists, with the numbers behind each condition.
 
     Attributes

@@ -34,11 +34,13 @@ from residua.plant.disturbances import factor_disturbance
 from residua.plant.fault_facts import FaultFacts
 from residua.plant.identification import Identification, identification as checked_identification
 from residua.plant.noise import covariance, cross_covariance, joint_factors, sampled_noise
+from residua.shown import Shown, grid, notes, table
+from residua.visible import listed
 from residua.wrong_guesses import Guessed, guessed
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
-class Plant(FaultFacts, Guessed):
+class Plant(FaultFacts, Guessed, Shown):
     r"""A linear plant with control, disturbance, fault and noise inputs.
 
     .. math::
@@ -238,13 +240,27 @@ class Plant(FaultFacts, Guessed):
             return known.replaced(**driven)
         return StateSpace(self.A, C=self.C, E=self.E, dt=self.dt, outputs=self.outputs, states=self.states, **driven)
 
-    def __repr__(self) -> str:
+    def _headline(self) -> str:
         kind = f"dt={self.dt:g} s" if self.is_discrete else "continuous"
         return (
-            f"Plant({self.name!r}: {self.n_states} states, {len(self.inputs)} inputs, "
-            f"{self.n_outputs} outputs, "
-            f"{len(self.disturbances)} disturbances, {len(self.faults)} faults, {kind})"
+            f"{self.name!r}: {self.n_states} states, {len(self.inputs)} inputs, {self.n_outputs} outputs, "
+            f"{len(self.disturbances)} disturbances, {len(self.faults)} faults, {kind}"
         )
+
+    def _parts(self) -> list[str]:
+        lists = {name: getattr(self, name) for name in ("inputs", "outputs", "states", "disturbances", "faults")}
+        whole = self.system(("control", "disturbance", "fault"))
+        filled = np.block([[self.A, whole.B], [self.C, whole.D]]) != 0
+        return [
+            table(["", "names"], [(kind, listed(names)) for kind, names in lists.items() if names]),
+            grid(
+                filled,
+                (*self.states, *self.outputs),
+                (*self.states, *self.inputs, *self.disturbances, *self.faults),
+                label="Which states and inputs (columns) act on which states and outputs (rows)",
+            ),
+            notes([self.description] if self.description else []),
+        ]
 
     # ---------------------------------------------------- from and to elsewhere
 

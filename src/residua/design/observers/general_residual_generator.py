@@ -34,14 +34,15 @@ from residua.linear.poles.spectrum import describe_modes
 from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.rank import RankDecision, decide_rank, equilibrated
 from residua.plant import Plant
+from residua.shown import Shown
 from residua.tolerances import LEAKAGE
 
 REFERENCE = "Gertler (1991), Automatica 27(4), eqs. (3-11), (3-13), (4-8) and (4-15) to (4-20)"
 
 
 @has_rates(M=1, J=1, N=1, V=-1, first_response=1)
-@dataclass(frozen=True, eq=False)
-class GeneralForm(GeneralMatrices):
+@dataclass(frozen=True, eq=False, repr=False)
+class GeneralForm(Shown, GeneralMatrices):
     r"""A residual generator in the general form, with the conditions that make it one.
 
     .. math:: \dot s = M s + J u + N y, \qquad r = L_s s + L_u u + L_y y

@@ -28,6 +28,7 @@ from residua.linear.systems.balancing import descriptor_units, power_of_two
 from residua.plant import Plant
 from residua.plant.comparable_units import PlantUnits, canonical_units
 from residua.plant.input_output_entries import in_other_time
+from residua.shown import Shown
 from residua.tolerances import POLYNOMIAL_LEAKAGE, RESIDUE, above_rounding
 from residua.words import counted
 
@@ -43,8 +44,8 @@ Poles = Sequence[complex] | ArrayLike | Mapping[str, Sequence[complex]]
 
 
 @has_rates()
-@dataclass(frozen=True, eq=False)
-class ParityRelations:
+@dataclass(frozen=True, eq=False, repr=False)
+class ParityRelations(Shown):
     r"""Polynomial equations between inputs and outputs that hold while nothing fails, one per residual.
 
     .. math:: r^* = q(z)\, y - \left( p(z) B + q(z) D \right) u, \qquad p(z)\,(zE - A) = q(z)\, C

@@ -27,6 +27,7 @@ from residua.plant.comparable_units import PlantUnits, own_units
 from residua.plant.input_output_model import InputOutputModel
 from residua.robust.parity.best_ratios import best_ratios
 from residua.robust.parity.expected_signals import ExpectedSignals, Sizes, size_factor
+from residua.shown import Shown
 
 _METHOD = "optimal parity relations"
 _REFERENCE = "Gertler (1991), eq. (6-6); Frank and Wuennenberg (1989)"
@@ -35,8 +36,8 @@ _BLIND = 1e-9
 
 
 @has_rates()
-@dataclass(frozen=True, eq=False)
-class OptimalParity:
+@dataclass(frozen=True, eq=False, repr=False)
+class OptimalParity(Shown):
     r"""Exact relations in the order of their index :math:`|w^T Q_f| / |w^T Q_d|`.
 
     Attributes

@@ -14,6 +14,7 @@ from residua.linear.poles.spectrum import spectral_radius
 from residua.plant.plant import Plant
 from residua.robust.sets.perturbation import UncertainParameter, factored
 from residua.robust.sets.uncertain_plant import ChannelBlock, UncertainPlant, make_uncertain_plant, visited_values
+from residua.shown import Shown
 
 Matrix = NDArray[np.float64]
 #: Points inside of the box of parameters that are evaluated besides its corners.
@@ -28,8 +29,8 @@ _MOVING, _FIXED = ("A", "B", "C", "D", "Bd", "Dd", "Bf", "Df"), ("E", "Bw", "Dw"
 _DIRECTIONS = ("Bd", "Dd", "Bf", "Df")
 
 
-@dataclass(frozen=True, eq=False)
-class Linearisation:
+@dataclass(frozen=True, eq=False, repr=False)
+class Linearisation(Shown):
     """What an affine form of a plant leaves out, over all points at which both were evaluated.
 
     Attributes
