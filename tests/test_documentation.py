@@ -236,7 +236,7 @@ def test_the_reference_names_everything_that_is_public() -> None:
             listed += [getattr(module, name) for name in re.findall(r"^   (\w+)$", section, flags=re.MULTILINE)]
     for name in PUBLIC:
         module = importlib.import_module("residua" if name == "residua" else f"residua.{name}")
-        for entry in getattr(module, "__all__", ()):
+        for entry in (entry for entry in dir(module) if not entry.startswith("_")):
             value = getattr(module, entry)
             if callable(value):
                 assert value in listed, f"{module.__name__}.{entry} is missing from docs/api"

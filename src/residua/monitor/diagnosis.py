@@ -37,7 +37,10 @@ from residua.files import write_text
 from residua.monitor.explaining import word_of
 from residua.monitor.fit_check import FitCheck
 from residua.recording.clock import Clock
+from residua.shown import Shown
 from residua.visible import echo, listed
+from residua.words import counted
+from residua.wrong_guesses import Guessed
 
 if TYPE_CHECKING:
     from residua.design import ResidualGenerator
@@ -76,8 +79,8 @@ class Totals:
     absent: tuple[int, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class Diagnosis:
+@dataclass(frozen=True, eq=False, repr=False)
+class Diagnosis(Guessed, Shown):
     """The result of a monitor on a recording. Prints as a table.
 
     Attributes
@@ -374,6 +377,21 @@ class Diagnosis:
         )
 
     # ------------------------------------------------------------------ output
+
+    def __bool__(self) -> bool:
+        raise SettingError(
+            "a diagnosis is neither true nor false: diagnosis.fault_detected tells whether an alarm was raised"
+        )
+
+    def _headline(self) -> str:
+        from residua.report.verdict import verdict
+
+        return f"{self.generator.plant.name}, {counted(self.totals.samples, 'sample')}: {verdict(self).headline}"
+
+    def _parts(self) -> list[str]:
+        from residua.report.notebook import parts_of
+
+        return parts_of(self)
 
     def __str__(self) -> str:
         lines = [f"{self.generator.plant.name}: {self.totals.samples} samples, {self._span()}"]

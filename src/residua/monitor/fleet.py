@@ -17,11 +17,12 @@ from residua.monitor.monitor import Monitor
 from residua.monitor.running import Decisions
 from residua.monitor.snapshot import restored_blocks, snapshot_of
 from residua.monitor.whole_blocks import Work, Worker
+from residua.shown import Shown, table
 from residua.visible import echo, listed
 from residua.words import counted
 
 
-class Fleet:
+class Fleet(Shown):
     """Many plants that run at once, each with a state of its own.
 
     Each plant gives the same bits as a :class:`residua.Monitor` of its own would, whatever the order of records, and
@@ -403,10 +404,17 @@ class Fleet:
             raise DataError(f"model must be one of {listed(list(self._blocks))}, got {echo(model)}")
         return str(model)
 
-    def __repr__(self) -> str:
+    def _headline(self) -> str:
         standing = sum(len(block.standing) for block in self._blocks.values())
         models = f" of {len(self._blocks)} models" if len(self._blocks) > 1 else ""
-        return f"Fleet({counted(len(self), 'plant')}{models}, {standing} in alarm)"
+        return f"{counted(len(self), 'plant')}{models}, {standing} in alarm"
+
+    def _parts(self) -> list[str]:
+        rows = [
+            (str(one.plant), one.raised, one.onset, one.candidates[0].name if one.candidates else "unknown fault")
+            for one in self.alarms
+        ]
+        return [table(["plant", "alarm since [s]", "onset [s]", "most likely"], rows)]
 
 
 def _pair(name: object, pair: Any) -> tuple[Monitor, list[Hashable]]:
