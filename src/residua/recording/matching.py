@@ -77,14 +77,14 @@ def _unit_of(name: str) -> str:
     return found["unit"].strip() if found else ""
 
 
-def spelling_notes(matched: Mapping[str, str], units: Mapping[str, str]) -> tuple[str, ...]:
+def spelling_notes(matched: Mapping[str, str], units: Mapping[str, str] | None = None) -> tuple[str, ...]:
     """Return a note on channels whose columns have another name.
 
     Parameters
     ----------
     matched : mapping of str to str
         The column of each channel.
-    units : mapping of str to str
+    units : mapping of str to str, optional
         Of channels: a column that names another one is pointed out, for nothing is converted.
     """
     others = {name: column for name, column in matched.items() if column != name}
@@ -92,6 +92,7 @@ def spelling_notes(matched: Mapping[str, str], units: Mapping[str, str]) -> tupl
         return ()
     pairs = [f"{name!r} is {echo(column, 60)}" for name, column in others.items()]
     shown = [*pairs[:_LISTED], f"{len(pairs) - _LISTED} more"] if len(pairs) > _LISTED else pairs
+    units = units or {}
     differ = [
         f"{echo(column, 60)}, where the plant has {units[name]}"
         for name, column in others.items()
