@@ -346,7 +346,8 @@ def _table(
     assert chosen_outputs is not None
     absent = {name: name for name in (*chosen_inputs, *chosen_outputs) if name not in found}
     if absent:
-        raise missing_columns(absent, channels, source, matched=list(found.values()))
+        advice = "give inputs and outputs the names of columns"
+        raise missing_columns(absent, channels, source, matched=list(found.values()), advice=advice)
     _check_once(chosen_inputs, chosen_outputs)
     place = {name: channels.index(column) for name, column in found.items()}
     return _Table(

@@ -108,7 +108,7 @@ def named_columns(names: Sequence[str]) -> str:
 
 
 def missing_columns(
-    absent: Mapping[str, str], names: Sequence[str], source: str, *, matched: Sequence[str]
+    absent: Mapping[str, str], names: Sequence[str], source: str, *, matched: Sequence[str], advice: str = ""
 ) -> DataError:
     """Return the error about channels without a column, with the ``columns`` that would be right or nearly so.
 
@@ -122,6 +122,8 @@ def missing_columns(
         What to call the recording.
     matched : sequence of str
         Columns that other channels have.
+    advice : str
+        What to do, where ``columns`` is none of the options.
     """
     free = [name for name in names[:_COMPARED] if name and len(name) <= MAX_ECHO and name not in set(matched)]
     likely: dict[str, str] = {}
@@ -135,9 +137,10 @@ def missing_columns(
             parts.append(echo(name) + (f" (did you mean {echo(left[0])}?)" if left else ""))
         likely |= {channel: left[0]} if left else {}
     given = {channel: likely.get(channel, "...") for channel in list(absent)[:_LISTED]}
+    advice = advice or f"{'choose by' if likely else 'where names differ, give'} columns={given}"
     return DataError(
         f"{source}: missing column{'s' * (len(absent) > 1)} {', '.join(parts)}; there are: {named_columns(names)}; "
-        f"{'choose by' if likely else 'where names differ, give'} columns={given}"
+        f"{advice}"
     )
 
 
