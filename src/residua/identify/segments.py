@@ -339,15 +339,12 @@ def _table(
     channels, source = tuple(one.columns), one.source or f"recording {number}"
     chosen_inputs = channels[: one.u.shape[1]] if inputs is None else inputs
     found = matched_names((*chosen_inputs, *(outputs or ())), channels)
-    chosen_outputs = outputs
-    if outputs is None:
-        chosen_outputs = tuple(name for name in channels if name not in found.values())
-        found |= {name: name for name in chosen_outputs}
-    assert chosen_outputs is not None
-    absent = {name: name for name in (*chosen_inputs, *chosen_outputs) if name not in found}
+    absent = {name: name for name in (*chosen_inputs, *(outputs or ())) if name not in found}
     if absent:
         advice = "give inputs and outputs the names of columns"
         raise missing_columns(absent, channels, source, matched=list(found.values()), advice=advice)
+    chosen_outputs = tuple(name for name in channels if name not in found.values()) if outputs is None else outputs
+    found |= {name: name for name in chosen_outputs if name not in found}
     _check_once(chosen_inputs, chosen_outputs)
     place = {name: channels.index(column) for name, column in found.items()}
     return _Table(
