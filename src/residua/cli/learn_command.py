@@ -104,7 +104,7 @@ def learn(
     reading = Reading(time, dt, variable, fill_gaps, tolerance, day_first, time_format, decimal, columns, transpose)
     named = [] if inputs in (None, "none") else parse_names(checked_names(inputs))
     data = Channels(named, parse_names(outputs)).read(normal, reading)
-    options = settings_of(data, order, max_order, past, method, feedthrough, delay, units)
+    options = settings_of(data, outputs, order, max_order, past, method, feedthrough, delay, units)
     channels = {name: options.pop(name) for name in ("inputs", "outputs")}
     learnt = learn_monitor(
         data,
@@ -121,7 +121,7 @@ def learn(
     assert check is not None
     report = str(learnt.report).splitlines() if learnt.report is not None else []
     screen.say(*map(in_cli_words, report))
-    screen.say(*(f"{one.source}: {note}" for one in data for note in one.notes))
+    screen.say(*map(in_cli_words, learnt.notes))
     screen.say(*map(in_cli_words, learnt.lines), fault_text(learnt.monitor.design.plant), check.false_alarms)
     screen.show_visible(check)
     screen.say(f"written: {output}")

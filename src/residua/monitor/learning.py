@@ -315,7 +315,7 @@ def _with_inputs(recordings: Any, y: Any, inputs: Names, outputs: Names, dt: flo
             )
         return gathered, y is None
     rest = tuple(name for name in gathered.outputs if name not in found)
-    return gather(recordings, y, inputs=found, outputs=rest, dt=dt), True
+    return replace(gather(recordings, y, inputs=found, outputs=rest, dt=dt), notes=gathered.notes), True
 
 
 def _stable_model(parts: Any, names: Mapping[str, Any], options: dict[str, Any]) -> IdentifiedModel:

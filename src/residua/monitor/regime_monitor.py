@@ -22,7 +22,6 @@ from residua.monitor.inputs import Signals, several_signals, signals
 from residua.monitor.monitor import Monitor
 from residua.monitor.regime_diagnosis import RegimeDiagnosis
 from residua.plant import Plant
-from residua.recording.recording import Recording, read_recording
 from residua.recording.time_axis import REGULAR
 from residua.shown import Shown, notes, table
 from residua.visible import echo, listed
@@ -176,7 +175,7 @@ class RegimeMonitor(Shown):
         DataError
             If a channel is missing, or no mode can be fitted. A mode that cannot is judged no more: ``unfitted``.
         """
-        parts = [self._matched(one) for one in self._several(u, y, time, dt)]
+        parts = [self._matched(one) for one in several_signals(u, y, time, dt, self._plant())]
         keys = [self._keys(one) for one, _ in parts]
         old = [ages(one) for one in keys]
         unfitted: dict[str, str] = {}
@@ -230,7 +229,7 @@ class RegimeMonitor(Shown):
         """
         if y is not None and np.ndim(y) == 3:
             raise DataError("a monitor by operating mode takes one plant: (time, channels)")
-        rows, measured = self._matched(signals(*self._one(u, y), time, dt, source, self._plant()))
+        rows, measured = self._matched(signals(u, y, time, dt, source, self._plant()))
         keys = self._keys(rows)
         old, label = ages(keys), self.regimes.signals.label
         here = distinct([keys])
@@ -284,7 +283,7 @@ class RegimeMonitor(Shown):
         DataError
             If no mode learns it.
         """
-        parts = [self._matched(one) for one in self._several(u, y, time, dt)]
+        parts = [self._matched(one) for one in several_signals(u, y, time, dt, self._plant())]
         keys = [self._keys(rows) for rows, _ in parts]
         old = [ages(one) for one in keys]
         spans = [self._rows_of(*one) for one in zip(intervals_of(interval, len(parts)), parts, strict=True)]
@@ -363,32 +362,6 @@ class RegimeMonitor(Shown):
             outputs=self.regimes.outputs,
             name="recorded channels",
         )
-
-    def _one(self, u: Any, y: Any) -> tuple[Any, Any]:
-        """Return a recording with its channels in our order."""
-        if y is None and isinstance(u, (str, Path)):
-            u = read_recording(u, self._plant())
-        if y is None and isinstance(u, Recording):
-            return self._in_order(u), None
-        return u, y
-
-    def _in_order(self, one: Recording) -> Recording:
-        names = list(one.columns)
-        absent = [name for name in self.channels if name not in names]
-        if absent:
-            raise DataError(
-                f"{one.source or 'the recording'} has no channel {listed(absent)}; there are {listed(names)}"
-            )
-        rows = np.hstack([one.u, one.y])[:, [names.index(name) for name in self.channels]]
-        m = len(self.regimes.inputs)
-        return replace(one, u=rows[:, :m], y=rows[:, m:])
-
-    def _several(self, u: Any, y: Any, time: ArrayLike | None, dt: float | None) -> list[Signals]:
-        if y is None and isinstance(u, (list, tuple)):
-            u = [self._one(one, None)[0] for one in u]
-        else:
-            u, y = self._one(u, y)
-        return several_signals(u, y, time, dt, self._plant())
 
     def _matched(self, one: Signals) -> tuple[NDArray[np.float64], Signals]:
         """Return the rows of all channels."""
