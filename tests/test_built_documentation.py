@@ -145,6 +145,10 @@ REWORDED = {
     "how sure": "how-sure",
     "export residuals to pandas": "how-to/results",
     "fault at start": "how-to/first-sample",
+    "Excel": "how-to/historians",
+    "No Data": "how-to/historians",
+    "anomaly detection": "learnt-monitors",
+    "getting started": "getting-started",
 }
 ASK = """
 const found = {};
