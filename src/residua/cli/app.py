@@ -101,6 +101,7 @@ def fit(
         str,
         typer.Option(metavar="SAMPLES|auto", help="Samples at each start to leave out; auto: those that are unlike."),
     ] = "0",
+    force: Annotated[bool, typer.Option("--force", help="Fit recordings too that look faulty.")] = False,
     time: TimeColumn = None,
     dt: Step = None,
     variable: Variable = None,
@@ -124,6 +125,7 @@ def fit(
         false_alarm_rate=false_alarm_rate,
         held_out=held_out,
         transient=_start_left_out(transient),
+        force=force,
     )
     runs = [_run(watch, one) for one in data]
     watch.reset()
