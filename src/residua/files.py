@@ -19,7 +19,7 @@ def check_input(path: str | Path, what: str) -> None:
     ----------
     path : str or Path
     what : str
-        What it is to be, for the message.
+        The kind of file, such as ``"plant file"``, for the message.
 
     Raises
     ------
@@ -27,11 +27,11 @@ def check_input(path: str | Path, what: str) -> None:
     """
     path = Path(path)
     if path.is_dir():
-        raise FileFormatError(f"{path} is a folder; it was to be {what}")
+        raise FileFormatError(f"{path} is a folder; name a {what}")
     if not path.exists():
-        raise FileFormatError(f"{path}: no such file; it was to be {what}")
+        raise FileFormatError(f"{path}: {what} not found")
     if not os.access(path, os.R_OK):
-        raise FileFormatError(f"{path}: no permission to read it; it was to be {what}")
+        raise FileFormatError(f"{path}: no permission to read this {what}")
 
 
 def check_output(path: str | Path) -> None:
@@ -71,7 +71,7 @@ def read_bytes(path: str | Path, what: str) -> bytes:
     try:
         return Path(path).read_bytes()
     except OSError as error:
-        raise FileFormatError(f"{path}: {error.strerror or error}; it was to be {what}") from error
+        raise FileFormatError(f"{path}: cannot read this {what}: {error.strerror or error}") from error
 
 
 @contextmanager

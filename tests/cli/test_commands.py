@@ -105,7 +105,7 @@ def test_advice_is_for_the_command_line() -> None:
     assert in_cli_words("give it with plant.with_noise(...)").endswith(
         "[noise] in the plant file, with process and measurement"
     )
-    assert in_cli_words("give poles=[...] or margin=, or dt=") == "give --poles or --margin, or --sample-time"
+    assert in_cli_words("give poles=[...] or margin=, or dt=") == "give --poles or --margin, or --dt"
     assert in_cli_words("constant=True chooses") == "--constant chooses"
 
 
@@ -280,7 +280,7 @@ def test_design_auto_is_what_suggest_puts_first(made: Path, tmp_path: Path, resi
 def test_design_auto_samples_a_continuous_plant_first(tmp_path: Path, residua: Residua) -> None:
     continuous = PLANT.replace("dt = 1.0", "").replace("[[0.9, 0.05], [0.05, 0.8]]", "[[-1.0, 0.1], [0.1, -2.0]]")
     (tmp_path / "c.toml").write_text(continuous)
-    status, out, _ = residua("design", tmp_path / "c.toml", "--sample-time", "0.1", "--show-call")
+    status, out, _ = residua("design", tmp_path / "c.toml", "--dt", "0.1", "--show-call")
     assert status == 0
     assert "(plant.discretize(0.1))" in out
 
@@ -348,7 +348,7 @@ def test_two_faults_are_both_named(made: Path, tmp_path: Path, residua: Residua)
 
 
 def test_an_estimator_tells_the_size(made: Path, tmp_path: Path, residua: Residua) -> None:
-    options = ("--method", "fault-estimator", "--faults", "level 1 sensor", "--average", "20")
+    options = ("--method", "fault-estimator", "--faults", "level 1 sensor", "--window", "20")
     status, _, _ = design(made, tmp_path, residua, "plant.toml", *options)
     assert status == 0
     status, out, _ = residua("run", tmp_path / "out.json", made / "faulty.csv", "--alarms", tmp_path / "a.jsonl")
@@ -387,7 +387,7 @@ def test_design_samples_a_continuous_plant(made: Path, tmp_path: Path, residua: 
     continuous = PLANT.replace("dt = 1.0", "").replace("[[0.9, 0.05], [0.05, 0.8]]", "[[-1.0, 0.1], [0.1, -2.0]]")
     (tmp_path / "c.toml").write_text(continuous)
     for method in ("kalman-filter", "detection-filter"):
-        options = ("-o", tmp_path / "out.json", "--sample-time", "0.1", "--method", method)
+        options = ("-o", tmp_path / "out.json", "--dt", "0.1", "--method", method)
         status, _, _ = residua("design", tmp_path / "c.toml", *options)
         assert status == 0
     # Without the step, fit learns it from the recording.
@@ -407,7 +407,7 @@ def test_design_samples_a_continuous_plant(made: Path, tmp_path: Path, residua: 
         (("--method", "kalman-filter", "--poles", "0.3,0.3"), "fault-estimator, not for kalman-filter"),
         (("--method", "detection-filter", "--poles", "0.3+0.1j,0.3"), "conjugate"),
         (("--method", "detection-filter", "--poles", "1.3,0.3"), "stable"),
-        (("--sample-time", "2.0"), "dt"),
+        (("--dt", "2.0"), "dt"),
     ],
 )
 def test_design_refuses(made: Path, tmp_path: Path, options: tuple[str, ...], part: str, residua: Residua) -> None:
@@ -422,7 +422,7 @@ def test_design_refuses(made: Path, tmp_path: Path, options: tuple[str, ...], pa
         ("--poles", "nan,-1"),
         ("--method", "magic"),
         ("--false-alarm-rate", "2"),
-        ("--sample-time", "-1"),
+        ("--dt", "-1"),
         ("--margin", "0"),
         ("--persistence", "0"),
         ("--window", "0"),

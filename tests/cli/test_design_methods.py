@@ -236,22 +236,6 @@ def test_texts_of_options() -> None:
 # --------------------------------------------------------------------- names and listing
 
 
-@pytest.mark.parametrize(("former", "name"), methods.former_names().items())
-def test_former_names_go_on_with_a_note(former: str, name: str, files: Path, tmp_path: Path, residua: Residua) -> None:
-    plant = files / "three_tank.toml"
-    status, out, err = residua("design", plant, "-o", tmp_path / "a.json", "--method", former)
-    assert status == 0
-    assert err == f"note: --method {former} is called {name} now, as its function is; the old name is deprecated\n"
-    again, same, err = residua("design", plant, "-o", tmp_path / "b.json", "--method", name)
-    assert (again, err) == (0, "")
-    assert out.replace("a.json", "b.json") == same
-    assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
-
-
-def test_three_names_are_former_ones() -> None:
-    assert set(methods.former_names()) == {"sensor-bank", "actuator-bank", "parity"}
-
-
 def test_what_is_offered_is_decided_by_rule() -> None:
     beside = {one.name: methods.in_python_only(one) for one in registered()}
     assert beside["inverse_form_observer"] == "a monitor cannot run InverseFormObserver"
@@ -271,13 +255,39 @@ def test_the_methods_are_listed_with_what_they_need(residua: Residua) -> None:
     assert "robust_l1_bank, for an uncertain plant" in lines[-1]
 
 
-def test_the_help_has_the_texts_of_the_docstrings(residua: Residua, monkeypatch: pytest.MonkeyPatch) -> None:
+def flowing(text: str) -> str:
+    """Return a help on one line."""
+    return " ".join(text.split())
+
+
+@pytest.mark.parametrize("method", OFFERED)
+def test_the_help_of_a_method_has_the_texts_of_its_options(
+    method: str, residua: Residua, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("COLUMNS", "400")
+    status, out, _ = residua("design", "--help", method)
+    assert status == 0
+    said = flowing(out)
+    assert f"Design a monitor by {method}." in said
+    own = {one.name: one for one in methods.offered()[method].options}
+    for one in methods.options({"window"}):
+        assert (f" {one.flags[0].partition('/')[0]} " in said) == (method in one.methods)
+        assert method not in one.methods or flowing(methods.in_plain_words(own[one.name].text)) in said
+    assert not re.search(r"[\\…]|\^{|`", said)  # no raw formula, and no cut name
+
+
+def test_the_help_of_a_method_is_found_wherever_it_is_named(residua: Residua) -> None:
+    asked = [residua("design", *words) for words in (("matched_filters", "-h"), ("--method=matched-filters", "--help"))]
+    assert asked[0] == asked[1] == residua("design", "--help", "matched-filters")
+    assert "--steady" in asked[0][1]
+    assert "--steady" not in residua("design", "--help")[1]
+
+
+def test_the_help_of_design_is_short(residua: Residua, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
     _, out, _ = residua("design", "--help")
-    said = " ".join(re.sub("[│╭╮╰╯─]", " ", out).split())
-    for one in methods.options():
-        assert one.text.split(". ")[0] in said or one.name == "window"
-        assert all(name in said for name in one.methods) or f"Of {len(one.methods)} methods" in said
+    assert len(out.splitlines()) <= 80
+    assert "residua design --help METHOD" in flowing(out)
 
 
 def test_what_is_chosen_from_the_plant_is_chosen_once(
@@ -371,7 +381,7 @@ def test_the_call_alone_needs_no_output(made: Path, residua: Residua) -> None:
 
 
 def test_another_step_than_that_of_the_plant_is_refused(made: Path, tmp_path: Path, residua: Residua) -> None:
-    command = ("design", made / "plant.toml", "-o", tmp_path / "m.json", "--sample-time")
-    assert_error(residua(*command, "0.1"), "the plant is sampled, dt=1 s, and --sample-time is 0.1 s")
+    command = ("design", made / "plant.toml", "-o", tmp_path / "m.json", "--dt")
+    assert_error(residua(*command, "0.1"), "the plant is sampled every 1 s, and --dt is 0.1 s")
     assert not list(tmp_path.iterdir())
     assert residua(*command, "1")[0] == 0

@@ -119,7 +119,7 @@ def test_a_structured_bank_names_by_a_chosen_code(made: Path, tmp_path: Path, re
 
 
 def test_parity_relations_with_rows_of_ones_own(made: Path, tmp_path: Path, residua: Residua) -> None:
-    options = ("--rows", "111,100", "--false-alarm-rate", "0.01", "--average", "20")
+    options = ("--rows", "111,100", "--false-alarm-rate", "0.01", "--window", "20")
     status, out, _ = design(made, tmp_path, residua, "structured-parity", *options)
     assert status == 0
     assert "structured parity relations\n  poles: 0, 0" in out
@@ -159,7 +159,6 @@ def test_rows_that_are_not_attainable_are_refused_or_left_out(made: Path, tmp_pa
             "--scheme is for --method actuator-fault-bank and sensor-fault-bank",
         ),
         ("matched-filters", ("--allow-missing",), "--allow-missing is for --method actuator-fault-bank"),
-        ("matched-filters", ("--average", "3"), "leave out --average"),
         ("matched-filters", ("--poles", "0.3,0.3"), "fault-estimator, not for matched-filters"),
     ],
 )
@@ -193,5 +192,5 @@ def test_matched_filters_of_a_continuous_plant_need_the_step(tmp_path: Path, res
     text = PLANT.replace("dt = 1.0", "").replace("[[0.9, 0.05], [0.05, 0.8]]", "[[-1.0, 0.1], [0.1, -2.0]]")
     (tmp_path / "c.toml").write_text(text)
     command = ("design", tmp_path / "c.toml", "-o", tmp_path / "out.json", "--method", "matched-filters")
-    assert_error(residua(*command), "matched-filters: it counts samples: give --sample-time")
-    assert residua(*command, "--sample-time", "0.1")[0] == 0
+    assert_error(residua(*command), "matched-filters: it counts samples: give --dt")
+    assert residua(*command, "--dt", "0.1")[0] == 0

@@ -41,17 +41,15 @@ class GuardedGroup(TyperGroup):
         with guarded():
             return super().make_context(*args, **kwargs)
 
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Find the command."""
-        resolved = super().resolve_command(ctx, args)
-        if resolved[1] is not None:
-            _OPTIONS.set(frozenset(name for parameter in resolved[1].params for name in parameter.opts))
-        return resolved
-
     def invoke(self, ctx: Any) -> Any:
         """Run the chosen command."""
         with guarded():
             return super().invoke(ctx)
+
+
+def speak_of(command: Any) -> None:
+    """Let advice name the options of a command."""
+    _OPTIONS.set(frozenset(name for parameter in command.params for name in parameter.opts))
 
 
 @contextmanager
@@ -121,7 +119,7 @@ _WORDS = {
     r"(?:\.)?\bfit\(u, y\) it to fault-free data": "give it one by residua fit, from fault-free data",
     r"\.?\bfit\(u, y\)": "residua fit",
     r",? or set (?:NormThreshold\(threshold|PeakThreshold\(thresholds)=\.\.\.\)": "",
-    r"NormThreshold\(window=(\d+|\.\.\.)\)": r"--average \1",
+    r"NormThreshold\(window=(\d+|\.\.\.)\)": r"--window \1",
     r"NormThreshold\(persistence=(\d+|\.\.\.)\)": r"--persistence \1",
     r"\b(poles|margin|faults)=(?:\[\.\.\.\]|\.\.\.|(?=[,;. )]|$))": r"--\1",
     r"\bstructure=(?:\.\.\.|(?=[,;. )]|$))": "--rows",
@@ -129,18 +127,10 @@ _WORDS = {
 }
 
 
-#: Arguments in Python, and the options that may stand for them: the first that the command has.
-_ARGUMENTS = {"dt": ("--dt", "--sample-time"), "time": ("--time",), "variable": ("--variable",)}
-
-
 def in_cli_words(text: str) -> str:
     """Return advice that is meant for Python as advice for the command line: for the command that runs."""
     for python, here in _WORDS.items():
         text = re.sub(python, here, text)
-    for name, options in _ARGUMENTS.items():
-        option = next((option for option in options if option in _OPTIONS.get()), None)
-        if option is not None:
-            text = re.sub(rf"\b{name}=(?:\.\.\.|(?=[,;. )]|$))", option, text)
     for option in _OPTIONS.get():
         name = option.lstrip("-").replace("-", "_")
         text = re.sub(rf"\b{name}=(?:True\b|\[\.\.\.\]|\.\.\.|(?=[,;. )]|$))", option, text)

@@ -1,8 +1,8 @@
-"""The command ``identify``: from fault-free recordings to a plant file, and what ``learn`` shares with it."""
+"""The command ``identify``, and the options of models that ``learn`` has too."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
@@ -12,25 +12,13 @@ import numpy as np
 import typer
 
 from residua.cli import screen
-from residua.cli.checks import check_outputs, check_recordings
 from residua.cli.guard import in_cli_words
-from residua.cli.recording_options import (
-    Columns,
-    DayFirst,
-    Decimal,
-    DecimalMark,
-    FillGaps,
-    Reading,
-    Step,
-    TimeColumn,
-    TimeFormat,
-    Tolerance,
-    Transpose,
-    Variable,
-)
+from residua.cli.recording_options import Reading, with_reading
+from residua.cli.shared_options import AsJson, NormalFiles, check_outputs, check_recordings
 from residua.errors import DataError, SettingError
-from residua.identify import IdentifiedModel, subspace
+from residua.identify import subspace
 from residua.identify.channel_faults import idle_inputs, with_channel_faults
+from residua.identify.fit_report import FitReport
 from residua.plant import Plant
 from residua.recording.recording import Recording
 from residua.report.model_page import write_model_page
@@ -56,7 +44,7 @@ def checked_names(text: str | None) -> str | None:
         parts = parse_names(text)
         twice = next((name for name in parts if parts.count(name) > 1), None)
         if not all(parts) or twice:
-            raise typer.BadParameter(f"{echo(twice)} is there twice" if twice else "a name is empty")
+            raise typer.BadParameter(f"{echo(twice)} occurs twice" if twice else "a name is empty")
     return text
 
 
@@ -96,9 +84,6 @@ def _held_out(value: float) -> float:
     return value
 
 
-Normal = Annotated[
-    list[Path], typer.Argument(metavar="NORMAL.csv...", help="Fault-free recordings; each has a start of its own.")
-]
 Inputs = Annotated[
     str | None, typer.Option("--inputs", metavar="LIST", callback=checked_names, help="Columns that drive the plant.")
 ]
@@ -113,20 +98,20 @@ Units = Annotated[
 ]
 Order = Annotated[
     int | None,
-    typer.Option("--order", min=0, metavar="N", help="States; by an information criterion when omitted."),
+    typer.Option("--order", min=0, metavar="N", help="Number of states; by an information criterion when omitted."),
 ]
 MaxOrder = Annotated[int | None, typer.Option("--max-order", min=0, metavar="N", help="Largest order to compare.")]
 Past = Annotated[
     int | None,
-    typer.Option("--past", min=1, metavar="N", help="Rows of the past that a state is made of; chosen when omitted."),
+    typer.Option("--past", min=1, metavar="N", help="Past rows from which a state is made; chosen when omitted."),
 ]
 HowStates = Annotated[
-    Method, typer.Option("--method", help="pbsid is right in closed loop too; the others are for open loop.")
+    Method, typer.Option("--method", help="pbsid holds in closed loop too; the others are for open loop.")
 ]
-Feedthrough = Annotated[bool, typer.Option("--feedthrough", help="An input moves an output within the same row.")]
+Feedthrough = Annotated[bool, typer.Option("--feedthrough", help="An input acts on an output within the same row.")]
 Delay = Annotated[
     list[str] | None,
-    typer.Option("--delay", metavar="INPUT=ROWS", callback=_delays, help="A known delay; one option for each input."),
+    typer.Option("--delay", metavar="INPUT=ROWS", callback=_delays, help="A known delay; repeat for each input."),
 ]
 SensorFaults = Annotated[
     bool, typer.Option("--sensor-faults/--no-sensor-faults", help="A fault of every output in the plant.")
@@ -138,7 +123,7 @@ ActuatorFaults = Annotated[
 
 @dataclass(frozen=True)
 class Channels:
-    """Which columns are what; outputs that are not named are all other columns of the first recording."""
+    """Columns of inputs and outputs; without outputs, all other columns of the first recording."""
 
     inputs: list[str]
     outputs: list[str]
@@ -154,10 +139,10 @@ class Channels:
             one = reading.read_channels(path, _stand_in(self.inputs, outputs) if outputs else None)
             absent = [name for name in self.inputs if name not in one.columns]
             if absent:
-                raise DataError(f"{path}: no column is called {listed(absent)}; there are {listed(tuple(one.columns))}")
+                raise DataError(f"{path}: no column {listed(absent)}; the columns are {listed(tuple(one.columns))}")
             outputs = outputs or [name for name in one.columns if name not in self.inputs]
             if not outputs:
-                raise DataError(f"{path}: every column is an input; the outputs are what is left")
+                raise DataError(f"{path}: every column is an input; leave the outputs out of --inputs")
             recordings.append(_arranged(one, self.inputs, outputs))
         return recordings
 
@@ -184,24 +169,17 @@ def part(one: Recording, start: float, stop: float) -> Recording:
 
 
 def fault_text(plant: Plant) -> str:
-    """Say which faults the plant has, and which it cannot have."""
+    """Return a line on the faults of a plant, and the inputs that have none."""
     idle = idle_inputs(plant)
-    why = f"; none of {listed(idle)}, of which the model finds no effect" if idle else ""
+    why = f"; none of {listed(idle)}, which has no effect in the model" if idle else ""
     if not plant.faults:
-        return f"no faults in the plant{why}: a design needs some, [[faults]] in the plant file"
+        return f"no faults in the plant{why}: add [[faults]] to the plant file before a design"
     return f"faults: {listing(plant.faults)}{why}"
 
 
-def identified(data: Sequence[Recording], settings: Mapping[str, Any]) -> IdentifiedModel:
-    """Return the model of recordings, and print what it is worth."""
-    model = subspace(list(data), **settings)
-    screen.say(*map(in_cli_words, str(model.report).splitlines()))
-    screen.say(*(f"{one.source}: {note}" for one in data for note in one.notes))
-    return model
-
-
+@with_reading
 def identify(
-    normal: Normal,
+    normal: NormalFiles,
     output: Annotated[Path, typer.Option("--output", "-o", metavar="PLANT.toml", help="Plant file to write.")],
     inputs: Inputs = None,
     outputs: Outputs = None,
@@ -216,31 +194,24 @@ def identify(
     delay: Delay = None,
     held_out: Annotated[
         float,
-        typer.Option("--held-out", metavar="PART", callback=_held_out, help="Last part, on which the model is judged."),
+        typer.Option("--held-out", metavar="PART", callback=_held_out, help="Last part, which only checks the model."),
     ] = 0.25,
     sensor_faults: SensorFaults = True,
     actuator_faults: ActuatorFaults = True,
     no_faults: Annotated[bool, typer.Option("--no-faults", help="No faults in the plant file.")] = False,
     units: Units = None,
-    name: Annotated[str, typer.Option("--name", metavar="NAME", help="Of the plant.")] = "identified",
-    time: TimeColumn = None,
-    dt: Step = None,
-    variable: Variable = None,
-    fill_gaps: FillGaps = False,
-    tolerance: Tolerance = None,
-    day_first: DayFirst = None,
-    time_format: TimeFormat = None,
-    decimal: DecimalMark = Decimal.point,
-    columns: Columns = None,
-    transpose: Transpose = False,
+    name: Annotated[str, typer.Option("--name", metavar="NAME", help="Name of the plant.")] = "identified",
+    as_json: AsJson = False,
+    *,
+    reading: Reading,
 ) -> None:
     """Identify a plant with its noise from fault-free recordings."""
     check_recordings(normal)
     check_outputs([output, report], normal)
-    reading = Reading(time, dt, variable, fill_gaps, tolerance, day_first, time_format, decimal, columns, transpose)
     data = Channels(parse_names(inputs), parse_names(outputs)).read(normal, reading)
     settings = settings_of(data, order, max_order, past, method, feedthrough, delay, units)
-    model = identified(data, settings | {"held_out": held_out, "name": name})
+    model = subspace(data, **settings, held_out=held_out, name=name)
+    notes = [f"{one.source}: {note}" for one in data for note in one.notes]
     plant = with_channel_faults(
         model.plant, sensors=sensor_faults and not no_faults, actuators=actuator_faults and not no_faults
     )
@@ -252,7 +223,39 @@ def identify(
         told = replace(model.report, notes=tuple(map(in_cli_words, model.report.notes)))
         write_model_page(replace(model, report=told), shown or data, report)
         written.append(report)
-    screen.say(fault_text(plant), *(f"written: {path}" for path in written))
+    if as_json:
+        screen.print_json({**report_values(model.report), "faults": plant.faults, "notes": notes, "written": written})
+        return
+    screen.say(*map(in_cli_words, str(model.report).splitlines()), *notes, fault_text(plant))
+    screen.say(*(f"written: {path}" for path in written))
+
+
+def report_values(report: FitReport) -> dict[str, Any]:
+    """Return the report of a model as values for JSON."""
+    facts = report.held_out or report.fitted
+    simulated = facts.simulated_fit
+    return {
+        "model": {
+            "method": report.method,
+            "order": len(report.poles),
+            "dt": report.dt,
+            "samples": report.samples,
+            "poles": report.poles,
+            "held_out": report.held_out is not None,
+            "outputs": [
+                {
+                    "output": name,
+                    "error": facts.error[k],
+                    "fit": facts.fit[k],
+                    "simulated_fit": None if simulated is None else simulated[k],
+                }
+                for k, name in enumerate(report.outputs)
+            ],
+            "remarks": [in_cli_words(line) for line in report.remarks],
+        },
+        "inputs": report.inputs,
+        "outputs": report.outputs,
+    }
 
 
 def settings_of(
@@ -269,7 +272,7 @@ def settings_of(
     channels, of = list(data[0].columns), dict(_pairs(units))
     absent = [one for one in of if one not in channels]
     if absent:
-        raise SettingError(f"--units: there is no channel {listed(absent)}; there are {listed(channels)}")
+        raise SettingError(f"--units: no channel {listed(absent)}; the channels are {listed(channels)}")
     m = data[0].u.shape[1]
     return {
         "inputs": channels[:m],

@@ -60,11 +60,6 @@ def offered() -> dict[str, Method]:
     return {method_name(one): one for one in methods() if not in_python_only(one)}
 
 
-def former_names() -> dict[str, str]:
-    """Return the names that methods had before they were those of the functions, with these."""
-    return {former: name for name, one in offered().items() for former in one.formerly}
-
-
 def in_python_only(method: Method) -> str:
     """Return why a method is not offered here; empty if it is."""
     if not method.takes_a_plant:
@@ -127,8 +122,13 @@ def _shared(name: str, holders: list[tuple[str, Option, Form]]) -> Shared:
 def in_plain_words(text: str) -> str:
     """Return a description from a docstring without its markup."""
     text = re.sub(r":\w+:`~?(?:[\w.]*\.)?(\w+)`", r"\1", text)
-    text = re.sub(r":math:`([^`]*)`", r"\1", text).replace("``", "")
+    text = re.sub(r":math:`([^`]*)`", lambda found: _formula(found[1]), text).replace("``", "")
     return text.replace("[", "(").replace("]", ")")  # screens take brackets for markup
+
+
+def _formula(latex: str) -> str:
+    """Return a formula as it is typed: ``e^(-dt/tau)``."""
+    return re.sub(r"\\(\w+)", r"\1", latex.replace(r"\dots", "...").replace("{", "(").replace("}", ")"))
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,7 @@ class Call:
     method : Method
     values : mapping of str to value
         Options that were asked for.
-    sample_time : float or None
+    dt : float or None
         Of the recordings.
     settings : mapping of str to value
         Of the monitor: a method takes those that it has an option for.
@@ -152,7 +152,7 @@ class Call:
 
     method: Method
     values: Mapping[str, Any]
-    sample_time: float | None = None
+    dt: float | None = None
     settings: Mapping[str, Any] = field(default_factory=dict)
     subject: str = "plant"
     made: dict[Chosen, Any] = field(default_factory=dict, repr=False)
@@ -185,18 +185,18 @@ class Call:
         """Whether the plant is sampled first: the best filter of that, rather than the continuous one, sampled."""
         needs = self.method.requirements
         noise = NOISE in needs and bool(plant.Bw.shape[1])
-        return self.sample_time is not None and not plant.is_discrete and (noise or SAMPLED in needs)
+        return self.dt is not None and not plant.is_discrete and (noise or SAMPLED in needs)
 
     def _of_the_time(self, plant: Plant) -> Plant:
-        if self.sample_time is not None and self._sampled(plant):
-            return plant.discretize(self.sample_time)
+        if self.dt is not None and self._sampled(plant):
+            return plant.discretize(self.dt)
         if SAMPLED in self.method.requirements and not plant.is_discrete:
-            raise DesignError("it counts samples: give --sample-time, the step of the recordings")
+            raise DesignError("it counts samples: give --dt, the step of the recordings")
         return plant
 
     def code(self, plant: Plant) -> str:
         """Return the same in Python, for a plant called ``plant``."""
-        sampled = f"plant.discretize({self.sample_time!r})" if self._sampled(plant) else self.subject
+        sampled = f"plant.discretize({self.dt!r})" if self._sampled(plant) else self.subject
         made = [
             f"{name}={one.limited.format(seconds=CHOICE_TIME)}"
             for name, one in self.method.chosen.items()
@@ -215,13 +215,13 @@ def _with_real_numbers(value: Any) -> Any:
     return value.real if isinstance(value, complex) and not value.imag else value
 
 
-def choose(plant: Plant, sample_time: float | None) -> tuple[Plant, str, Call, str]:
+def choose(plant: Plant, dt: float | None) -> tuple[Plant, str, Call, str]:
     """Return the plant to design for, the method that :func:`residua.suggest` puts first, its call, and why.
 
     Parameters
     ----------
     plant : Plant
-    sample_time : float or None
+    dt : float or None
         Of the recordings: a continuous plant is sampled with it first.
 
     Raises
@@ -230,8 +230,8 @@ def choose(plant: Plant, sample_time: float | None) -> tuple[Plant, str, Call, s
         If nothing can come first.
     """
     subject = "plant"
-    if sample_time is not None and not plant.is_discrete:
-        plant, subject = plant.discretize(sample_time), f"plant.discretize({sample_time!r})"
+    if dt is not None and not plant.is_discrete:
+        plant, subject = plant.discretize(dt), f"plant.discretize({dt!r})"
     found = first_design(plant)
     best = found.best
     if best is None:
@@ -248,7 +248,7 @@ def choose(plant: Plant, sample_time: float | None) -> tuple[Plant, str, Call, s
     return plant, method_name(best.method), Call(best.method, best.options, None, subject=subject), why
 
 
-def call_of(name: str, asked: Mapping[str, Any], settings: Mapping[str, Any], sample_time: float | None) -> Call:
+def call_of(name: str, asked: Mapping[str, Any], settings: Mapping[str, Any], dt: float | None) -> Call:
     """Return a method with its options.
 
     Parameters
@@ -258,7 +258,7 @@ def call_of(name: str, asked: Mapping[str, Any], settings: Mapping[str, Any], sa
         Options as they were written.
     settings : mapping of str to value
         Of the monitor: a method takes those that it has too.
-    sample_time : float or None
+    dt : float or None
 
     Raises
     ------
@@ -274,7 +274,7 @@ def call_of(name: str, asked: Mapping[str, Any], settings: Mapping[str, Any], sa
         if option not in own:
             raise SettingError(_not_of(option, name))
     values = {option: _read(own[option], value) for option, value in asked.items()}
-    call = Call(method, values, sample_time, settings)
+    call = Call(method, values, dt, settings)
     if call.left_out:
         needed = next(one for one in method.options if one.name == call.left_out[0])
         form = form_of(needed)
@@ -344,7 +344,7 @@ def _remedy(plant: Plant, name: str, call: Call) -> str:
 def _without_options(call: Call, method: Method, kept: Iterable[str] = ()) -> Call:
     """Return a call of a method with the defaults of its options, but for those that are kept."""
     values = {name: value for name, value in call.values.items() if name in kept}
-    return Call(method, values, call.sample_time, call.settings, call.subject, call.made)
+    return Call(method, values, call.dt, call.settings, call.subject, call.made)
 
 
 def _alternatives(plant: Plant, failed: str, call: Call) -> str:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import inspect
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, get_type_hints
 
 import typer
 
 from residua.cli import screen
+from residua.cli.shared_options import signed
 from residua.errors import ModelError, ResiduaError
 from residua.monitor import Monitor
 from residua.plant import Plant
@@ -114,18 +116,18 @@ def parse_columns(text: str) -> dict[str, str] | list[str]:
 
 @dataclass(frozen=True)
 class Reading:
-    """What was said about how recordings are to be read."""
+    """How recordings are to be read; each field is an option of the commands that read some."""
 
-    time: str | None
-    dt: float | None
-    variable: str | None
-    fill_gaps: bool
-    tolerance: float | None
-    dayfirst: bool | None
-    time_format: str | None
-    decimal: Decimal
-    columns: str | None
-    transpose: bool
+    time: TimeColumn = None
+    dt: Step = None
+    variable: Variable = None
+    fill_gaps: FillGaps = False
+    tolerance: Tolerance = None
+    day_first: DayFirst = None
+    time_format: TimeFormat = None
+    decimal: DecimalMark = Decimal.point
+    columns: Columns = None
+    transpose: Transpose = False
 
     def read(self, path: Path, watch: Monitor) -> Recording:
         """Read a recording for a monitor."""
@@ -141,7 +143,7 @@ class Reading:
             self.variable,
             self.tolerance,
             self.fill_gaps,
-            self.dayfirst,
+            self.day_first,
             self.time_format,
             self.decimal.mark,
             self.transpose,
@@ -164,12 +166,28 @@ class Reading:
                 variable=self.variable,
                 tolerance=self.tolerance,
                 fill_gaps=self.fill_gaps,
-                dayfirst=self.dayfirst,
+                dayfirst=self.day_first,
                 time_format=self.time_format,
                 decimal=self.decimal.mark,
                 transpose=self.transpose,
             )
         return replace(recording, notes=tuple(map(reading_words, recording.notes)))
+
+
+def with_reading(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command the options of :class:`Reading` in place of its last argument, ``reading``."""
+    own = list(inspect.signature(command, eval_str=True).parameters.values())[:-1]
+    kinds = get_type_hints(Reading, include_extras=True)
+    options = [
+        inspect.Parameter(one.name, inspect.Parameter.KEYWORD_ONLY, default=one.default, annotation=kinds[one.name])
+        for one in fields(Reading)
+    ]
+
+    def reads(**given: Any) -> None:
+        reading = Reading(**{one.name: given.pop(one.name) for one in options})
+        command(**given, reading=reading)
+
+    return signed(reads, [*own, *options], command.__doc__)
 
 
 def _plant_of(watch: Monitor) -> Plant:

@@ -67,7 +67,7 @@ def save_regimes(monitor: RegimeMonitor, path: str | Path) -> None:
 def load_regimes(path: str | Path) -> RegimeMonitor:
     """Read a monitor by operating mode; raises :class:`FileFormatError` that says which entry is wrong."""
     path = Path(path)
-    content = loads(read_bytes(path, "a monitor"), path.name)
+    content = loads(read_bytes(path, "monitor"), path.name)
     if content.get("format") != REGIMES:
         raise FileFormatError(f'{path.name} is no monitor by operating mode (no "format": {REGIMES!r} in it)')
     if content.get("version") != VERSION:

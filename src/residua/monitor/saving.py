@@ -132,7 +132,7 @@ def load_monitor(path: str | Path) -> Monitor:
     path = Path(path)
     if path.suffix.lower() == ".toml":
         raise FileFormatError(f"{path.name} looks like a plant file: design a monitor from it first (residua design)")
-    content = loads(read_bytes(path, "a monitor"), path.name)
+    content = loads(read_bytes(path, "monitor"), path.name)
     monitor = monitor_from(content, path.name)
     if not check_checksum(content, path.name) and EDITED not in monitor.notes:
         monitor.notes = (*monitor.notes, EDITED)

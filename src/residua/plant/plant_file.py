@@ -67,11 +67,11 @@ def load_plant(path: str | Path) -> Plant:
     >>> load_plant("no_such_plant.toml")
     Traceback (most recent call last):
         ...
-    residua.errors.FileFormatError: no_such_plant.toml: no such file; it was to be a plant file
+    residua.errors.FileFormatError: no_such_plant.toml: plant file not found
     """
     path = Path(path)
     try:
-        text = read_bytes(path, "a plant file").decode("utf-8-sig")
+        text = read_bytes(path, "plant file").decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise FileFormatError(f"{path.name}: not a text file in UTF-8 (byte {error.start})") from error
     return loads_plant(text, source=path.name)

@@ -108,7 +108,7 @@ def read_recording(
     suffix = path.suffix.lower()
     if suffix not in _READERS:
         raise FileFormatError(f"{path.name}: unknown format {echo(suffix)}; known: {', '.join(sorted(_READERS))}")
-    check_input(path, "a recording")
+    check_input(path, "recording")
     options = ReadOptions(
         plant, time, dt, columns, variable, tolerance, fill_gaps, dayfirst, time_format, decimal, transpose
     )
@@ -168,7 +168,7 @@ def recording_from_frame(
 
 
 def _from_csv(path: Path, options: ReadOptions) -> Recording:
-    table = open_csv(read_bytes(path, "a recording"), path.name, decimal=options.decimal)
+    table = open_csv(read_bytes(path, "recording"), path.name, decimal=options.decimal)
     if not table.headed:
         return _from_headless(table, options, path.name)
     if options.matrix_names is not None:

@@ -43,7 +43,7 @@ def read_runs(path: str | Path) -> tuple[dict[str, Any], RunFigures]:
     FileFormatError
         If it is none, or damaged.
     """
-    content = read_bytes(path, "the file of a campaign")
+    content = read_bytes(path, "campaign file")
     try:
         with np.load(io.BytesIO(content), allow_pickle=False) as file:
             head = json.loads(str(file[_HEAD]))
