@@ -10,6 +10,7 @@ from pathlib import Path
 
 from residua.errors import FileFormatError
 from residua.partial_files import PartialFile
+from residua.visible import echo
 
 
 def check_input(path: str | Path, what: str) -> None:
@@ -72,6 +73,20 @@ def read_bytes(path: str | Path, what: str) -> bytes:
         return Path(path).read_bytes()
     except OSError as error:
         raise FileFormatError(f"{path}: cannot read this {what}: {error.strerror or error}") from error
+
+
+def other_version(what: str, found: object, known: int, remedy: str) -> str:
+    """Return the message for content of another version: the remedy for an older one, an upgrade for a newer one.
+
+    Examples
+    --------
+    >>> from residua.files import other_version
+    >>> other_version("tank.json", 12, 11, "design it again")
+    'tank.json has version 12, this residua reads version 11: upgrade residua'
+    """
+    is_newer = isinstance(found, int) and found > known
+    advice = "upgrade residua" if is_newer else remedy
+    return f"{what} has version {echo(found)}, this residua reads version {known}: {advice}"
 
 
 @contextmanager

@@ -255,14 +255,16 @@ def design(made: Path, tmp_path: Path, residua: Residua, plant: str, *options: s
 
 def test_design_auto_says_what_and_why(made: Path, tmp_path: Path, residua: Residua) -> None:
     _, out, _ = design(made, tmp_path, residua, "plant.toml")
-    assert "method: kalman-filter, because of a fault that lasts it sees (in brackets, by dev" in " ".join(out.split())
+    assert "method: kalman-filter, because it sees lasting faults from these sizes on (in brackets: dev" in " ".join(
+        out.split()
+    )
     _, out, _ = design(made, tmp_path, residua, "disturbed.toml")
-    assert "method: decoupled-residual, because of a fault that lasts it sees" in out
+    assert "method: decoupled-residual, because it sees lasting faults from" in out
     bare = PLANT.replace("[noise]\nprocess = 1e-4\nmeasurement = 1e-3\n", "")
     (tmp_path / "bare.toml").write_text(bare)
     _, out, _ = residua("design", tmp_path / "bare.toml", "-o", tmp_path / "out.json")
     assert "method: kalman-filter, because" in out
-    assert "no noise is given" in out
+    assert "the plant has no noise, so some is assumed" in out
     assert "no threshold yet: residua fit" in out
 
 
@@ -441,7 +443,7 @@ def test_poles_as_text() -> None:
     assert parse_poles("-3,-3") == (-3, -3)
     assert parse_poles(" -1+2j , -1-2i,-3e-1") == (-1 + 2j, -1 - 2j, -0.3)
     for text in ("", "a", "-3;-3", "inf", "-3,,-3"):
-        with pytest.raises(ValueError, match="is no pole"):
+        with pytest.raises(ValueError, match="is not a pole"):
             parse_poles(text)
 
 

@@ -195,20 +195,20 @@ def test_an_option_that_a_method_needs_is_asked_for(
     ("name", "options", "part"),
     [
         ("primary-residuals", ("--form", "other"), "'other' is none of ma, arma"),
-        ("perfect-observer", ("--seed", "1.5"), "'1.5' is no whole number"),
-        ("matched-filters", ("--alike", "nan"), "'nan' is no number"),
+        ("perfect-observer", ("--seed", "1.5"), "'1.5' is not a whole number"),
+        ("matched-filters", ("--alike", "nan"), "'nan' is not a number"),
         ("fault-estimator", ("--bandwidth", "-1"), "must be positive"),
-        ("unknown-input-observer", ("--H0", "1,2;3"), "is no matrix"),
+        ("unknown-input-observer", ("--H0", "1,2;3"), "is not a matrix"),
         ("directional-parity", ("--directions", "1,2"), "has no names"),
         ("directional-parity", ("--directions", "p1=1,2;3"), "has no '='"),
-        ("structured-bank", ("--rows", "012"), "are no rows"),
+        ("structured-bank", ("--rows", "012"), "are not rows"),
         ("detection-filter", ("--rtol", "-1"), "must lie between 0 and 1, got -1"),
         ("luenberger-observer", ("--rtol", "0"), "must lie between 0 and 1, got 0"),
         ("structured-parity", ("--rtol", "5"), "must lie between 0 and 1, got 5"),
-        ("structured-bank", ("--rows", "01,10,0 1"), "'01' is there twice"),
-        ("directional-parity", ("--directions", "p1=1,2;p2=2,1; p1=3,1"), "'p1' is there twice"),
-        ("primary-residuals", ("--poles", "e1=0.5;e1=0.4"), "'e1' is there twice"),
-        ("luenberger-observer", ("--outputs", "y1,y1"), "'y1' is there twice"),
+        ("structured-bank", ("--rows", "01,10,0 1"), "'01' occurs twice"),
+        ("directional-parity", ("--directions", "p1=1,2;p2=2,1; p1=3,1"), "'p1' occurs twice"),
+        ("primary-residuals", ("--poles", "e1=0.5;e1=0.4"), "'e1' occurs twice"),
+        ("luenberger-observer", ("--outputs", "y1,y1"), "'y1' occurs twice"),
     ],
 )
 def test_texts_that_say_nothing_are_usage_errors(
@@ -229,7 +229,7 @@ def test_texts_of_options() -> None:
     assert parse_whole("-3") == -3
     assert np.array(parse_matrix("1,2;3,4")).shape == (2, 2)
     for read, text in ((parse_rate, "0"), (parse_whole, "x"), (parse_matrix, ""), (parse_matrix, "1,,2")):
-        with pytest.raises(ValueError, match=r"positive|no whole|no matrix|no number"):
+        with pytest.raises(ValueError, match=r"positive|not a whole|not a matrix|not a number"):
             read(text)
 
 
@@ -313,7 +313,7 @@ def test_methods_that_there_is_no_time_for_are_named(
 ) -> None:
     monkeypatch.setattr(methods, "TRYING_TIME", -1.0)
     outcome = residua("design", made / "plant.toml", "-o", tmp_path / "m.json", "--method", "perfect-observer")
-    assert_error(outcome, "no other method exists", "not tried for want of time: luenberger-observer, ")
+    assert_error(outcome, "no other method exists", "not tried, for lack of time: luenberger-observer, ")
 
 
 @pytest.mark.parametrize(
@@ -337,7 +337,7 @@ def test_an_option_that_is_in_the_way_is_named_and_no_other_method(
 def test_an_option_that_is_needed_may_be_what_is_wrong(made: Path, tmp_path: Path, residua: Residua) -> None:
     command = ("design", made / "plant.toml", "-o", tmp_path / "m.json", "--method", "directional-parity")
     refused = residua(*command, "--directions", "leak=1,0.5; pump actuator=1,2,3")
-    doubt = "all the same number: got [2, 3]; directional-parity needs --directions, and another value may do; what"
+    doubt = "all the same number: got [2, 3]; directional-parity needs --directions, and another value may do; methods"
     assert_error(refused, doubt)
 
 
@@ -347,7 +347,7 @@ def test_other_methods_are_tried_with_the_defaults_of_their_options(
     """Where the plant is refused, three poles say nothing of observers for two states."""
     command = ("design", made / "plant.toml", "-o", tmp_path / "m.json", "--method", "perfect-observer")
     plain, with_option = residua(*command), residua(*command, "--rtol", "1e-8")
-    assert_error(plain, "what exists for this plant: ", "--method luenberger-observer", "--method kalman-filter")
+    assert_error(plain, "methods that exist for this plant: ", "--method luenberger-observer", "--method kalman-filter")
     assert with_option == plain
 
 

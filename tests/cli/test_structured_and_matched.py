@@ -95,7 +95,7 @@ def test_rows_as_text() -> None:
     assert parse_rows("011,101") == ["011", "101"]
     assert parse_rows(" 01 1 ,101") == ["011", "101"]
     for text in ("", "012", "01,1", "0111,,0111", "0x1"):
-        with pytest.raises(ValueError, match="are no rows"):
+        with pytest.raises(ValueError, match="are not rows"):
             parse_rows(text)
 
 

@@ -58,11 +58,11 @@ def show_diagnosability(answer: Diagnosability) -> None:
         ],
     )
     why = [f"{name}: {reason}" for name, reason in answer.reasons().items()]
-    screen.say(*(why or ["every fault can be detected, also when constant, and told from every other"]))
+    screen.say(*(why or ["every fault can be detected, also when constant, and isolated from all others"]))
     if plant.disturbances:
         screen.say(str(answer.unknown_input_observer))
     else:
-        screen.say("no disturbances: an ordinary observer will do")
+        screen.say("no disturbances: an ordinary observer is enough")
 
 
 def twins(groups: Iterable[tuple[str, ...]], name: str) -> list[str]:

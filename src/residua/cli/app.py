@@ -5,13 +5,14 @@ from __future__ import annotations
 import inspect
 import re
 from importlib import import_module
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperCommand
+from typer.core import TyperCommand, TyperGroup
 
 from residua import __version__
-from residua.cli.guard import GuardedGroup, speak_of
+from residua.cli.guard import guarded, speak_of
 
 #: The commands, and their lines in the list; each stands in a module of its name.
 COMMANDS = {
@@ -30,16 +31,42 @@ COMMANDS = {
     "demo": "Run an example on simulated data.",
 }
 
+#: Words that others use for commands.
+_MEANT = {
+    **dict.fromkeys(("train", "calibrate"), "fit"),
+    **dict.fromkeys(("detect", "diagnose", "check", "monitor", "predict"), "run"),
+    **dict.fromkeys(("watch", "stream", "serve"), "live"),
+    "simulate": "validate",
+    "help": "--help",
+    "version": "--version",
+}
 
-class Commands(GuardedGroup):
-    """The commands: the list shows their summaries, and a call imports one."""
+
+class Commands(TyperGroup):
+    """The commands: the list shows their summaries, a call imports one, and none ends in a traceback."""
 
     def __init__(self, **attributes: Any) -> None:
         super().__init__(**attributes)
         self.commands = {name: TyperCommand(name, help=line) for name, line in COMMANDS.items()}
 
+    def make_context(self, *args: Any, **kwargs: Any) -> Any:
+        """Read the arguments; options such as ``--version`` print at once."""
+        with guarded():
+            return super().make_context(*args, **kwargs)
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the chosen command."""
+        with guarded():
+            return super().invoke(ctx)
+
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Import the command that is called."""
+        """Import the command that is called, or raise with the one that is meant."""
+        word = args[0]
+        if word in _MEANT:
+            ctx.fail(f"No such command {word!r}. Did you mean 'residua {_MEANT[word]}'?")
+        if word not in COMMANDS and Path(word).is_file():
+            first = {".toml": "analyze", ".json": "run"}.get(Path(word).suffix, "learn")
+            ctx.fail(f"{word} is a file. Name a command first, such as: residua {first} {word}")
         name, listed, rest = super().resolve_command(ctx, args)
         if name is None:
             return name, listed, rest
@@ -62,8 +89,8 @@ app = typer.Typer(
     cls=Commands,
     help="Model-based fault detection and isolation: from a plant file and a recording to the faulty component.",
     epilog="Exit status: 0 done, or no alarm; 1 an alarm was raised; 2 error; 3 no alarm, on data unlike the fit; "
-    "4 with --strict: no alarm, of a monitor that sees too little to tell. "
-    "RESIDUA_TRACEBACK=1 shows where an error comes from.",
+    "4 with --strict: no alarm, from a monitor that cannot see a lasting fault. "
+    "RESIDUA_TRACEBACK=1 shows the traceback of an error.",
     no_args_is_help=True,
     rich_markup_mode=None,  # its tables cut names
     add_completion=False,

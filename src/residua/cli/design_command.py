@@ -177,7 +177,7 @@ def _monitor(
 
 
 def _values(made: Any, monitor: Monitor) -> dict[str, Any]:
-    """Return what a design proves about itself, and the faults that it tells apart, as values for JSON."""
+    """Return the evidence of a design, and its view of each fault, as values for JSON."""
     header, rows, notes = _seen(made, monitor)
     columns = dict(zip(header, zip(*rows, strict=True), strict=True)) if rows else {}
     fitted = monitor.is_fitted
@@ -287,7 +287,7 @@ def signatures(generator: ResidualGenerator, isolate: Directional) -> _Seen:
             shape = "line" if k == 1 else "plane" if k == 2 else f"{k}-dimensional"
         rows.append([name, shape, steady, ", ".join(twins(test.groups, name))])
     header = ["fault", "signature", "steady residual per unit", "cannot be told from"]
-    notes = [f"never named, for want of a signature: {', '.join(test.unjudged)}"] if test.unjudged else []
+    notes = [f"never named, since they have no signature: {', '.join(test.unjudged)}"] if test.unjudged else []
     return header, rows, notes
 
 
@@ -304,9 +304,9 @@ def codes(generator: ResidualGenerator, isolate: Structured) -> _Seen:
             rows.append([label, *("x" if on else "." for on in code), ", ".join(alike)])
     notes = []
     if any(test.settled):
-        notes.append("settled: the members that the fault still fires once it is constant")
+        notes.append("settled: members that a fault still fires once it is constant")
     if test.unjudged:
-        notes.append(f"never named, for want of a code: {', '.join(test.unjudged)}")
+        notes.append(f"never named, since they have no code: {', '.join(test.unjudged)}")
     if not test.strongly_isolating:
         notes.append("a code is part of another: a pattern with members silent is not read as degraded")
     return ["fault", *test.members, "cannot be told from"], rows, notes
@@ -323,4 +323,4 @@ def responses(matched: MatchedFilters) -> _Seen:
         rows.append([name, note, half[name], whole[name], fault_unit(plant, name), ", ".join(alike)])
     header = ["fault", "once constant", f"deviation of its size after {matched.window // 2} samples"]
     header += [f"after {matched.window}", "unit", "cannot be told from"]
-    return header, rows, ["a fault of about six deviations is found within that many samples"]
+    return header, rows, ["a fault of about six deviations is detected within that many samples"]

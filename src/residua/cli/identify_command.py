@@ -148,7 +148,7 @@ class Channels:
 
 
 def _stand_in(inputs: Sequence[str], outputs: Sequence[str]) -> Plant:
-    """Return a plant that has the channels, and no step: what is read is then these columns and no other."""
+    """Return a plant with these channels and no step, so that just these columns are read."""
     zeros = np.zeros((1, len(inputs))), np.zeros((len(outputs), 1))
     return Plant([[-1.0]], zeros[0], zeros[1], inputs=inputs, outputs=outputs)
 

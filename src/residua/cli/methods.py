@@ -28,11 +28,11 @@ CHOICE_TIME, TRYING_TIME = 10.0, 30.0
 
 
 class MethodError(ResiduaError):
-    """A method raised what is no answer about a plant: which one, and what."""
+    """A method raised an error that is no answer about a plant."""
 
 
 class OptionError(ValueError):
-    """An option whose text says nothing: which one, and what is wrong."""
+    """An option whose text cannot be read."""
 
     def __init__(self, option: str, why: str) -> None:
         super().__init__(f"{option}: {why}")
@@ -120,7 +120,7 @@ def _shared(name: str, holders: list[tuple[str, Option, Form]]) -> Shared:
 
 
 def in_plain_words(text: str) -> str:
-    """Return a description from a docstring without its markup."""
+    """Return a description from a docstring without markup."""
     text = re.sub(r":\w+:`~?(?:[\w.]*\.)?(\w+)`", r"\1", text)
     text = re.sub(r":math:`([^`]*)`", lambda found: _formula(found[1]), text).replace("``", "")
     return text.replace("[", "(").replace("]", ")")  # screens take brackets for markup
@@ -170,7 +170,7 @@ class Call:
         return [one.name for one in self.method.options if one.required and one.name not in chosen]
 
     def run(self, plant: Plant) -> Any:
-        """Make the call, and return what a monitor takes of it."""
+        """Make the call, and return the part that a monitor takes."""
         asked = self.method.with_chosen(plant, self.asked, self.made, CHOICE_TIME)
         try:
             made = self.method.function(self._of_the_time(plant), **asked)
@@ -236,15 +236,15 @@ def choose(plant: Plant, dt: float | None) -> tuple[Plant, str, Call, str]:
     best = found.best
     if best is None:
         tried = [f"{one.method.name}: {one.left_out or one.reason}" for one in found.entries if one.works is not None]
-        raise DesignError(
-            f"no design sees the faults of this plant whatever it does: {'; '.join([*found.notes, *tried])}"
-        )
-    why = "it serves the state; the plant has no faults"
+        raise DesignError(f"no design can see the faults of this plant: {'; '.join([*found.notes, *tried])}")
+    why = "it estimates the state; the plant has no faults"
     if best.sizes:
-        why = f"of a fault that lasts it sees (in brackets, by deviations of the noise) {found.seen_by(best)}"
+        why = (
+            f"it sees lasting faults from these sizes on (in brackets: deviations of the noise): {found.seen_by(best)}"
+        )
     if ".with_assumed_noise()" in best.call:
         plant, subject = plant.with_assumed_noise(), f"{subject}.with_assumed_noise()"
-        why += "; no noise is given, and what is assumed is a guess: fit the monitor on fault-free data"
+        why += "; the plant has no noise, so some is assumed: fit the monitor to fault-free data"
     return plant, method_name(best.method), Call(best.method, best.options, None, subject=subject), why
 
 
@@ -265,7 +265,7 @@ def call_of(name: str, asked: Mapping[str, Any], settings: Mapping[str, Any], dt
     SettingError
         If the method does not have an option, or needs one that is not there.
     OptionError
-        If a text says nothing.
+        If the text of an option cannot be read.
     """
     known = offered()
     method = known[name]
@@ -359,9 +359,9 @@ def _alternatives(plant: Plant, failed: str, call: Call) -> str:
         elif _exists(other, plant):
             exposed = plant.disturbances and not method.decouples
             possible.append(f"--method {name}{' (does not decouple the disturbances)' if exposed else ''}")
-    untried = f"; not tried for want of time: {', '.join(late)}" if late else ""
+    untried = f"; not tried, for lack of time: {', '.join(late)}" if late else ""
     if possible:
-        return f"what exists for this plant: {', '.join(possible)}{untried}"
+        return f"methods that exist for this plant: {', '.join(possible)}{untried}"
     return f"no other method exists for this plant either{untried}"
 
 
@@ -377,7 +377,7 @@ HEADER = ("method", "needs", "exists when", "options")
 
 
 def table() -> list[tuple[str, ...]]:
-    """Return what each method needs and which options it has, as rows under :data:`HEADER`."""
+    """Return needs and options of each method, as rows under :data:`HEADER`."""
     rows = []
     for name, method in offered().items():
         flags = [flag(one) for one in method.options if form_of(one) is not None]

@@ -23,7 +23,7 @@ from residua.recording.recording import Recording, read_recording
 
 
 class Decimal(StrEnum):
-    """What stands before the decimals."""
+    """The decimal mark."""
 
     point = "point"
     comma = "comma"
@@ -58,13 +58,10 @@ Step = Annotated[
         "--dt",
         metavar="S",
         callback=_positive,
-        help="Step in seconds, for recordings without times or whose times are not to be used; with --fill-gaps that "
-        "of the grid.",
+        help="Step in seconds, where there are no times or they are not used; with --fill-gaps the step of the grid.",
     ),
 ]
-Variable = Annotated[
-    str | None, typer.Option("--variable", metavar="NAME", help="Which array of a .mat or .npz file to read.")
-]
+Variable = Annotated[str | None, typer.Option("--variable", metavar="NAME", help="Array of a .mat or .npz file.")]
 FillGaps = Annotated[
     bool, typer.Option("--fill-gaps", help="Put the rows on a grid of equal steps; missing rows become gaps.")
 ]
@@ -74,16 +71,16 @@ Tolerance = Annotated[
         "--tolerance",
         metavar="PART",
         callback=_positive,
-        help="Largest irregularity of the times as a part of the step: 0.01, with --fill-gaps 0.1.",
+        help="Largest irregularity of the times, in steps: 0.01; with --fill-gaps 0.1.",
     ),
 ]
 DayFirst = Annotated[
-    bool | None, typer.Option("--day-first/--month-first", help="How dates such as 3/4/2026 are to be read.")
+    bool | None, typer.Option("--day-first/--month-first", help="Order of day and month in dates such as 3/4/2026.")
 ]
 TimeFormat = Annotated[
-    str | None, typer.Option("--time-format", metavar="FORMAT", help="How dates are written, as %d-%b-%Y %H:%M:%S.")
+    str | None, typer.Option("--time-format", metavar="FORMAT", help="Format of dates, such as %d-%b-%Y %H:%M:%S.")
 ]
-DecimalMark = Annotated[Decimal, typer.Option("--decimal", help="What stands before the decimals in text.")]
+DecimalMark = Annotated[Decimal, typer.Option("--decimal", help="Decimal mark of text.")]
 Columns = Annotated[
     str | None,
     typer.Option(
@@ -134,7 +131,7 @@ class Reading:
         return self.read_channels(path, _plant_of(watch))
 
     def options(self, watch: Monitor) -> ReadOptions:
-        """Return what was said, for a monitor."""
+        """Return the options, with the plant of a monitor."""
         return ReadOptions(
             _plant_of(watch),
             self.time,
@@ -191,14 +188,14 @@ def with_reading(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def _plant_of(watch: Monitor) -> Plant:
-    """Return the plant of a monitor: sampled, it knows the step of recordings without times."""
+    """Return the plant of a monitor, sampled where its step is known."""
     try:
         return watch.generator.plant
     except ModelError:
         return watch.design.plant
 
 
-#: What is said in Python about reading, as a pattern, and the same for the command line.
+#: Words of Python about reading, as patterns, and those of the command line.
 _WORDS = {
     r"fill_gaps=True of read_recording and recording_from_frame": "--fill-gaps",
     r"\bfill_gaps(=True)?\b": "--fill-gaps",
@@ -215,7 +212,7 @@ _WORDS = {
 
 
 def reading_words(text: str) -> str:
-    """Return what is said about reading a recording in the words of the command line."""
+    """Return a message about reading in the words of the command line."""
     for python, here in _WORDS.items():
         text = re.sub(python, here, text)
     return text
@@ -223,7 +220,7 @@ def reading_words(text: str) -> str:
 
 @contextmanager
 def in_words_of_options() -> Iterator[None]:
-    """Say errors about reading in the words of the command line."""
+    """Put errors about reading in the words of the command line."""
     try:
         yield
     except ResiduaError as error:

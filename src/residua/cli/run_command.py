@@ -272,4 +272,4 @@ def _unnamed(alarm: Alarm) -> str:
         return "not isolated"
     if alarm.reading.together:
         return " and ".join(" or ".join(group) for group in alarm.reading.together)
-    return "not told which, several, or not known" if alarm.reading.possible else "several, or not known"
+    return "one of several, several, or unknown" if alarm.reading.possible else "several, or unknown"

@@ -1,4 +1,4 @@
-"""What the commands print: tables on a terminal, plain columns in a pipe."""
+"""Output of the commands: tables on a terminal, plain columns in a pipe."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ if TYPE_CHECKING:
 _PIPE_WIDTH = 10_000
 #: Seconds of work after which a progress bar appears.
 _PATIENCE = 2.0
-#: Bytes from which on reading a file takes long enough to say so.
+#: Bytes from which on a file is slow to read, so that its name is shown.
 _LARGE_FILE = 20_000_000
 
 
 class _Console(Console):
     def on_broken_pipe(self) -> None:
-        """Leave it to the guard, which knows the exit statuses."""
+        """Leave it to the guard, which sets the exit status."""
         raise BrokenPipeError
 
 
@@ -118,7 +118,7 @@ def _is_number(text: str) -> bool:
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Say on a terminal that a large file is being read."""
+    """Show on a terminal that a large file is being read."""
     err = Console(stderr=True, markup=False, highlight=False)
     if err.is_terminal and path.stat().st_size > _LARGE_FILE:
         with err.status(f"reading {visible(path.name)}"):
@@ -129,7 +129,7 @@ def reading(path: Path) -> Iterator[None]:
 
 @contextmanager
 def patience(what: str) -> Iterator[None]:
-    """Say on stderr what is being done, once two seconds have gone; a terminal shows how long it has taken."""
+    """Name a task on stderr once it has taken two seconds; a terminal shows the elapsed time."""
     err = Console(stderr=True, markup=False, highlight=False)
     bars: list[Progress] = []
 

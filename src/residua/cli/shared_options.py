@@ -71,7 +71,7 @@ def check_step(dt: float | None, of_plant: float) -> None:
 
 
 #: Endings of files, and the kind of file that has them.
-_KINDS = {".json": "monitor", ".toml": "plant file"} | dict.fromkeys(
+_KINDS = {".json": "monitor"} | dict.fromkeys(
     (".csv", ".tsv", ".txt", ".dat", ".log", ".gz", ".parquet", ".mat", ".npz", ".xlsx"), "recording"
 )
 #: Advice where one kind of file is wanted, and another one is given.
@@ -85,9 +85,18 @@ _INSTEAD = {
     ("monitor", "plant file"): "make a monitor from it first: residua design {path} -o MONITOR.json",
     ("recording", "plant file"): "give a log of measured inputs and outputs, such as a CSV file",
     ("recording", "monitor"): "give a log of measured inputs and outputs, such as a CSV file",
+    ("configuration", "plant file"): "'residua live --example' prints a configuration",
     ("configuration", "recording"): "'residua live --example' prints a configuration; 'residua run' judges a recording",
     ("configuration", "monitor"): "name the monitor in a configuration; 'residua live --example' prints one",
 }
+
+
+def _kind(path: Path) -> str | None:
+    """Return the kind of a file; of the kinds of TOML, plant files have a mark in them."""
+    if path.suffix.lower() == ".toml" and path.is_file():
+        with path.open("rb") as file:
+            return "plant file" if b"residua-plant/" in file.read(10_000) else None
+    return _KINDS.get(path.suffix.lower())
 
 
 def check_file(path: Path, wanted: str) -> None:
@@ -99,16 +108,16 @@ def check_file(path: Path, wanted: str) -> None:
     wanted : {"plant file", "monitor", "recording", "configuration"}
     """
     check_input(path, wanted)
-    found = _KINDS.get(path.suffix.lower(), wanted)
-    if (wanted, found) in _INSTEAD:
+    found = _kind(path)
+    if found is not None and (wanted, found) in _INSTEAD:
         raise FileFormatError(f"{path} is a {found}, not a {wanted}: {_INSTEAD[wanted, found].format(path=path)}")
 
 
 def check_order(command: str, monitor: Path, recordings: Sequence[Path]) -> None:
     """Raise where a recording stands in the place of the monitor, and the monitor among the recordings."""
     names = [monitor, *recordings]
-    monitors = [path for path in recordings if _KINDS.get(path.suffix.lower()) == "monitor"]
-    if _KINDS.get(monitor.suffix.lower()) == "recording" and len(monitors) == 1:
+    monitors = [path for path in recordings if _kind(path) == "monitor"]
+    if _kind(monitor) == "recording" and len(monitors) == 1:
         rest = " ".join(str(path) for path in names if path != monitors[0])
         raise DataError(f"the monitor comes first: residua {command} {monitors[0]} {rest}")
 
@@ -128,7 +137,7 @@ def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path] = ()) -
     Parameters
     ----------
     outputs : iterable of Path or None
-        ``None`` stands for an output that was not asked for.
+        ``None`` stands for an output that is not wanted.
     inputs : iterable of Path
         Files that must not be overwritten.
     """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -18,7 +19,8 @@ from residua.plant.plant import Plant
 from residua.plant.toml_entry import Entry, suggestion
 from residua.visible import echo, listed, shortened
 
-FORMAT = "residua-plant/1"
+_VERSION = 1
+FORMAT = f"residua-plant/{_VERSION}"
 
 FILE_KEYS = (
     "format",
@@ -112,7 +114,10 @@ def loads_plant(text: str, *, source: str = "plant") -> Plant:
         raise FileFormatError(f'{source}: not a plant file: it must say format = "{FORMAT}"')
     root = Entry(data, source, "", FILE_KEYS)
     if root.data["format"] != FORMAT:
-        raise root.error("format", f"expected {FORMAT!r}, got {kind_of(root.data['format'])}")
+        found = root.data["format"]
+        named = re.fullmatch(r"residua-plant/(\d{1,9})", str(found))
+        advice = "; upgrade residua" if named and int(named[1]) > _VERSION else ""
+        raise root.error("format", f"expected {FORMAT!r}, got {kind_of(found)}{advice}")
     try:
         plant = _core(root)
         for entry in root.tables("disturbances", ("name", "state", "output")):
