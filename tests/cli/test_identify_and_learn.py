@@ -121,7 +121,7 @@ def test_an_input_without_effect_gets_no_fault(tmp_path: Path, residua: Residua)
 def test_a_known_delay_and_several_recordings(logs: Path, tmp_path: Path, residua: Residua) -> None:
     files = (logs / "normal.csv", logs / "other.csv")
     status, out, _ = residua(
-        "identify", *files, *CHANNELS, "--delay", "pump=1", "-o", tmp_path / "p.toml", "--order", "2"
+        "identify", *files, *CHANNELS, "--delays", "pump=1", "-o", tmp_path / "p.toml", "--order", "2"
     )
     assert status == 0
     assert "4123 rows" in out  # three quarters of both, without the row that the delay takes from each
@@ -255,7 +255,7 @@ def test_bad_channels_and_data_are_one_line_on_stderr(
     both = ("--inputs", "pump,level 1", "--outputs", "level 1,level 2")
     assert_error(call(normal, *both), "level 1 cannot be an input and an output")
     assert_error(call(normal, "--inputs", "pump,level 1,level 2"), "every column is an input")
-    assert_error(call(normal, *CHANNELS, "--delay", "level 1=2"), "'level 1' is no input")
+    assert_error(call(normal, *CHANNELS, "--delays", "level 1=2"), "'level 1' is no input")
     assert_error(call(normal, *CHANNELS, "--units", "level 3=cm"), "--units: no channel level 3")
     assert_error(call(normal, *CHANNELS, "--order", "900"), "a model of order 900", "the data are enough for order")
     rows = simulate(600, 6)
@@ -281,7 +281,7 @@ def test_bad_files_and_options(command: str, logs: Path, tmp_path: Path, residua
     assert_error(residua(command, normal, normal, *out), "is given twice")
     assert_error(residua(command, normal, "-o", normal), "is read by this command")
     for option in (
-        ("--delay", "pump"),
+        ("--delays", "pump"),
         ("--inputs", "pump,"),
         ("--inputs", "a,a"),
         ("--method", "arx"),

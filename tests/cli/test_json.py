@@ -45,7 +45,7 @@ def test_codes(answer: Any) -> None:
     found = answer("codes plant.toml")
     assert found["faults"] == ["level 1 sensor", "pump actuator", "leak"]
     assert set(found["coding_set"]["rows"]) <= {one["row"] for one in found["rows"] if one["attainable"]}
-    asked = answer("codes plant.toml --rows 111,100")
+    asked = answer("codes plant.toml --structure 111,100")
     assert [one["row"] for one in asked["rows"]] == ["111", "100"]
     assert all(one["attainable"] == (one["reason"] is None) for one in asked["rows"])
 

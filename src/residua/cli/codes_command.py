@@ -27,7 +27,7 @@ class Quality(StrEnum):
     weak = "weak"
 
 
-def _rows(text: str | None) -> str | None:
+def _structure(text: str | None) -> str | None:
     if text is not None:
         try:
             parse_rows(text)
@@ -38,10 +38,10 @@ def _rows(text: str | None) -> str | None:
 
 def codes(
     plant: PlantFile,
-    rows: Annotated[
+    structure: Annotated[
         str | None,
         typer.Option(
-            callback=_rows,
+            callback=_structure,
             metavar="LIST",
             help="Rows to check, one for each residual, with 0 or 1 for each fault: 011,101.",
         ),
@@ -57,8 +57,8 @@ def codes(
     """Choose a coding set: which residual answers to which fault."""
     check_file(plant, "plant file")
     model = load_plant(plant)
-    if rows:
-        space = coding.attainable(model, parse_rows(rows), constant=constant)
+    if structure:
+        space = coding.attainable(model, parse_rows(structure), constant=constant)
         asked = coding.CodingSet(space.structure, space.faults, space.residuals)
         if as_json:
             screen.print_json(_values(space, asked))
@@ -73,14 +73,14 @@ def codes(
         screen.print_json(_values(space, chosen))
         return
     if len(space.residuals) > _LISTED:
-        screen.say(f"{model.name}: {len(space.residuals)} rows are attainable; --rows checks those that you name")
+        screen.say(f"{model.name}: {len(space.residuals)} rows are attainable; --structure checks those that you name")
     else:  # r1, r2, ... are the residuals of the choice, and of a bank that is made of it
         screen.say(str(replace(space, residuals=tuple(f"row {k + 1}" for k in range(len(space.residuals))))))
-    screen.say("", in_cli_words(str(chosen)), f"as an option: --rows {','.join(chosen.digits)}")
+    screen.say("", in_cli_words(str(chosen)), f"as an option: --structure {','.join(chosen.digits)}")
 
 
 def _values(space: coding.Attainability, chosen: coding.CodingSet) -> dict[str, Any]:
-    """Return rows that were examined, and those of a coding set, as values for JSON."""
+    """Return attainable rows and a coding set as values for JSON."""
     return {
         "plant": space.plant.name,
         "faults": space.faults,

@@ -106,7 +106,6 @@ _WORDS = {
     r"NormThreshold\(window=(\d+|\.\.\.)\)": r"--window \1",
     r"NormThreshold\(persistence=(\d+|\.\.\.)\)": r"--persistence \1",
     r"\b(poles|margin|faults)=(?:\[\.\.\.\]|\.\.\.|(?=[,;. )]|$))": r"--\1",
-    r"\bstructure=(?:\.\.\.|(?=[,;. )]|$))": "--rows",
     r"\b(observer|scheme|transient)='([a-z-]+)'": r"--\1 \2",
 }
 

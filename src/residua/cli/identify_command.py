@@ -53,29 +53,21 @@ def parse_names(text: str | None) -> list[str]:
     return [] if text is None else [part.strip() for part in text.split(",")]
 
 
-def _delays(texts: list[str] | None) -> list[str] | None:
-    for text in texts or []:
-        name, _, rows = text.rpartition("=")
-        if not name.strip() or not rows.strip().isdecimal():
-            raise typer.BadParameter(f"expected INPUT=ROWS, such as Q1=3, got {echo(text)}")
-    return texts
-
-
-def parse_delays(texts: list[str] | None) -> dict[str, int]:
-    """Return the rows by which inputs act late."""
-    pairs = [text.rpartition("=") for text in texts or []]
-    return {name.strip(): int(rows) for name, _, rows in pairs}
+def _delays(text: str | None) -> str | None:
+    if not all(name and rows.isdecimal() for name, rows in _pairs(text)):
+        raise typer.BadParameter(f"expected INPUT=ROWS,... such as Q1=3, got {echo(text)}")
+    return text
 
 
 def _units(text: str | None) -> str | None:
-    if text is not None and not all(name and unit for name, unit in _pairs(text)):
+    if not all(name and unit for name, unit in _pairs(text)):
         raise typer.BadParameter("expected CHANNEL=UNIT,... such as h1=cm,Q1=cm3/s")
     return text
 
 
 def _pairs(text: str | None) -> list[tuple[str, str]]:
     halves = [part.rpartition("=") for part in text.split(",")] if text else []
-    return [(name.strip(), unit.strip()) for name, _, unit in halves]
+    return [(name.strip(), value.strip()) for name, _, value in halves]
 
 
 def _held_out(value: float) -> float:
@@ -109,9 +101,9 @@ HowStates = Annotated[
     Method, typer.Option("--method", help="pbsid holds in closed loop too; the others are for open loop.")
 ]
 Feedthrough = Annotated[bool, typer.Option("--feedthrough", help="An input acts on an output within the same row.")]
-Delay = Annotated[
-    list[str] | None,
-    typer.Option("--delay", metavar="INPUT=ROWS", callback=_delays, help="A known delay; repeat for each input."),
+Delays = Annotated[
+    str | None,
+    typer.Option("--delays", metavar="LIST", callback=_delays, help="INPUT=ROWS,... for inputs with a known delay."),
 ]
 SensorFaults = Annotated[
     bool, typer.Option("--sensor-faults/--no-sensor-faults", help="A fault of every output in the plant.")
@@ -191,7 +183,7 @@ def identify(
     past: Past = None,
     method: HowStates = Method.pbsid,
     feedthrough: Feedthrough = False,
-    delay: Delay = None,
+    delays: Delays = None,
     held_out: Annotated[
         float,
         typer.Option("--held-out", metavar="PART", callback=_held_out, help="Last part, which only checks the model."),
@@ -209,7 +201,7 @@ def identify(
     check_recordings(normal)
     check_outputs([output, report], normal)
     data = Channels(parse_names(inputs), parse_names(outputs)).read(normal, reading)
-    settings = settings_of(data, order, max_order, past, method, feedthrough, delay, units)
+    settings = settings_of(data, order, max_order, past, method, feedthrough, delays, units)
     model = subspace(data, **settings, held_out=held_out, name=name)
     notes = [f"{one.source}: {note}" for one in data for note in one.notes]
     plant = with_channel_faults(
@@ -265,7 +257,7 @@ def settings_of(
     past: int | None,
     method: Method,
     feedthrough: bool,
-    delay: list[str] | None,
+    delays: str | None,
     units: str | None,
 ) -> dict[str, Any]:
     """Return options as arguments of :func:`residua.identify.subspace`."""
@@ -282,6 +274,6 @@ def settings_of(
         "past": "auto" if past is None else past,
         "method": method.value,
         "feedthrough": feedthrough,
-        "delays": parse_delays(delay),
+        "delays": {name: int(rows) for name, rows in _pairs(delays)},
         "units": of,
     }

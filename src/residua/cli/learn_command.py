@@ -13,7 +13,7 @@ from residua.cli.guard import in_cli_words, warn
 from residua.cli.identify_command import (
     ActuatorFaults,
     Channels,
-    Delay,
+    Delays,
     Feedthrough,
     HowStates,
     MaxOrder,
@@ -49,7 +49,7 @@ def learn(
     past: Past = None,
     method: HowStates = Method.pbsid,
     feedthrough: Feedthrough = False,
-    delay: Delay = None,
+    delays: Delays = None,
     form: Annotated[
         str, typer.Option("--form", metavar="|".join(ROUTES), help="Relations between channels; chosen when omitted.")
     ] = "auto",
@@ -74,7 +74,7 @@ def learn(
     check_outputs([output], normal)
     named = [] if inputs in (None, "none") else parse_names(checked_names(inputs))
     data = Channels(named, parse_names(outputs)).read(normal, reading)
-    options = settings_of(data, order, max_order, past, method, feedthrough, delay, units)
+    options = settings_of(data, order, max_order, past, method, feedthrough, delays, units)
     channels = {name: options.pop(name) for name in ("inputs", "outputs")}
     learnt = learn_monitor(
         data,

@@ -46,8 +46,7 @@ def option_name(name: str) -> str:
 
 def flag(option: Option) -> str:
     """Return how an option of a method is written on the command line."""
-    form = form_of(option)
-    return option_name(form.name if form and form.name else option.name)
+    return option_name(option.name)
 
 
 def method_name(method: Method) -> str:
@@ -112,7 +111,7 @@ def _shared(name: str, holders: list[tuple[str, Option, Form]]) -> Shared:
     form = holders[0][2]
     texts = Counter(one.text for _, one, _ in holders)
     text = max(texts, key=lambda one: (bool(one), texts[one], len(one)))
-    plain = option_name(form.name or name)
+    plain = option_name(name)
     flags = (f"{plain}/--no-{plain[2:]}",) if form.is_flag else (plain,)
     if any(other.is_flag != form.is_flag for _, _, other in holders):  # of one name and two kinds: each reads its text
         form, flags = Form("TEXT", str), (plain,)

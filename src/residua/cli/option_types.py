@@ -31,21 +31,18 @@ class Form:
         From text to a value; raises ``ValueError`` with the mistake. Of a flag, from true or false.
     is_flag : bool
         Whether it is either there or not.
-    name : str
-        How the command line calls it; its own name when empty.
     """
 
     metavar: str
     read: Callable[[Any], Any] = field(compare=False)
     is_flag: bool = False
-    name: str = ""
 
 
 def form_of(option: Option) -> Form | None:
     """Return how an option is written; ``None`` for values that have no text, such as other plants."""
     kinds = option.kinds
     if CodingSet in kinds:
-        return Form("LIST", parse_rows, name="rows")
+        return Form("LIST", parse_rows)
     mapped = next((typing.get_args(kind)[-1] for kind in kinds if typing.get_origin(kind) is Mapping), None)
     single = _single(option, kinds)
     if mapped is None:
