@@ -23,7 +23,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     -------
     int
         0 for success and no fault, 1 when ``residua run`` or ``live`` raised an alarm, 2 for an error, 130 when
-        interrupted; :doc:`command-line` has all.
+        interrupted.
     """
     streams.prepare()
     try:
