@@ -10,6 +10,7 @@ from residua.decide.explanation import BLOCKS
 from residua.decide.false_alarms import within_tolerance
 from residua.decide.held_out import HeldOut
 from residua.decide.stationarity import Change
+from residua.errors import DataError
 from residua.monitor.visible_sizes import DETECTABLE, HEADER, SOON, VisibleSize
 from residua.number_kinds import COUNT, FINITE, INDEX, PROBABILITY, SHARE, NumberKind
 from residua.records import Record
@@ -156,6 +157,40 @@ class FitCheck(Shown, Record):
         if held is not None and held.is_over:
             found.insert(0, f"{held}, too many for {one_in(held.asked)}: {_CHANGES if found else _CAUSES}")
         return tuple(f"the fit: {one}" for one in (*self.cautions, *self.units, *self.doubts, *found, *self._wandering))
+
+    @property
+    def looks_faulty(self) -> str:
+        """The reason for which the recordings are hardly fault-free throughout; empty where there is none.
+
+        More of the held-out samples are in alarm than ten times the rate aimed at, with 97.5 % confidence, or a mean
+        steps by three standard deviations or more and does not come back. Without samples held out nothing is checked.
+        """
+        held = self.held_out
+        if held is None:
+            return ""
+        several = self.recordings > 1
+        if held.is_far_over:
+            where = f" of recording {held.recording}" if several else ""
+            return (
+                f"{held.alarmed:,} of {held.samples:,} held-out samples are in alarm, the first at sample "
+                f"{held.sample:,}{where}, where {one_in(held.asked)} was asked"
+            )
+        step = next((one for one in self.changes if one.is_step), None)
+        if step is None:
+            return ""
+        where = f" of recording {step.recording}" if several else ""
+        return (
+            f"the mean of {step.residuals[0]!r} steps by {number(step.size, 2)} standard deviations at sample "
+            f"{step.sample:,} of {step.samples:,}{where}, and {step.samples - step.sample:,} samples follow"
+        )
+
+    def require_fault_free(self) -> None:
+        """Raise :class:`residua.errors.DataError` where the recordings look faulty."""
+        if self.looks_faulty:
+            raise DataError(
+                f"this looks like no fault-free recording: {self.looks_faulty}; leave the faulty rows out; where all "
+                "rows are normal, fit several recordings that have such changes more than once, or give force=True"
+            )
 
     @property
     def _wandering(self) -> tuple[str, ...]:

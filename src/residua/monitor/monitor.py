@@ -259,6 +259,7 @@ class Monitor(Guessed, Shown):
         false_alarm_rate: float | None = None,
         held_out: float = 0.2,
         transient: int | str = 0,
+        force: bool = False,
     ) -> Monitor:
         """Fit mean, covariance and threshold to one or several fault-free recordings.
 
@@ -294,10 +295,9 @@ class Monitor(Guessed, Shown):
             what only the last part shows of normal operation is no part of the model otherwise.
         transient : int or "auto"
             Samples at the start of each recording, counted with those over which the filter settles, that the fit
-            leaves out. ``"auto"``: those that are not like the rest, the norm of the residuals being larger there, if
-            there are any (:func:`residua.decide.stationarity.changes`); half of the recording at most. What the plant
-            does at its start is no part of what is normal then, and raises alarms: set ``settle`` where that should
-            not be.
+            leaves out. ``"auto"``: those over which the norm of the residuals is larger than in the rest
+            (:func:`residua.decide.stationarity.changes`); half of the recording at most. A start is then no part of
+            normal operation, and raises alarms: set ``settle`` where it should not.
 
         Returns
         -------
@@ -307,7 +307,7 @@ class Monitor(Guessed, Shown):
         Raises
         ------
         DataError
-            If a recording does not fit the plant, or is too short, or goes over a threshold of a finite-horizon test.
+            If a recording does not fit the plant, is too short, looks faulty, or is over a finite-horizon threshold.
         """
         check_held_out(held_out, transient)
         parts = several_signals(u, y, time, dt, self.design.plant)
@@ -319,7 +319,7 @@ class Monitor(Guessed, Shown):
             blank = blank_test(self.generator)
             samples = np.concatenate([data.reshape(-1, data.shape[2]) for data in recordings])
             ranges = fitted_ranges(self.plausible, samples, guarded_ranges(self.generator, blank))
-            self._test, self._check, self._normal = fitted_test(
+            test, check, normal = fitted_test(
                 self._settings,
                 self._watched(self.generator),
                 recordings,
@@ -331,6 +331,9 @@ class Monitor(Guessed, Shown):
                 held_out=float(held_out),
                 transient=transient,
             )
+            if not force:
+                check.require_fault_free()
+            self._test, self._check, self._normal = test, check, normal
             self._ranges, self._spec, self._state = ranges, None, None
         return self
 

@@ -154,6 +154,7 @@ class RegimeMonitor(Shown):
         dt: float | None = None,
         false_alarm_rate: float | None = None,
         held_out: float = 0.2,
+        force: bool = False,
     ) -> RegimeMonitor:
         """Fit the monitor of every mode to its rows of one or several fault-free recordings.
 
@@ -163,6 +164,7 @@ class RegimeMonitor(Shown):
             As for :meth:`residua.Monitor.fit`: with the channels of the regimes, the signals of the modes included, by
             name or, of arrays, in the same columns.
         false_alarm_rate, held_out : float
+        force : bool
             As for :meth:`residua.Monitor.fit`, in every mode.
 
         Returns
@@ -192,7 +194,7 @@ class RegimeMonitor(Shown):
                 unfitted[name] = f"no visit of more than {monitor.settling_samples} settled samples to fit it to"
                 continue
             try:
-                fitted[name] = monitor.fit(pairs, false_alarm_rate=false_alarm_rate, held_out=held_out)
+                fitted[name] = monitor.fit(pairs, false_alarm_rate=false_alarm_rate, held_out=held_out, force=force)
             except DataError as error:
                 unfitted[name] = f"not fitted: {error}"
         if not fitted:

@@ -333,7 +333,7 @@ def run_file(
     100.0
     """
     path = Path(path)
-    check_input(path, "a recording")
+    check_input(path, "recording")
     if residuals is not None:
         check_table(residuals)
     plant: Plant = monitor.design.plant

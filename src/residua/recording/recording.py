@@ -121,7 +121,7 @@ def read_recording(
         If reading Parquet needs pyarrow and it is not installed.
     """
     path = Path(path)
-    check_input(path, "a recording")
+    check_input(path, "recording")
     check_kind(path)
     options = ReadOptions(
         plant, time, dt, columns, variable, tolerance, fill_gaps, dayfirst, time_format, decimal, transpose, missing
@@ -200,7 +200,7 @@ def check_kind(path: Path) -> None:
 
 def text_of(path: Path) -> bytes:
     """Return the text of a file, unpacked where it is packed by gzip."""
-    content = read_bytes(path, "a recording")
+    content = read_bytes(path, "recording")
     if not content.startswith(b"\x1f\x8b"):
         return content
     inner = Path(path.stem).suffix.lower()

@@ -191,7 +191,7 @@ def load_scenarios(path: str | Path) -> tuple[Scenario, ...]:
         at = 600
         size = [0.02, 0.05, 0.1]
     """
-    data = read_bytes(path, "a file of scenarios")
+    data = read_bytes(path, "scenario file")
     try:
         content = tomllib.loads(data.decode("utf-8"))
     except ValueError as error:
