@@ -49,7 +49,7 @@ MONITORS: dict[str, Callable[[], rs.Monitor]] = {
     "default": lambda: rs.Monitor(rs.design.kalman_filter(plant())),
     "fitted": lambda: rs.Monitor(rs.design.kalman_filter(plant())).fit(*rows(900, 0.0, 1)),
     "CUSUM": lambda: rs.Monitor(rs.design.kalman_filter(plant()), test=CUSUM(threshold=4.0)),
-    "groups": lambda: rs.Monitor(rs.design.kalman_filter(plant()), test=NormThreshold(groups={"a": [0], "b": [1]})),
+    "groups": lambda: rs.Monitor(rs.design.kalman_filter(plant()), test=NormThreshold(groups="each")),
     "matched": lambda: rs.Monitor(rs.design.matched_filters(plant(), window=20)),
     "names by matched filters": lambda: rs.Monitor(rs.design.kalman_filter(plant()), isolate=Matched()),
     "likelihood": lambda: rs.Monitor(rs.design.kalman_filter(plant()), test=CUSUM(threshold=4.0), isolate=Likelihood()),
