@@ -375,7 +375,7 @@ def snapshots() -> tuple[bytes, ...]:
     for monitor in monitors():
         fleet = rs.Fleet(monitor, plants=["north", "south", "east"])
         u, y = FAULTY
-        fleet.run(np.stack([u] * 3), np.stack([y, y[::-1], y[:, ::-1]]))
+        fleet.update(np.stack([u] * 3), np.stack([y, y[::-1], y[:, ::-1]]))
         _FLEETS[fleet.snapshot()] = monitor
     return tuple(_FLEETS)
 
