@@ -13,7 +13,10 @@ from pathlib import Path
 import pytest
 
 REPOSITORY = Path(__file__).resolve().parent.parent
-PAGES = ["README.md", *sorted(f"docs/{page.name}" for page in REPOSITORY.glob("docs/*.rst"))]
+DOCS = REPOSITORY / "docs"
+WRITTEN = sorted([*DOCS.glob("*.rst"), *DOCS.glob("how-to/*.rst")])
+PAGES = ["README.md", *(page.relative_to(REPOSITORY).as_posix() for page in WRITTEN)]
+DOORS = ("i-have-a-log", "getting-started", "i-have-a-paper")
 LONGEST, MEAN = 25, 18  # words
 
 FENCED = re.compile(r"^ *```.*?^ *```$", re.MULTILINE | re.DOTALL)
@@ -88,6 +91,15 @@ def test_sentences_are_short(page: str) -> None:
     long = [f"{page}:{line}: {words(text)} words: {text}" for line, text in found if words(text) > LONGEST]
     assert not long, "\n".join(long)
     assert sum(words(text) for _, text in found) <= MEAN * len(found)
+
+
+@pytest.mark.parametrize("door", DOORS)
+def test_a_door_is_one_short_page(door: str) -> None:
+    assert len((DOCS / f"{door}.rst").read_text(encoding="utf-8").split()) <= 800
+
+
+def test_the_start_page_has_ten_rows_at_most() -> None:
+    assert (DOCS / "index.rst").read_text(encoding="utf-8").count("   * - ") <= 10
 
 
 def test_a_long_sentence_is_found_where_it_stands() -> None:

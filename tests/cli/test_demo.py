@@ -76,7 +76,7 @@ def test_demo_three_tank_and_the_same_by_hand(tmp_path: Path, residua: Residua) 
 
 
 def test_demo_folder_that_is_a_file(made: Path, residua: Residua) -> None:
-    assert_error(residua("demo", "three-tank", "-o", made / "plant.toml"), "needs a folder")
+    assert_error(residua("demo", "three-tank", "-o", made / "plant.toml"), "is a file; name a folder")
 
 
 def test_learn_on_the_log_of_the_demo(tmp_path: Path, residua: Residua) -> None:

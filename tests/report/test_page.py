@@ -164,15 +164,12 @@ def _all_nan(d):
 EDGES = {
     "no alarm": (lambda: diagnosis(fault=False), "No fault found."),
     "no isolation": (
-        lambda: (
-            (d := diagnosis())
-            and replace(
-                d,
-                groups=(),
-                signatures=(),
-                scores=np.zeros((600, 0)),
-                alarms=(replace(d.alarms[0], candidates=()),),
-            )
+        lambda: replace(
+            (d := diagnosis()),
+            groups=(),
+            signatures=(),
+            scores=np.zeros((600, 0)),
+            alarms=(replace(d.alarms[0], candidates=()),),
         ),
         "it was not isolated",
     ),
@@ -194,32 +191,23 @@ EDGES = {
         "Never named, because this monitor has no signature for it",
     ),
     "scores not judged": (
-        lambda: (
-            (d := diagnosis())
-            and replace(d, alarms=(replace(d.alarms[0], candidates=(Candidate(("a",), np.nan, np.nan),)),))
+        lambda: replace(
+            (d := diagnosis()), alarms=(replace(d.alarms[0], candidates=(Candidate(("a",), np.nan, np.nan),)),)
         ),
         "it was not isolated",
     ),
     "one candidate": (
-        lambda: (d := diagnosis()) and replace(d, alarms=(replace(d.alarms[0], candidates=d.candidates[:1]),)),
+        lambda: replace((d := diagnosis()), alarms=(replace(d.alarms[0], candidates=d.candidates[:1]),)),
         "there is no other candidate",
     ),
     "poor match": (
-        lambda: (
-            (d := diagnosis())
-            and replace(d, alarms=(replace(d.alarms[0], candidates=(Candidate(("a",), 0.5, 0.87),)),))
-        ),
+        lambda: replace((d := diagnosis()), alarms=(replace(d.alarms[0], candidates=(Candidate(("a",), 0.5, 0.87),)),)),
         "a poor match: the best score is 0.500, below 0.90; nearest is a.",
     ),
     "close call": (
-        lambda: (
-            (d := diagnosis())
-            and replace(
-                d,
-                alarms=(
-                    replace(d.alarms[0], candidates=(Candidate(("a", "b"), 0.95, 0.3), Candidate(("c",), 0.94, 0.3))),
-                ),
-            )
+        lambda: replace(
+            (d := diagnosis()),
+            alarms=(replace(d.alarms[0], candidates=(Candidate(("a", "b"), 0.95, 0.3), Candidate(("c",), 0.94, 0.3))),),
         ),
         "This monitor cannot tell a and b apart.",
     ),

@@ -187,7 +187,7 @@ def load_settings(path: str | Path) -> LiveSettings:
         If what an adapter needs is not installed.
     """
     path = Path(path)
-    content = read_bytes(path, "a configuration")
+    content = read_bytes(path, "configuration")
     if len(content) > _LARGEST:
         raise FileFormatError(f"{path}: this is too large for a configuration")
     try:

@@ -129,7 +129,7 @@ def render(sections: Sequence[Section], title: str, introduction: Sequence[str] 
                 [
                     (k, s.heading, s.diagnosis, None if s.actual is None else _names(s.actual))
                     for k, s in shown
-                    if s.diagnosis
+                    if s.diagnosis is not None
                 ]
             )
         )

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from residua.decide.alarm import Candidate
 from residua.decide.statement import angle, capital, left_out_text, longest_alarms, ranked, sizes_text, tied_name
 from residua.design.core.evidence import Evidence, format_pole
-from residua.monitor.fault_learning import learnt_table
+from residua.monitor.fault_learning import LearntFaults
 from residua.monitor.visible_sizes import DETECTABLE, HEADER
 from residua.report.choosing import SHOWN_FAULTS
 from residua.report.text import escape
@@ -173,7 +173,7 @@ def candidate_table(diagnosis: Diagnosis) -> str:
 
 def learnt_faults_html(diagnosis: Diagnosis) -> str:
     """Return the table of the faults that were learnt from recordings, and how the main alarm lies to each."""
-    table = learnt_table(diagnosis.isolation)
+    table = LearntFaults(diagnosis.learnt_faults)
     if not table:
         return ""
     header, rows = table.cells()

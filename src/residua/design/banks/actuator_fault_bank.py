@@ -26,7 +26,6 @@ from residua.plant import Plant
     decouples=True,
     singular=True,
     many=True,
-    formerly=["actuator-bank"],
     calls=each_scheme,
 )
 @in_own_time()

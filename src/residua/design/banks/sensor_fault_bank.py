@@ -27,7 +27,6 @@ from residua.plant import Plant
     decouples=True,
     singular=True,
     many=True,
-    formerly=["sensor-bank"],
     calls=each_scheme,
 )
 @in_own_time()
