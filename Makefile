@@ -79,7 +79,7 @@ test-cluster-here: $(VENV)/.made-test-cluster
 docs: $(VENV)/.made-docs
 	$(BIN)/python docs/make_picture.py
 	rm -rf docs/api/generated  # pages of names that are gone would fail the build
-	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
+	$(BIN)/python -m sphinx -E -W --keep-going -q -b html docs docs/_build/html  # without -E the search loses index entries
 	@echo "docs/_build/html/index.html"
 
 bench: $(VENV)/.made-bench

@@ -89,7 +89,7 @@ def plants(folder: Path | None) -> Iterator[rs.Plant]:
 def _with_roles(plant: rs.Plant) -> rs.Plant:
     plant = plant.with_actuator_faults().with_sensor_faults(plant.outputs[:MOST_SENSOR_FAULTS])
     if plant.n_outputs > 1 and plant.n_states > 1:
-        column = plant.Bu[:, -1] if len(plant.inputs) > 1 else np.roll(plant.Bu[:, 0], plant.n_states // 2)
+        column = plant.B[:, -1] if len(plant.inputs) > 1 else np.roll(plant.B[:, 0], plant.n_states // 2)
         if np.any(column):
             plant = plant.with_disturbances({"d": column})
     return plant

@@ -39,7 +39,7 @@ def design_options() -> str:
         for option in method.options:
             form = form_of(option)
             if form is not None:
-                written = f"``{option_name(form.name or option.name)}{' ' if form.metavar else ''}{form.metavar}``"
+                written = f"``{option_name(option.name)}{' ' if form.metavar else ''}{form.metavar}``"
                 rows.setdefault((written, in_plain_words(option.text)), []).append(name)
     order = list(dict.fromkeys(written.split()[0] for written, _ in rows))
     lines = sorted(rows.items(), key=lambda row: order.index(row[0][0].split()[0]))

@@ -106,8 +106,10 @@ def _serve() -> int:
     """Fork for every request and report its status; in a fork, return the status that it is to end with."""
     import typer.rich_utils  # noqa: F401
 
-    import residua.cli.app
-    import residua.cli.guard  # noqa: F401
+    from residua.cli.app import COMMANDS, command
+
+    for name in COMMANDS:
+        command(name, [])
 
     gc.freeze()  # a collection in a fork would copy the pages of all that is imported
     requests, reports = os.fdopen(os.dup(0), encoding="utf-8"), os.fdopen(os.dup(1), "w", encoding="utf-8")

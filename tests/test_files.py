@@ -47,11 +47,11 @@ def test_a_missing_folder_is_said_in_the_same_words(kind: str, tmp_path: Path) -
 
 @pytest.mark.parametrize("kind", READERS)
 def test_a_missing_file_is_said_in_the_same_words(kind: str, tmp_path: Path) -> None:
-    with pytest.raises(FileFormatError, match=r"absent.*: no such file; it was to be a "):
+    with pytest.raises(FileFormatError, match=r"absent.*: [a-z ]+ not found"):
         READERS[kind](tmp_path / "absent")
     for ending in ("", ".csv", ".parquet", ".mat", ".npz"):
         (tmp_path / f"absent{ending}").mkdir()
-    with pytest.raises(FileFormatError, match=r"is a folder; it was to be a "):
+    with pytest.raises(FileFormatError, match=r"is a folder; name a "):
         READERS[kind](tmp_path / "absent")
 
 
@@ -86,8 +86,8 @@ def test_an_old_file_stays_when_writing_fails(tmp_path: Path) -> None:
 def test_a_folder_is_no_file(tmp_path: Path) -> None:
     with pytest.raises(FileFormatError, match="is a folder; name a file"):
         write_text(tmp_path, "x")
-    with pytest.raises(FileFormatError, match="is a folder; it was to be a plant file"):
-        check_input(tmp_path, "a plant file")
+    with pytest.raises(FileFormatError, match="is a folder; name a plant file"):
+        check_input(tmp_path, "plant file")
 
 
 def test_threads_that_write_one_file_do_not_mix_nor_touch_the_mask(tmp_path: Path) -> None:

@@ -39,6 +39,8 @@ ROOMS = (
         "kernels",
         "facade",
         "forks",
+        "shown",
+        "wrong_guesses",
         "progress",
         "files",
         "partial_files",
@@ -68,7 +70,7 @@ FACADES = {
     "residua.monitor.diagnosis": "residua.report",  # plot, to_html
     "residua.validate.campaign_result": "residua.report",  # to_html
     "residua.cli": "residua.cli",  # main, which says what package is missing
-    "residua.cli.app": "residua.demos",  # demo
+    "residua.cli.demo_command": "residua.demos",  # demo
     "residua.cli.live_command": ("residua.live", "residua.demos"),  # live, whose packages are an extra
 }
 #: Where generators are made: the gate, the same in other units, and designs read from files, checked there.

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from residua.errors import FileFormatError
 from residua.partial_files import PartialFile
+from residua.visible import echo
 
 
 def check_input(path: str | Path, what: str) -> None:
@@ -19,7 +20,7 @@ def check_input(path: str | Path, what: str) -> None:
     ----------
     path : str or Path
     what : str
-        What it is to be, for the message.
+        The kind of file, such as ``"plant file"``, for the message.
 
     Raises
     ------
@@ -27,11 +28,11 @@ def check_input(path: str | Path, what: str) -> None:
     """
     path = Path(path)
     if path.is_dir():
-        raise FileFormatError(f"{path} is a folder; it was to be {what}")
+        raise FileFormatError(f"{path} is a folder; name a {what}")
     if not path.exists():
-        raise FileFormatError(f"{path}: no such file; it was to be {what}")
+        raise FileFormatError(f"{path}: {what} not found")
     if not os.access(path, os.R_OK):
-        raise FileFormatError(f"{path}: no permission to read it; it was to be {what}")
+        raise FileFormatError(f"{path}: no permission to read this {what}")
 
 
 def check_output(path: str | Path) -> None:
@@ -71,7 +72,21 @@ def read_bytes(path: str | Path, what: str) -> bytes:
     try:
         return Path(path).read_bytes()
     except OSError as error:
-        raise FileFormatError(f"{path}: {error.strerror or error}; it was to be {what}") from error
+        raise FileFormatError(f"{path}: cannot read this {what}: {error.strerror or error}") from error
+
+
+def other_version(what: str, found: object, known: int, remedy: str) -> str:
+    """Return the message for content of another version: the remedy for an older one, an upgrade for a newer one.
+
+    Examples
+    --------
+    >>> from residua.files import other_version
+    >>> other_version("tank.json", 12, 11, "design it again")
+    'tank.json has version 12, this residua reads version 11: upgrade residua'
+    """
+    is_newer = isinstance(found, int) and found > known
+    advice = "upgrade residua" if is_newer else remedy
+    return f"{what} has version {echo(found)}, this residua reads version {known}: {advice}"
 
 
 @contextmanager

@@ -61,12 +61,12 @@ def test_an_engine_without_a_steady_state_is_refused(monkeypatch: pytest.MonkeyP
         jet_engine_steady_state(0.2)
 
 
-@trips("cli.app:_present")
+@trips("cli.demo_command:present")
 def test_a_demo_that_comes_out_otherwise_says_so() -> None:
-    from residua.cli.app import _present
+    from residua.cli.demo_command import present
 
     with pytest.raises(AccuracyError, match="did not come out as it should: no alarm"):
-        _present(Outcome((), (), Path("page.html"), ("no alarm",)))
+        present(Outcome((), (), Path("page.html"), ("no alarm",)))
 
 
 @trips("design.observers.perfect_observer:_with_noise")

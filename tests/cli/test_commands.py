@@ -105,7 +105,7 @@ def test_advice_is_for_the_command_line() -> None:
     assert in_cli_words("give it with plant.with_noise(...)").endswith(
         "[noise] in the plant file, with process and measurement"
     )
-    assert in_cli_words("give poles=[...] or margin=, or dt=") == "give --poles or --margin, or --sample-time"
+    assert in_cli_words("give poles=[...] or margin=, or dt=") == "give --poles or --margin, or --dt"
     assert in_cli_words("constant=True chooses") == "--constant chooses"
 
 
@@ -255,14 +255,16 @@ def design(made: Path, tmp_path: Path, residua: Residua, plant: str, *options: s
 
 def test_design_auto_says_what_and_why(made: Path, tmp_path: Path, residua: Residua) -> None:
     _, out, _ = design(made, tmp_path, residua, "plant.toml")
-    assert "method: kalman-filter, because of a fault that lasts it sees (in brackets, by dev" in " ".join(out.split())
+    assert "method: kalman-filter, because it sees lasting faults from these sizes on (in brackets: dev" in " ".join(
+        out.split()
+    )
     _, out, _ = design(made, tmp_path, residua, "disturbed.toml")
-    assert "method: decoupled-residual, because of a fault that lasts it sees" in out
+    assert "method: decoupled-residual, because it sees lasting faults from" in out
     bare = PLANT.replace("[noise]\nprocess = 1e-4\nmeasurement = 1e-3\n", "")
     (tmp_path / "bare.toml").write_text(bare)
     _, out, _ = residua("design", tmp_path / "bare.toml", "-o", tmp_path / "out.json")
     assert "method: kalman-filter, because" in out
-    assert "no noise is given" in out
+    assert "the plant has no noise, so some is assumed" in out
     assert "no threshold yet: residua fit" in out
 
 
@@ -280,7 +282,7 @@ def test_design_auto_is_what_suggest_puts_first(made: Path, tmp_path: Path, resi
 def test_design_auto_samples_a_continuous_plant_first(tmp_path: Path, residua: Residua) -> None:
     continuous = PLANT.replace("dt = 1.0", "").replace("[[0.9, 0.05], [0.05, 0.8]]", "[[-1.0, 0.1], [0.1, -2.0]]")
     (tmp_path / "c.toml").write_text(continuous)
-    status, out, _ = residua("design", tmp_path / "c.toml", "--sample-time", "0.1", "--show-call")
+    status, out, _ = residua("design", tmp_path / "c.toml", "--dt", "0.1", "--show-call")
     assert status == 0
     assert "(plant.discretize(0.1))" in out
 
@@ -348,7 +350,7 @@ def test_two_faults_are_both_named(made: Path, tmp_path: Path, residua: Residua)
 
 
 def test_an_estimator_tells_the_size(made: Path, tmp_path: Path, residua: Residua) -> None:
-    options = ("--method", "fault-estimator", "--faults", "level 1 sensor", "--average", "20")
+    options = ("--method", "fault-estimator", "--faults", "level 1 sensor", "--window", "20")
     status, _, _ = design(made, tmp_path, residua, "plant.toml", *options)
     assert status == 0
     status, out, _ = residua("run", tmp_path / "out.json", made / "faulty.csv", "--alarms", tmp_path / "a.jsonl")
@@ -387,7 +389,7 @@ def test_design_samples_a_continuous_plant(made: Path, tmp_path: Path, residua: 
     continuous = PLANT.replace("dt = 1.0", "").replace("[[0.9, 0.05], [0.05, 0.8]]", "[[-1.0, 0.1], [0.1, -2.0]]")
     (tmp_path / "c.toml").write_text(continuous)
     for method in ("kalman-filter", "detection-filter"):
-        options = ("-o", tmp_path / "out.json", "--sample-time", "0.1", "--method", method)
+        options = ("-o", tmp_path / "out.json", "--dt", "0.1", "--method", method)
         status, _, _ = residua("design", tmp_path / "c.toml", *options)
         assert status == 0
     # Without the step, fit learns it from the recording.
@@ -407,7 +409,7 @@ def test_design_samples_a_continuous_plant(made: Path, tmp_path: Path, residua: 
         (("--method", "kalman-filter", "--poles", "0.3,0.3"), "fault-estimator, not for kalman-filter"),
         (("--method", "detection-filter", "--poles", "0.3+0.1j,0.3"), "conjugate"),
         (("--method", "detection-filter", "--poles", "1.3,0.3"), "stable"),
-        (("--sample-time", "2.0"), "dt"),
+        (("--dt", "2.0"), "dt"),
     ],
 )
 def test_design_refuses(made: Path, tmp_path: Path, options: tuple[str, ...], part: str, residua: Residua) -> None:
@@ -422,7 +424,7 @@ def test_design_refuses(made: Path, tmp_path: Path, options: tuple[str, ...], pa
         ("--poles", "nan,-1"),
         ("--method", "magic"),
         ("--false-alarm-rate", "2"),
-        ("--sample-time", "-1"),
+        ("--dt", "-1"),
         ("--margin", "0"),
         ("--persistence", "0"),
         ("--window", "0"),
@@ -441,7 +443,7 @@ def test_poles_as_text() -> None:
     assert parse_poles("-3,-3") == (-3, -3)
     assert parse_poles(" -1+2j , -1-2i,-3e-1") == (-1 + 2j, -1 - 2j, -0.3)
     for text in ("", "a", "-3;-3", "inf", "-3,,-3"):
-        with pytest.raises(ValueError, match="is no pole"):
+        with pytest.raises(ValueError, match="is not a pole"):
             parse_poles(text)
 
 

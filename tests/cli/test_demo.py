@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from cli_examples import Residua, assert_error
+from page_reader import read, words
 from residua.library import three_tank
 from residua.plant import load_plant
 from residua.plant.plant_writer import differences
@@ -19,7 +20,17 @@ def test_demo_jet_engine(tmp_path: Path, residua: Residua) -> None:
     assert f"report page: {tmp_path / 'new' / 'jet-engine.html'}" in out
     assert "names 3 of 3 sensors right" in out
     assert "names 1 of 3 sensors right" in out
-    assert (tmp_path / "new" / "jet-engine.html").stat().st_size < 4e6
+    page = (tmp_path / "new" / "jet-engine.html").read_text(encoding="utf-8")
+    assert len(page) < 4e6
+    text = words(page)
+    assert text.startswith(f"{2 * 'Jet engine: which sensor failed? '}⚠ Fault found: either n_low sensor")
+    folded = [one for tag, one in read(page).tags if tag == "details" and one.get("class") == "case"]
+    assert [one.get("open", "closed") for one in folded] == 7 * ["closed"]
+    assert text.count("What to look at") == 7  # of the open case, and of six folded ones
+    for shown in (text, out):
+        assert "NPD" not in shown
+        assert "Normalised projection distance" in shown
+        assert shown.count("Beard") == shown.count("lain detection filter (Beard)") > 0
 
 
 def test_jet_engine_distances_are_the_ideal_ones() -> None:
@@ -47,7 +58,11 @@ def test_demo_three_tank_and_the_same_by_hand(tmp_path: Path, residua: Residua) 
     assert (status, err) == (0, "")
     assert "Diagnosis:          leak 3 (good match); alarm at " in out
     assert len(out.splitlines()) <= 10
-    assert (tmp_path / "three-tank.html").stat().st_size < 1e6
+    page = (tmp_path / "three-tank.html").read_text(encoding="utf-8")
+    assert len(page.encode()) < 1e6
+    title, first = words(page).split(" ⚠ ")[:2]
+    assert first.startswith("Fault found: leak 3, a good match")
+    assert "." not in title  # no sentence before it
     plant, monitor = tmp_path / "three_tank.toml", tmp_path / "by_hand.json"
     assert "  residua design three_tank.toml -o tank.json\n" in out
     residua("design", plant, "-o", monitor)
@@ -61,7 +76,7 @@ def test_demo_three_tank_and_the_same_by_hand(tmp_path: Path, residua: Residua) 
 
 
 def test_demo_folder_that_is_a_file(made: Path, residua: Residua) -> None:
-    assert_error(residua("demo", "three-tank", "-o", made / "plant.toml"), "needs a folder")
+    assert_error(residua("demo", "three-tank", "-o", made / "plant.toml"), "is a file; name a folder")
 
 
 def test_learn_on_the_log_of_the_demo(tmp_path: Path, residua: Residua) -> None:

@@ -195,20 +195,20 @@ def test_an_option_that_a_method_needs_is_asked_for(
     ("name", "options", "part"),
     [
         ("primary-residuals", ("--form", "other"), "'other' is none of ma, arma"),
-        ("perfect-observer", ("--seed", "1.5"), "'1.5' is no whole number"),
-        ("matched-filters", ("--alike", "nan"), "'nan' is no number"),
+        ("perfect-observer", ("--seed", "1.5"), "'1.5' is not a whole number"),
+        ("matched-filters", ("--alike", "nan"), "'nan' is not a number"),
         ("fault-estimator", ("--bandwidth", "-1"), "must be positive"),
-        ("unknown-input-observer", ("--H0", "1,2;3"), "is no matrix"),
+        ("unknown-input-observer", ("--H0", "1,2;3"), "is not a matrix"),
         ("directional-parity", ("--directions", "1,2"), "has no names"),
         ("directional-parity", ("--directions", "p1=1,2;3"), "has no '='"),
-        ("structured-bank", ("--rows", "012"), "are no rows"),
+        ("structured-bank", ("--structure", "012"), "are not rows"),
         ("detection-filter", ("--rtol", "-1"), "must lie between 0 and 1, got -1"),
         ("luenberger-observer", ("--rtol", "0"), "must lie between 0 and 1, got 0"),
         ("structured-parity", ("--rtol", "5"), "must lie between 0 and 1, got 5"),
-        ("structured-bank", ("--rows", "01,10,0 1"), "'01' is there twice"),
-        ("directional-parity", ("--directions", "p1=1,2;p2=2,1; p1=3,1"), "'p1' is there twice"),
-        ("primary-residuals", ("--poles", "e1=0.5;e1=0.4"), "'e1' is there twice"),
-        ("luenberger-observer", ("--outputs", "y1,y1"), "'y1' is there twice"),
+        ("structured-bank", ("--structure", "01,10,0 1"), "'01' occurs twice"),
+        ("directional-parity", ("--directions", "p1=1,2;p2=2,1; p1=3,1"), "'p1' occurs twice"),
+        ("primary-residuals", ("--poles", "e1=0.5;e1=0.4"), "'e1' occurs twice"),
+        ("luenberger-observer", ("--outputs", "y1,y1"), "'y1' occurs twice"),
     ],
 )
 def test_texts_that_say_nothing_are_usage_errors(
@@ -229,27 +229,11 @@ def test_texts_of_options() -> None:
     assert parse_whole("-3") == -3
     assert np.array(parse_matrix("1,2;3,4")).shape == (2, 2)
     for read, text in ((parse_rate, "0"), (parse_whole, "x"), (parse_matrix, ""), (parse_matrix, "1,,2")):
-        with pytest.raises(ValueError, match=r"positive|no whole|no matrix|no number"):
+        with pytest.raises(ValueError, match=r"positive|not a whole|not a matrix|not a number"):
             read(text)
 
 
 # --------------------------------------------------------------------- names and listing
-
-
-@pytest.mark.parametrize(("former", "name"), methods.former_names().items())
-def test_former_names_go_on_with_a_note(former: str, name: str, files: Path, tmp_path: Path, residua: Residua) -> None:
-    plant = files / "three_tank.toml"
-    status, out, err = residua("design", plant, "-o", tmp_path / "a.json", "--method", former)
-    assert status == 0
-    assert err == f"note: --method {former} is called {name} now, as its function is; the old name is deprecated\n"
-    again, same, err = residua("design", plant, "-o", tmp_path / "b.json", "--method", name)
-    assert (again, err) == (0, "")
-    assert out.replace("a.json", "b.json") == same
-    assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
-
-
-def test_three_names_are_former_ones() -> None:
-    assert set(methods.former_names()) == {"sensor-bank", "actuator-bank", "parity"}
 
 
 def test_what_is_offered_is_decided_by_rule() -> None:
@@ -271,13 +255,39 @@ def test_the_methods_are_listed_with_what_they_need(residua: Residua) -> None:
     assert "robust_l1_bank, for an uncertain plant" in lines[-1]
 
 
-def test_the_help_has_the_texts_of_the_docstrings(residua: Residua, monkeypatch: pytest.MonkeyPatch) -> None:
+def flowing(text: str) -> str:
+    """Return a help on one line."""
+    return " ".join(text.split())
+
+
+@pytest.mark.parametrize("method", OFFERED)
+def test_the_help_of_a_method_has_the_texts_of_its_options(
+    method: str, residua: Residua, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("COLUMNS", "400")
+    status, out, _ = residua("design", "--help", method)
+    assert status == 0
+    said = flowing(out)
+    assert f"Design a monitor by {method}." in said
+    own = {one.name: one for one in methods.offered()[method].options}
+    for one in methods.options({"window"}):
+        assert (f" {one.flags[0].partition('/')[0]} " in said) == (method in one.methods)
+        assert method not in one.methods or flowing(methods.in_plain_words(own[one.name].text)) in said
+    assert not re.search(r"[\\…]|\^{|`", said)  # no raw formula, and no cut name
+
+
+def test_the_help_of_a_method_is_found_wherever_it_is_named(residua: Residua) -> None:
+    asked = [residua("design", *words) for words in (("matched_filters", "-h"), ("--method=matched-filters", "--help"))]
+    assert asked[0] == asked[1] == residua("design", "--help", "matched-filters")
+    assert "--steady" in asked[0][1]
+    assert "--steady" not in residua("design", "--help")[1]
+
+
+def test_the_help_of_design_is_short(residua: Residua, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
     _, out, _ = residua("design", "--help")
-    said = " ".join(re.sub("[│╭╮╰╯─]", " ", out).split())
-    for one in methods.options():
-        assert one.text.split(". ")[0] in said or one.name == "window"
-        assert all(name in said for name in one.methods) or f"Of {len(one.methods)} methods" in said
+    assert len(out.splitlines()) <= 80
+    assert "residua design --help METHOD" in flowing(out)
 
 
 def test_what_is_chosen_from_the_plant_is_chosen_once(
@@ -303,7 +313,7 @@ def test_methods_that_there_is_no_time_for_are_named(
 ) -> None:
     monkeypatch.setattr(methods, "TRYING_TIME", -1.0)
     outcome = residua("design", made / "plant.toml", "-o", tmp_path / "m.json", "--method", "perfect-observer")
-    assert_error(outcome, "no other method exists", "not tried for want of time: luenberger-observer, ")
+    assert_error(outcome, "no other method exists", "not tried, for lack of time: luenberger-observer, ")
 
 
 @pytest.mark.parametrize(
@@ -327,7 +337,7 @@ def test_an_option_that_is_in_the_way_is_named_and_no_other_method(
 def test_an_option_that_is_needed_may_be_what_is_wrong(made: Path, tmp_path: Path, residua: Residua) -> None:
     command = ("design", made / "plant.toml", "-o", tmp_path / "m.json", "--method", "directional-parity")
     refused = residua(*command, "--directions", "leak=1,0.5; pump actuator=1,2,3")
-    doubt = "all the same number: got [2, 3]; directional-parity needs --directions, and another value may do; what"
+    doubt = "all the same number: got [2, 3]; directional-parity needs --directions, and another value may do; methods"
     assert_error(refused, doubt)
 
 
@@ -337,7 +347,7 @@ def test_other_methods_are_tried_with_the_defaults_of_their_options(
     """Where the plant is refused, three poles say nothing of observers for two states."""
     command = ("design", made / "plant.toml", "-o", tmp_path / "m.json", "--method", "perfect-observer")
     plain, with_option = residua(*command), residua(*command, "--rtol", "1e-8")
-    assert_error(plain, "what exists for this plant: ", "--method luenberger-observer", "--method kalman-filter")
+    assert_error(plain, "methods that exist for this plant: ", "--method luenberger-observer", "--method kalman-filter")
     assert with_option == plain
 
 
@@ -371,7 +381,7 @@ def test_the_call_alone_needs_no_output(made: Path, residua: Residua) -> None:
 
 
 def test_another_step_than_that_of_the_plant_is_refused(made: Path, tmp_path: Path, residua: Residua) -> None:
-    command = ("design", made / "plant.toml", "-o", tmp_path / "m.json", "--sample-time")
-    assert_error(residua(*command, "0.1"), "the plant is sampled, dt=1 s, and --sample-time is 0.1 s")
+    command = ("design", made / "plant.toml", "-o", tmp_path / "m.json", "--dt")
+    assert_error(residua(*command, "0.1"), "the plant is sampled every 1 s, and --dt is 0.1 s")
     assert not list(tmp_path.iterdir())
     assert residua(*command, "1")[0] == 0

@@ -18,10 +18,10 @@ from residua import __version__
 
 def test_missing_and_unreadable_files(made: Path, tmp_path: Path, residua: Residua) -> None:
     absent = tmp_path / "absent"
-    assert_error(residua("analyze", absent), "absent", "no such file")
+    assert_error(residua("analyze", absent), "absent: plant file not found")
     assert_error(residua("analyze", tmp_path), "is a folder")
-    assert_error(residua("run", absent, made / "faulty.csv"), "no such file", "a monitor")
-    assert_error(residua("run", made / "monitor.json", absent), "no such file", "a recording")
+    assert_error(residua("run", absent, made / "faulty.csv"), "absent: monitor not found")
+    assert_error(residua("run", made / "monitor.json", absent), "absent: recording not found")
     (tmp_path / "bad.json").write_text("{")
     assert_error(residua("run", tmp_path / "bad.json", made / "faulty.csv"), "bad.json")
     (tmp_path / "bad.json").write_text("{}")
@@ -131,7 +131,7 @@ def test_unexpected_errors_are_not_a_fault(made: Path, residua: Residua, monkeyp
     def broken(path: Path) -> None:
         raise RuntimeError("two\nlines")
 
-    monkeypatch.setattr("residua.cli.plant_commands.load_plant", broken)
+    monkeypatch.setattr("residua.cli.analyze_command.load_plant", broken)
     assert_error(residua("analyze", made / "plant.toml"), "unexpected RuntimeError: two lines", "RESIDUA_TRACEBACK")
     monkeypatch.setenv("RESIDUA_TRACEBACK", "1")
     status, _, err = residua("analyze", made / "plant.toml")
@@ -143,7 +143,7 @@ def test_interrupt(made: Path, residua: Residua, monkeypatch: pytest.MonkeyPatch
     def interrupted(path: Path) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("residua.cli.plant_commands.load_plant", interrupted)
+    monkeypatch.setattr("residua.cli.analyze_command.load_plant", interrupted)
     assert residua("analyze", made / "plant.toml") == (130, "", "interrupted\n")
 
 

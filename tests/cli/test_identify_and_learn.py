@@ -46,7 +46,7 @@ def test_identify_writes_a_plant_that_a_design_takes(logs: Path, tmp_path: Path,
     assert "faults: level 1 sensor, level 2 sensor and pump actuator" in out
     plant = rs.load_plant(tmp_path / "plant.toml")
     assert (plant.inputs, plant.outputs, plant.dt) == (("pump",), ("level 1", "level 2"), 1.0)
-    gain = plant.C @ np.linalg.solve(np.eye(plant.n_states) - plant.A, plant.Bu)
+    gain = plant.C @ np.linalg.solve(np.eye(plant.n_states) - plant.A, plant.B)
     assert np.abs(gain[:, 0] - GAINS).max() < 0.05  # seven standard errors
     status, out, _ = residua("design", tmp_path / "plant.toml", "-o", tmp_path / "m.json")
     assert status == 0
@@ -65,7 +65,7 @@ def test_the_plant_file_keeps_everything_to_the_last_bit(logs: Path, tmp_path: P
     made = made.with_sensor_faults().with_actuator_faults()
     made.to_toml(tmp_path / "made.toml")
     again, plant = rs.load_plant(tmp_path / "made.toml"), rs.load_plant(tmp_path / "plant.toml")
-    for key in ("A", "Bu", "C", "Du", "Bf", "Df", "Bw", "Dw"):
+    for key in ("A", "B", "C", "D", "Bf", "Df", "Bw", "Dw"):
         assert getattr(again, key).tobytes() == getattr(made, key).tobytes(), key
         assert np.allclose(getattr(plant, key), getattr(made, key), rtol=ROUNDING, atol=ROUNDING), key
     assert (plant.Bw @ plant.Dw.T).any()  # the noise of states and outputs goes together
@@ -115,13 +115,13 @@ def test_an_input_without_effect_gets_no_fault(tmp_path: Path, residua: Residua)
         status, out, _ = residua(command, path, "--inputs", "a", "-o", tmp_path / "out")
         assert status == 0
         assert "model of order 0" in out
-        assert "faults: b sensor; none of a, of which the model finds no effect" in out
+        assert "faults: b sensor; none of a, which has no effect in the model" in out
 
 
 def test_a_known_delay_and_several_recordings(logs: Path, tmp_path: Path, residua: Residua) -> None:
     files = (logs / "normal.csv", logs / "other.csv")
     status, out, _ = residua(
-        "identify", *files, *CHANNELS, "--delay", "pump=1", "-o", tmp_path / "p.toml", "--order", "2"
+        "identify", *files, *CHANNELS, "--delays", "pump=1", "-o", tmp_path / "p.toml", "--order", "2"
     )
     assert status == 0
     assert "4123 rows" in out  # three quarters of both, without the row that the delay takes from each
@@ -250,13 +250,13 @@ def test_bad_channels_and_data_are_one_line_on_stderr(
         return residua(command, path, "-o", tmp_path / "out", *options)
 
     normal = logs / "normal.csv"
-    assert_error(call(normal, "--inputs", "valve"), "no column is called valve; there are pump, level 1, level 2")
+    assert_error(call(normal, "--inputs", "valve"), "no column valve; the columns are pump, level 1, level 2")
     assert_error(call(normal, "--inputs", "pump", "--outputs", "level"), "missing column 'level'")
     both = ("--inputs", "pump,level 1", "--outputs", "level 1,level 2")
     assert_error(call(normal, *both), "level 1 cannot be an input and an output")
     assert_error(call(normal, "--inputs", "pump,level 1,level 2"), "every column is an input")
-    assert_error(call(normal, *CHANNELS, "--delay", "level 1=2"), "'level 1' is no input")
-    assert_error(call(normal, *CHANNELS, "--units", "level 3=cm"), "--units: there is no channel level 3")
+    assert_error(call(normal, *CHANNELS, "--delays", "level 1=2"), "'level 1' is no input")
+    assert_error(call(normal, *CHANNELS, "--units", "level 3=cm"), "--units: no channel level 3")
     assert_error(call(normal, *CHANNELS, "--order", "900"), "a model of order 900", "the data are enough for order")
     rows = simulate(600, 6)
     named = ("--inputs", "pump")
@@ -277,11 +277,11 @@ def test_bad_channels_and_data_are_one_line_on_stderr(
 @pytest.mark.parametrize("command", ["identify", "learn"])
 def test_bad_files_and_options(command: str, logs: Path, tmp_path: Path, residua: Residua) -> None:
     normal, out = logs / "normal.csv", ("-o", tmp_path / "out")
-    assert_error(residua(command, tmp_path / "absent.csv", *out), "no such file", "a recording")
+    assert_error(residua(command, tmp_path / "absent.csv", *out), "absent.csv: recording not found")
     assert_error(residua(command, normal, normal, *out), "is given twice")
     assert_error(residua(command, normal, "-o", normal), "is read by this command")
     for option in (
-        ("--delay", "pump"),
+        ("--delays", "pump"),
         ("--inputs", "pump,"),
         ("--inputs", "a,a"),
         ("--method", "arx"),

@@ -30,7 +30,7 @@ def test_fit_takes_several_recordings(made: Path, tmp_path: Path, residua: Resid
     outcome = residua("fit", made / "design.json", days[0], short, "-o", tmp_path / "m.json")
     assert_error(outcome, "recording 2 of 2 has no usable sample: 5 samples")
     outcome = residua("fit", made / "design.json", days[0], tmp_path / "none.csv", "-o", tmp_path / "m.json")
-    assert_error(outcome, "none.csv: no such file")
+    assert_error(outcome, "none.csv: recording not found")
     outcome = residua("fit", made / "design.json", *days, "-o", days[1])
     assert_error(outcome, "is read by this command")
 

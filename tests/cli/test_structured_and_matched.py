@@ -33,7 +33,7 @@ def test_codes_lists_what_is_attainable_and_chooses(made: Path, residua: Residua
     assert (status, err) == (0, "")
     assert "two tanks: 3 of 3 rows attainable; 2 independent residuals" in out
     assert "no method tells apart: pump actuator, leak" in out
-    assert out.endswith("as an option: --rows 011,100\n")
+    assert out.endswith("as an option: --structure 011,100\n")
 
 
 def test_codes_calls_two_tables_by_two_names(made: Path, residua: Residua) -> None:
@@ -70,17 +70,17 @@ def test_codes_says_what_it_does_when_that_takes_long(
 
 def test_a_slip_in_the_rows_names_no_other_methods(made: Path, tmp_path: Path, residua: Residua) -> None:
     for method in ("structured-bank", "structured-parity"):
-        told = design(made, tmp_path, residua, method, "--rows", "01,10")
+        told = design(made, tmp_path, residua, method, "--structure", "01,10")
         assert_error(told, "row '01': expected 3 digits 0 or 1, one per fault")
         assert "exist" not in told[2]
 
 
 def test_codes_says_why_a_row_is_not_attainable(made: Path, residua: Residua) -> None:
-    status, out, _ = residua("codes", made / "plant.toml", "--rows", "011, 110")
+    status, out, _ = residua("codes", made / "plant.toml", "--structure", "011, 110")
     assert status == 0
     assert "a residual that ignores leak cannot see pump actuator: they span the same direction" in out
     assert "2 residuals, 3 faults: weakly isolating" in out  # of the set, attainable or not
-    assert_error(residua("codes", made / "plant.toml", "--rows", "01"), "expected 3 digits")
+    assert_error(residua("codes", made / "plant.toml", "--structure", "01"), "expected 3 digits")
 
 
 def test_codes_chooses_weakly_when_asked(made: Path, residua: Residua) -> None:
@@ -95,14 +95,14 @@ def test_rows_as_text() -> None:
     assert parse_rows("011,101") == ["011", "101"]
     assert parse_rows(" 01 1 ,101") == ["011", "101"]
     for text in ("", "012", "01,1", "0111,,0111", "0x1"):
-        with pytest.raises(ValueError, match="are no rows"):
+        with pytest.raises(ValueError, match="are not rows"):
             parse_rows(text)
 
 
 def test_rows_that_are_none_are_usage_errors(made: Path, residua: Residua) -> None:
-    status, out, err = residua("codes", made / "plant.toml", "--rows", "012")
+    status, out, err = residua("codes", made / "plant.toml", "--structure", "012")
     assert (status, out) == (2, "")
-    assert "--rows" in err
+    assert "--structure" in err
 
 
 # -------------------------------------------------------------- structured residuals
@@ -119,7 +119,7 @@ def test_a_structured_bank_names_by_a_chosen_code(made: Path, tmp_path: Path, re
 
 
 def test_parity_relations_with_rows_of_ones_own(made: Path, tmp_path: Path, residua: Residua) -> None:
-    options = ("--rows", "111,100", "--false-alarm-rate", "0.01", "--average", "20")
+    options = ("--structure", "111,100", "--false-alarm-rate", "0.01", "--window", "20")
     status, out, _ = design(made, tmp_path, residua, "structured-parity", *options)
     assert status == 0
     assert "structured parity relations\n  poles: 0, 0" in out
@@ -133,10 +133,10 @@ def test_parity_relations_with_rows_of_ones_own(made: Path, tmp_path: Path, resi
 
 def test_rows_that_are_not_attainable_are_refused_or_left_out(made: Path, tmp_path: Path, residua: Residua) -> None:
     for method in ("structured-parity", "structured-bank"):
-        refused = design(made, tmp_path, residua, method, "--rows", "011,110")
+        refused = design(made, tmp_path, residua, method, "--structure", "011,110")
         assert refused[0] == 2
         assert "--allow-missing" in refused[2]
-        status, out, _ = design(made, tmp_path, residua, method, "--rows", "011,110", "--allow-missing")
+        status, out, _ = design(made, tmp_path, residua, method, "--structure", "011,110", "--allow-missing")
         assert status == 0
         assert re.search(r"^fault +r1 +cannot be told from$", out, flags=re.MULTILINE)
         assert re.search(r"^  note: no member 'r2': .*ignores .*leak", out, flags=re.MULTILINE)
@@ -147,8 +147,8 @@ def test_rows_that_are_not_attainable_are_refused_or_left_out(made: Path, tmp_pa
     [
         (
             "kalman-filter",
-            ("--rows", "011"),
-            "--rows is for --method structured-bank and structured-parity, not for kalman-filter",
+            ("--structure", "011"),
+            "--structure is for --method structured-bank and structured-parity, not for kalman-filter",
         ),
         ("structured-parity", ("--margin", "0.1"), "fault-estimator, not for structured-parity"),
         ("structured-bank", ("--poles", "0.3,0.3"), "fault-estimator, not for structured-bank"),
@@ -159,7 +159,6 @@ def test_rows_that_are_not_attainable_are_refused_or_left_out(made: Path, tmp_pa
             "--scheme is for --method actuator-fault-bank and sensor-fault-bank",
         ),
         ("matched-filters", ("--allow-missing",), "--allow-missing is for --method actuator-fault-bank"),
-        ("matched-filters", ("--average", "3"), "leave out --average"),
         ("matched-filters", ("--poles", "0.3,0.3"), "fault-estimator, not for matched-filters"),
     ],
 )
@@ -193,5 +192,5 @@ def test_matched_filters_of_a_continuous_plant_need_the_step(tmp_path: Path, res
     text = PLANT.replace("dt = 1.0", "").replace("[[0.9, 0.05], [0.05, 0.8]]", "[[-1.0, 0.1], [0.1, -2.0]]")
     (tmp_path / "c.toml").write_text(text)
     command = ("design", tmp_path / "c.toml", "-o", tmp_path / "out.json", "--method", "matched-filters")
-    assert_error(residua(*command), "matched-filters: it counts samples: give --sample-time")
-    assert residua(*command, "--sample-time", "0.1")[0] == 0
+    assert_error(residua(*command), "matched-filters: it counts samples: give --dt")
+    assert residua(*command, "--dt", "0.1")[0] == 0

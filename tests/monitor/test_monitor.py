@@ -300,7 +300,7 @@ def test_a_damaged_file_is_refused_with_the_reason(tmp_path: Path, change: objec
 
 
 def test_files_that_are_no_json_or_not_there(tmp_path: Path) -> None:
-    with pytest.raises(FileFormatError, match="no such file; it was to be a monitor"):
+    with pytest.raises(FileFormatError, match="monitor not found"):
         rs.Monitor.load(tmp_path / "nothing.json")
     (tmp_path / "text.json").write_text("hello")
     with pytest.raises(FileFormatError, match="not JSON"):
@@ -338,7 +338,7 @@ def test_two_frames_are_matched_by_name_too() -> None:
     assert isinstance(found, rs.Diagnosis)
     assert isinstance(expected, rs.Diagnosis)
     assert np.array_equal(found.statistic, expected.statistic, equal_nan=True)
-    with pytest.raises(DataError, match="no column 'y1'"):
+    with pytest.raises(DataError, match="missing column 'y1'"):
         monitor.run(u, swapped[["y2"]])
 
 

@@ -365,7 +365,7 @@ def test_the_name_of_the_table_is_checked_first(tmp_path: Path) -> None:
     write_table(path, table())
     with pytest.raises(DataError, match=r"written as \.csv or \.parquet"):
         MONITORS["direction"]().run_file(path, residuals="r.xlsx")
-    with pytest.raises(FileFormatError, match="no such file"):
+    with pytest.raises(FileFormatError, match="recording not found"):
         MONITORS["direction"]().run_file(tmp_path / "absent.csv")
 
 

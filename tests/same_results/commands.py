@@ -21,7 +21,8 @@ from same_results.plants import Case, case
 #: The methods that the command line has had from the first.
 METHODS = (
     *("auto", "robust-detection-filter", "detection-filter", "kalman-filter", "unknown-input-observer"),
-    *("luenberger-observer", "sensor-bank", "actuator-bank", "structured-bank", "parity", "matched-filters"),
+    *("luenberger-observer", "sensor-fault-bank", "actuator-fault-bank", "structured-bank",
+    "structured-parity", "matched-filters"),
     "fault-estimator",
 )
 #: Generated plants that the commands see.
@@ -74,7 +75,7 @@ def _commands(ledger: Ledger, one: Case, number: int) -> None:
         np.savetxt(f"{recording}{number}.csv", rows, delimiter=",", header=header, comments="")
     for k, method in enumerate(METHODS):
         if k % 3 == number % 3:
-            step = [] if plant.is_discrete else ["--sample-time", "0.05"]
+            step = [] if plant.is_discrete else ["--dt", "0.05"]
             _made(ledger, f"{one.name}/{method}", name, f"normal{number}.csv", f"faulty{number}.csv", method, step)
 
 
@@ -82,7 +83,7 @@ def _made(
     ledger: Ledger, case_name: str, plant: str, normal: str, faulty: str, method: str, options: list[str]
 ) -> None:
     """Design, fit and run by commands."""
-    said = _said("design", plant, "-o", "made.json", "--method", method, "--window", "15", *options)
+    said = _said("design", plant, "-o", "made.json", "--method", method, "--isolation-window", "15", *options)
     ledger.note(f"{case_name}/design", "screen", *said)
     if said[0]:
         return

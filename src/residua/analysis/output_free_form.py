@@ -123,7 +123,7 @@ def singular_decoupling(plant: Plant, form: OutputFreeForm, *, rtol: float = DEF
     """
     n, q, p = plant.n_states, form.E.shape[1], len(form.C)
     E = np.eye(n) if plant.E is None else plant.E
-    u = descriptor_units(form.A, E, np.hstack([plant.Bu, form.E]), form.C, np.zeros((p, len(plant.inputs) + q)))
+    u = descriptor_units(form.A, E, np.hstack([plant.B, form.E]), form.C, np.zeros((p, len(plant.inputs) + q)))
     R, S, Y = u.equations[:, None], u.states, u.outputs[:, None]
     D = R * form.E
     size = np.linalg.norm(D, axis=0)
@@ -160,7 +160,7 @@ def algebraic_equations(plant: Plant, *, without: NDArray | None = None) -> NDAr
     """
     if plant.E is None:
         return np.zeros((0, plant.n_states))
-    drive, direct = np.hstack([plant.Bu, plant.Bd]), np.hstack([plant.Du, plant.Dd])
+    drive, direct = np.hstack([plant.B, plant.Bd]), np.hstack([plant.D, plant.Dd])
     u = descriptor_units(plant.A, plant.E, drive, plant.C, direct)
     E = u.equations[:, None] * plant.E * u.states
     D = u.equations[:, None] * (plant.Bd[:, :0] if without is None else without)

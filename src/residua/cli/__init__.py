@@ -1,4 +1,4 @@
-"""The command ``residua``: identify, learn, analyze, codes, suggest, design, fit, run, demo."""
+"""The command ``residua``."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0 for success and no fault, 1 when ``residua run`` raised an alarm, 2 for an error, 130 when
+        0 for success and no fault, 1 when ``residua run`` or ``live`` raised an alarm, 2 for an error, 130 when
         interrupted.
     """
     streams.prepare()

@@ -12,9 +12,7 @@ from contextvars import ContextVar
 from typing import Any
 
 import typer
-from typer.core import TyperGroup
 
-from residua.cli import streams
 from residua.cli.streams import complain, unwritten
 from residua.errors import ResiduaError
 from residua.visible import visible
@@ -33,25 +31,9 @@ _FULL = (errno.ENOSPC, errno.EIO, errno.EFBIG, errno.EBADF)
 _OPTIONS: ContextVar[frozenset[str]] = ContextVar("options", default=frozenset())
 
 
-class GuardedGroup(TyperGroup):
-    """A group of commands none of which ends in a traceback, nor by accident with the status of a fault."""
-
-    def make_context(self, *args: Any, **kwargs: Any) -> Any:
-        """Read the arguments; options such as ``--version`` print at once."""
-        with guarded():
-            return super().make_context(*args, **kwargs)
-
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Find the command."""
-        resolved = super().resolve_command(ctx, args)
-        if resolved[1] is not None:
-            _OPTIONS.set(frozenset(name for parameter in resolved[1].params for name in parameter.opts))
-        return resolved
-
-    def invoke(self, ctx: Any) -> Any:
-        """Run the chosen command."""
-        with guarded():
-            return super().invoke(ctx)
+def speak_of(command: Any) -> None:
+    """Let advice name the options of a command."""
+    _OPTIONS.set(frozenset(name for parameter in command.params for name in parameter.opts))
 
 
 @contextmanager
@@ -66,13 +48,13 @@ def guarded() -> Iterator[None]:
 
 
 def status_of(error: BaseException) -> int:
-    """Say what went wrong in one line on stderr, and return the exit status."""
+    """Print an error as one line on stderr, and return the exit status."""
     if isinstance(error, (KeyboardInterrupt, typer.Abort)):
         complain("interrupted")
         return INTERRUPTED
     if isinstance(error, OSError):
         unwritten()
-    if isinstance(error, BrokenPipeError):  # whoever read the output has gone, and knows it
+    if isinstance(error, BrokenPipeError):  # the reader of the output has gone
         return BROKEN_PIPE
     if os.environ.get("RESIDUA_TRACEBACK", "") not in ("", "0"):
         complain(traceback.format_exc().rstrip())
@@ -81,7 +63,7 @@ def status_of(error: BaseException) -> int:
 
 
 def end(status: int) -> int:
-    """Write out what is left of the output; return the status, or that of what hinders it."""
+    """Flush the output; return the status, or that of the error that hinders it."""
     lost = unwritten()
     if lost is None:
         return status
@@ -92,21 +74,21 @@ def end(status: int) -> int:
 
 
 def describe(error: BaseException) -> str:
-    """Return one line that says what went wrong."""
+    """Return an error as one line."""
     text = visible(" ".join(str(error).split()))
     if isinstance(error, ResiduaError):
         return in_cli_words(text)
     if isinstance(error, OSError) and error.strerror:
-        # An error about a file has its name; what is left to write to is the output.
+        # An error about a file has its name; without one it is about the output.
         name = visible(str(error.filename)) if error.filename else "standard output" if error.errno in _FULL else ""
         return f"{name}: {error.strerror}" if name else error.strerror
     if isinstance(error, MemoryError):
         return f"not enough memory{': ' + text if text else ''}"
-    return f"unexpected {type(error).__name__}: {text} (a defect; RESIDUA_TRACEBACK=1 shows where)"
+    return f"unexpected {type(error).__name__}: {text} (a defect; RESIDUA_TRACEBACK=1 shows the traceback)"
 
 
 _FAULTS = r"with_(?:sensor_faults|actuator_faults|faults)"
-#: What is done in Python, as a pattern, and how the same is asked for here.
+#: Advice for Python, as patterns, and the same for the command line.
 _WORDS = {
     r"allow_missing=True": "--allow-missing",
     r"missing='hold'": "--hold",
@@ -121,53 +103,38 @@ _WORDS = {
     r"(?:\.)?\bfit\(u, y\) it to fault-free data": "give it one by residua fit, from fault-free data",
     r"\.?\bfit\(u, y\)": "residua fit",
     r",? or set (?:NormThreshold\(threshold|PeakThreshold\(thresholds)=\.\.\.\)": "",
-    r"NormThreshold\(window=(\d+|\.\.\.)\)": r"--average \1",
+    r"NormThreshold\(window=(\d+|\.\.\.)\)": r"--window \1",
     r"NormThreshold\(persistence=(\d+|\.\.\.)\)": r"--persistence \1",
     r"\b(poles|margin|faults)=(?:\[\.\.\.\]|\.\.\.|(?=[,;. )]|$))": r"--\1",
-    r"\bstructure=(?:\.\.\.|(?=[,;. )]|$))": "--rows",
     r"\b(observer|scheme|transient)='([a-z-]+)'": r"--\1 \2",
 }
 
 
-#: Arguments in Python, and the options that may stand for them: the first that the command has.
-_ARGUMENTS = {"dt": ("--dt", "--sample-time"), "time": ("--time",), "variable": ("--variable",)}
-
-
 def in_cli_words(text: str) -> str:
-    """Return advice that is meant for Python as advice for the command line: for the command that runs."""
+    """Return advice for Python as advice for the command that runs."""
     for python, here in _WORDS.items():
         text = re.sub(python, here, text)
-    for name, options in _ARGUMENTS.items():
-        option = next((option for option in options if option in _OPTIONS.get()), None)
-        if option is not None:
-            text = re.sub(rf"\b{name}=(?:\.\.\.|(?=[,;. )]|$))", option, text)
     for option in _OPTIONS.get():
         name = option.lstrip("-").replace("-", "_")
         text = re.sub(rf"\b{name}=(?:True\b|\[\.\.\.\]|\.\.\.|(?=[,;. )]|$))", option, text)
     return text
 
 
-def show_usage(error: Exception) -> int:
-    """Say how a command is used that was called in another way, and return the exit status."""
-    shown: Any = error
-    shown.message = visible(str(getattr(shown, "message", "")))
-    try:
-        try:
-            from typer.rich_utils import rich_format_error
-        except ImportError:
-            shown.show()
-        else:
-            rich_format_error(shown)
-    except OSError:  # the status tells
-        streams.silence_errors_that_cannot_be_written()
+def show_usage(error: Any) -> int:
+    """Show how a command is used, and the mistake; return the exit status."""
+    if type(error).__name__ == "NoArgsIsHelpError":  # its message is the help
+        complain(error.format_message())
+        return end(ERROR)
+    context = getattr(error, "ctx", None)
+    if context is not None:
+        complain(f"{context.get_usage()}\nTry '{context.command_path} --help' for help.\n")
+    message = visible(error.format_message())
+    if message.startswith("Got unexpected extra argument") and "--output" in _OPTIONS.get():
+        message += ": the file to write is named by -o"
+    complain(f"error: {message}")
     return end(ERROR)
 
 
 def warn(line: str) -> None:
     """Write a warning to stderr."""
     complain(f"warning: {visible(line)}")
-
-
-def note(line: str) -> None:
-    """Write to stderr what is good to know."""
-    complain(f"note: {visible(line)}")

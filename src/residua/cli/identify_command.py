@@ -1,8 +1,8 @@
-"""The command ``identify``: from fault-free recordings to a plant file, and what ``learn`` shares with it."""
+"""The command ``identify``, and the options of models that ``learn`` has too."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
@@ -12,26 +12,16 @@ import numpy as np
 import typer
 
 from residua.cli import screen
-from residua.cli.checks import check_outputs, check_recordings
 from residua.cli.guard import in_cli_words
-from residua.cli.recording_options import (
-    Columns,
-    DayFirst,
-    Decimal,
-    DecimalMark,
-    FillGaps,
-    Reading,
-    Step,
-    TimeColumn,
-    TimeFormat,
-    Tolerance,
-    Transpose,
-    Variable,
-)
+from residua.cli.recording_options import Reading, with_reading
+from residua.cli.shared_options import AsJson, NormalFiles, check_outputs, check_recordings
 from residua.errors import DataError, SettingError
-from residua.identify import IdentifiedModel, subspace
+from residua.identify import subspace
 from residua.identify.channel_faults import idle_inputs, with_channel_faults
+from residua.identify.fit_report import FitReport
+from residua.monitor.inputs import with_channels
 from residua.plant import Plant
+from residua.recording.matching import matched_names, missing_columns
 from residua.recording.recording import Recording
 from residua.report.model_page import write_model_page
 from residua.visible import echo, listed
@@ -56,7 +46,7 @@ def checked_names(text: str | None) -> str | None:
         parts = parse_names(text)
         twice = next((name for name in parts if parts.count(name) > 1), None)
         if not all(parts) or twice:
-            raise typer.BadParameter(f"{echo(twice)} is there twice" if twice else "a name is empty")
+            raise typer.BadParameter(f"{echo(twice)} occurs twice" if twice else "a name is empty")
     return text
 
 
@@ -65,29 +55,21 @@ def parse_names(text: str | None) -> list[str]:
     return [] if text is None else [part.strip() for part in text.split(",")]
 
 
-def _delays(texts: list[str] | None) -> list[str] | None:
-    for text in texts or []:
-        name, _, rows = text.rpartition("=")
-        if not name.strip() or not rows.strip().isdecimal():
-            raise typer.BadParameter(f"expected INPUT=ROWS, such as Q1=3, got {echo(text)}")
-    return texts
-
-
-def parse_delays(texts: list[str] | None) -> dict[str, int]:
-    """Return the rows by which inputs act late."""
-    pairs = [text.rpartition("=") for text in texts or []]
-    return {name.strip(): int(rows) for name, _, rows in pairs}
+def _delays(text: str | None) -> str | None:
+    if not all(name and rows.isdecimal() for name, rows in _pairs(text)):
+        raise typer.BadParameter(f"expected INPUT=ROWS,... such as Q1=3, got {echo(text)}")
+    return text
 
 
 def _units(text: str | None) -> str | None:
-    if text is not None and not all(name and unit for name, unit in _pairs(text)):
+    if not all(name and unit for name, unit in _pairs(text)):
         raise typer.BadParameter("expected CHANNEL=UNIT,... such as h1=cm,Q1=cm3/s")
     return text
 
 
 def _pairs(text: str | None) -> list[tuple[str, str]]:
     halves = [part.rpartition("=") for part in text.split(",")] if text else []
-    return [(name.strip(), unit.strip()) for name, _, unit in halves]
+    return [(name.strip(), value.strip()) for name, _, value in halves]
 
 
 def _held_out(value: float) -> float:
@@ -96,9 +78,6 @@ def _held_out(value: float) -> float:
     return value
 
 
-Normal = Annotated[
-    list[Path], typer.Argument(metavar="NORMAL.csv...", help="Fault-free recordings; each has a start of its own.")
-]
 Inputs = Annotated[
     str | None, typer.Option("--inputs", metavar="LIST", callback=checked_names, help="Columns that drive the plant.")
 ]
@@ -113,20 +92,20 @@ Units = Annotated[
 ]
 Order = Annotated[
     int | None,
-    typer.Option("--order", min=0, metavar="N", help="States; by an information criterion when omitted."),
+    typer.Option("--order", min=0, metavar="N", help="Number of states; by an information criterion when omitted."),
 ]
 MaxOrder = Annotated[int | None, typer.Option("--max-order", min=0, metavar="N", help="Largest order to compare.")]
 Past = Annotated[
     int | None,
-    typer.Option("--past", min=1, metavar="N", help="Rows of the past that a state is made of; chosen when omitted."),
+    typer.Option("--past", min=1, metavar="N", help="Past rows from which a state is made; chosen when omitted."),
 ]
 HowStates = Annotated[
-    Method, typer.Option("--method", help="pbsid is right in closed loop too; the others are for open loop.")
+    Method, typer.Option("--method", help="pbsid holds in closed loop too; the others are for open loop.")
 ]
-Feedthrough = Annotated[bool, typer.Option("--feedthrough", help="An input moves an output within the same row.")]
-Delay = Annotated[
-    list[str] | None,
-    typer.Option("--delay", metavar="INPUT=ROWS", callback=_delays, help="A known delay; one option for each input."),
+Feedthrough = Annotated[bool, typer.Option("--feedthrough", help="An input acts on an output within the same row.")]
+Delays = Annotated[
+    str | None,
+    typer.Option("--delays", metavar="LIST", callback=_delays, help="INPUT=ROWS,... for inputs with a known delay."),
 ]
 SensorFaults = Annotated[
     bool, typer.Option("--sensor-faults/--no-sensor-faults", help="A fault of every output in the plant.")
@@ -138,7 +117,7 @@ ActuatorFaults = Annotated[
 
 @dataclass(frozen=True)
 class Channels:
-    """Which columns are what; outputs that are not named are all other columns of the first recording."""
+    """Columns of inputs and outputs; without outputs, all other columns of the first recording."""
 
     inputs: list[str]
     outputs: list[str]
@@ -152,28 +131,23 @@ class Channels:
         outputs, recordings = self.outputs, []
         for path in paths:
             one = reading.read_channels(path, _stand_in(self.inputs, outputs) if outputs else None)
-            absent = [name for name in self.inputs if name not in one.columns]
-            if absent:
-                raise DataError(f"{path}: no column is called {listed(absent)}; there are {listed(tuple(one.columns))}")
-            outputs = outputs or [name for name in one.columns if name not in self.inputs]
             if not outputs:
-                raise DataError(f"{path}: every column is an input; the outputs are what is left")
-            recordings.append(_arranged(one, self.inputs, outputs))
+                found, names = matched_names(self.inputs, tuple(one.columns)), tuple(one.columns)
+                absent = {name: name for name in self.inputs if name not in found}
+                if absent:
+                    advice = "give --inputs the names of columns"
+                    raise missing_columns(absent, names, path.name, matched=list(found.values()), advice=advice)
+                outputs = [name for name in names if name not in found.values()]
+                if not outputs:
+                    raise DataError(f"{path}: every column is an input; leave the outputs out of --inputs")
+            recordings.append(with_channels(one, _stand_in(self.inputs, outputs)))
         return recordings
 
 
 def _stand_in(inputs: Sequence[str], outputs: Sequence[str]) -> Plant:
-    """Return a plant that has the channels, and no step: what is read is then these columns and no other."""
+    """Return a plant with these channels and no step, so that just these columns are read."""
     zeros = np.zeros((1, len(inputs))), np.zeros((len(outputs), 1))
     return Plant([[-1.0]], zeros[0], zeros[1], inputs=inputs, outputs=outputs)
-
-
-def _arranged(one: Recording, inputs: Sequence[str], outputs: Sequence[str]) -> Recording:
-    data = np.hstack([one.u, one.y])
-    place = {name: k for k, name in enumerate(one.columns)}
-    chosen = data[:, [place[name] for name in (*inputs, *outputs)]]
-    columns = {name: one.columns[name] for name in (*inputs, *outputs)}
-    return replace(one, u=chosen[:, : len(inputs)], y=chosen[:, len(inputs) :], columns=columns)
 
 
 def part(one: Recording, start: float, stop: float) -> Recording:
@@ -184,24 +158,17 @@ def part(one: Recording, start: float, stop: float) -> Recording:
 
 
 def fault_text(plant: Plant) -> str:
-    """Say which faults the plant has, and which it cannot have."""
+    """Return a line on the faults of a plant, and the inputs that have none."""
     idle = idle_inputs(plant)
-    why = f"; none of {listed(idle)}, of which the model finds no effect" if idle else ""
+    why = f"; none of {listed(idle)}, which has no effect in the model" if idle else ""
     if not plant.faults:
-        return f"no faults in the plant{why}: a design needs some, [[faults]] in the plant file"
+        return f"no faults in the plant{why}: add [[faults]] to the plant file before a design"
     return f"faults: {listing(plant.faults)}{why}"
 
 
-def identified(data: Sequence[Recording], settings: Mapping[str, Any]) -> IdentifiedModel:
-    """Return the model of recordings, and print what it is worth."""
-    model = subspace(list(data), **settings)
-    screen.say(*map(in_cli_words, str(model.report).splitlines()))
-    screen.say(*(f"{one.source}: {note}" for one in data for note in one.notes))
-    return model
-
-
+@with_reading
 def identify(
-    normal: Normal,
+    normal: NormalFiles,
     output: Annotated[Path, typer.Option("--output", "-o", metavar="PLANT.toml", help="Plant file to write.")],
     inputs: Inputs = None,
     outputs: Outputs = None,
@@ -213,34 +180,26 @@ def identify(
     past: Past = None,
     method: HowStates = Method.pbsid,
     feedthrough: Feedthrough = False,
-    delay: Delay = None,
+    delays: Delays = None,
     held_out: Annotated[
         float,
-        typer.Option("--held-out", metavar="PART", callback=_held_out, help="Last part, on which the model is judged."),
+        typer.Option("--held-out", metavar="PART", callback=_held_out, help="Last part, which only checks the model."),
     ] = 0.25,
     sensor_faults: SensorFaults = True,
     actuator_faults: ActuatorFaults = True,
     no_faults: Annotated[bool, typer.Option("--no-faults", help="No faults in the plant file.")] = False,
     units: Units = None,
-    name: Annotated[str, typer.Option("--name", metavar="NAME", help="Of the plant.")] = "identified",
-    time: TimeColumn = None,
-    dt: Step = None,
-    variable: Variable = None,
-    fill_gaps: FillGaps = False,
-    tolerance: Tolerance = None,
-    day_first: DayFirst = None,
-    time_format: TimeFormat = None,
-    decimal: DecimalMark = Decimal.point,
-    columns: Columns = None,
-    transpose: Transpose = False,
+    name: Annotated[str, typer.Option("--name", metavar="NAME", help="Name of the plant.")] = "identified",
+    as_json: AsJson = False,
+    *,
+    reading: Reading,
 ) -> None:
     """Identify a plant with its noise from fault-free recordings."""
     check_recordings(normal)
     check_outputs([output, report], normal)
-    reading = Reading(time, dt, variable, fill_gaps, tolerance, day_first, time_format, decimal, columns, transpose)
     data = Channels(parse_names(inputs), parse_names(outputs)).read(normal, reading)
-    settings = settings_of(data, order, max_order, past, method, feedthrough, delay, units)
-    model = identified(data, settings | {"held_out": held_out, "name": name})
+    settings = settings_of(data, outputs, order, max_order, past, method, feedthrough, delays, units)
+    model = subspace(data, **settings, held_out=held_out, name=name)
     plant = with_channel_faults(
         model.plant, sensors=sensor_faults and not no_faults, actuators=actuator_faults and not no_faults
     )
@@ -252,33 +211,66 @@ def identify(
         told = replace(model.report, notes=tuple(map(in_cli_words, model.report.notes)))
         write_model_page(replace(model, report=told), shown or data, report)
         written.append(report)
-    screen.say(fault_text(plant), *(f"written: {path}" for path in written))
+    if as_json:
+        screen.print_json({**report_values(model.report), "faults": plant.faults, "written": written})
+        return
+    screen.say(*map(in_cli_words, str(model.report).splitlines()), fault_text(plant))
+    screen.say(*(f"written: {path}" for path in written))
+
+
+def report_values(report: FitReport) -> dict[str, Any]:
+    """Return the report of a model as values for JSON."""
+    facts = report.held_out or report.fitted
+    simulated = facts.simulated_fit
+    return {
+        "model": {
+            "method": report.method,
+            "order": len(report.poles),
+            "dt": report.dt,
+            "samples": report.samples,
+            "poles": report.poles,
+            "held_out": report.held_out is not None,
+            "outputs": [
+                {
+                    "output": name,
+                    "error": facts.error[k],
+                    "fit": facts.fit[k],
+                    "simulated_fit": None if simulated is None else simulated[k],
+                }
+                for k, name in enumerate(report.outputs)
+            ],
+            "remarks": [in_cli_words(line) for line in report.remarks],
+        },
+        "inputs": report.inputs,
+        "outputs": report.outputs,
+    }
 
 
 def settings_of(
     data: Sequence[Recording],
+    outputs: str | None,
     order: int | None,
     max_order: int | None,
     past: int | None,
     method: Method,
     feedthrough: bool,
-    delay: list[str] | None,
+    delays: str | None,
     units: str | None,
 ) -> dict[str, Any]:
-    """Return options as arguments of :func:`residua.identify.subspace`."""
+    """Return options as arguments of :func:`residua.identify.subspace`, where nobody named outputs without these."""
     channels, of = list(data[0].columns), dict(_pairs(units))
     absent = [one for one in of if one not in channels]
     if absent:
-        raise SettingError(f"--units: there is no channel {listed(absent)}; there are {listed(channels)}")
+        raise SettingError(f"--units: no channel {listed(absent)}; the channels are {listed(channels)}")
     m = data[0].u.shape[1]
     return {
         "inputs": channels[:m],
-        "outputs": channels[m:],
+        "outputs": None if outputs is None else channels[m:],
         "order": "auto" if order is None else order,
         "max_order": max_order,
         "past": "auto" if past is None else past,
         "method": method.value,
         "feedthrough": feedthrough,
-        "delays": parse_delays(delay),
+        "delays": {name: int(rows) for name, rows in _pairs(delays)},
         "units": of,
     }

@@ -1,25 +1,23 @@
-"""The command ``learn``: from fault-free recordings to a monitor, with a check on rows that nothing of it has seen."""
+"""The command ``learn``: a monitor from fault-free recordings, checked on held-out rows."""
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from residua.cli import screen
-from residua.cli.checks import FalseAlarmRate, check_outputs, check_recordings
+from residua.cli.fit_command import check_values, show_visible
 from residua.cli.guard import in_cli_words, warn
 from residua.cli.identify_command import (
     ActuatorFaults,
     Channels,
-    Delay,
+    Delays,
     Feedthrough,
     HowStates,
     MaxOrder,
     Method,
-    Normal,
     Order,
     Outputs,
     Past,
@@ -28,39 +26,18 @@ from residua.cli.identify_command import (
     checked_names,
     fault_text,
     parse_names,
+    report_values,
     settings_of,
 )
-from residua.cli.recording_options import (
-    Columns,
-    DayFirst,
-    Decimal,
-    DecimalMark,
-    FillGaps,
-    Reading,
-    Step,
-    TimeColumn,
-    TimeFormat,
-    Tolerance,
-    Transpose,
-    Variable,
-)
+from residua.cli.recording_options import Reading, with_reading
+from residua.cli.shared_options import AsJson, FalseAlarmRate, NormalFiles, check_outputs, check_recordings
 from residua.monitor import learn as learn_monitor
+from residua.monitor.learning import ROUTES
 
 
-class Form(StrEnum):
-    """The form of the relations between channels, or a route without them."""
-
-    auto = "auto"
-    static = "static"
-    curve = "curve"
-    lags = "lags"
-    horizon = "horizon"
-    innovation = "innovation"
-    variates = "variates"
-
-
+@with_reading
 def learn(
-    normal: Normal,
+    normal: NormalFiles,
     output: Annotated[Path, typer.Option("--output", "-o", metavar="MONITOR.json", help="Monitor to write.")],
     inputs: Annotated[
         str | None,
@@ -72,45 +49,38 @@ def learn(
     past: Past = None,
     method: HowStates = Method.pbsid,
     feedthrough: Feedthrough = False,
-    delay: Delay = None,
+    delays: Delays = None,
     form: Annotated[
-        Form, typer.Option("--form", help="How channels are compared with each other; by a check when omitted.")
-    ] = Form.auto,
+        str, typer.Option("--form", metavar="|".join(ROUTES), help="Relations between channels; chosen when omitted.")
+    ] = "auto",
     sensor_faults: SensorFaults = True,
     actuator_faults: ActuatorFaults = True,
     false_alarm_rate: FalseAlarmRate = None,
     units: Units = None,
     force: Annotated[
-        bool, typer.Option("--force", help="Write a monitor of which nothing can be expected too.")
+        bool, typer.Option("--force", help="Write the monitor even if it is not expected to see faults.")
     ] = False,
-    time: TimeColumn = None,
-    dt: Step = None,
-    variable: Variable = None,
-    fill_gaps: FillGaps = False,
-    tolerance: Tolerance = None,
-    day_first: DayFirst = None,
-    time_format: TimeFormat = None,
-    decimal: DecimalMark = Decimal.point,
-    columns: Columns = None,
-    transpose: Transpose = False,
+    as_json: AsJson = False,
+    *,
+    reading: Reading,
 ) -> None:
-    """Learn a monitor from fault-free recordings: identify a plant, compare channels, check, fit.
+    """Learn a monitor from fault-free recordings, without a model.
 
-    The last quarter of each recording is a check of all that was made of the rest: it chooses how channels are
-    compared, by false alarms and by faults put into it, and raises thresholds that it exceeds. Then all rows are used.
+    A plant is identified, and relations between channels are fitted. The last quarter of each recording is held out: it
+    chooses the relations, by false alarms and by simulated faults, and raises thresholds that it exceeds. The final fit
+    uses all rows.
     """
     check_recordings(normal)
     check_outputs([output], normal)
-    reading = Reading(time, dt, variable, fill_gaps, tolerance, day_first, time_format, decimal, columns, transpose)
     named = [] if inputs in (None, "none") else parse_names(checked_names(inputs))
     data = Channels(named, parse_names(outputs)).read(normal, reading)
-    options = settings_of(data, order, max_order, past, method, feedthrough, delay, units)
+    options = settings_of(data, outputs, order, max_order, past, method, feedthrough, delays, units)
     channels = {name: options.pop(name) for name in ("inputs", "outputs")}
     learnt = learn_monitor(
         data,
         **({} if inputs is None else channels),
         false_alarm_rate=false_alarm_rate,
-        form=form.value,
+        form=form,
         sensor_faults=sensor_faults,
         actuator_faults=actuator_faults,
         force=force,
@@ -119,11 +89,22 @@ def learn(
     learnt.monitor.save(output)
     check = learnt.monitor.fit_check
     assert check is not None
-    report = str(learnt.report).splitlines() if learnt.report is not None else []
-    screen.say(*map(in_cli_words, report))
-    screen.say(*(f"{one.source}: {note}" for one in data for note in one.notes))
-    screen.say(*map(in_cli_words, learnt.lines), fault_text(learnt.monitor.design.plant), check.false_alarms)
-    screen.show_visible(check)
-    screen.say(f"written: {output}")
+    notes = list(map(in_cli_words, learnt.notes))
+    plant = learnt.monitor.design.plant
+    if as_json:
+        tried = [
+            {"form": one.form, "false_alarms": one.false_alarms, "seen": one.seen, "failed": one.failed}
+            for one in learnt.tried
+        ]
+        values = {} if learnt.report is None else report_values(learnt.report)
+        channels = {"inputs": learnt.inputs, "outputs": learnt.outputs, "guessed": learnt.guessed}
+        more = {"chosen": learnt.chosen, "tried": tried, "faults": plant.faults, "recording_notes": notes}
+        screen.print_json({"monitor": output, **values, **channels, **more, **check_values(check)})
+    else:
+        report = str(learnt.report).splitlines() if learnt.report is not None else []
+        screen.say(*map(in_cli_words, report), *notes)
+        screen.say(*map(in_cli_words, learnt.lines), fault_text(plant), check.false_alarms)
+        show_visible(check)
+        screen.say(f"written: {output}")
     for note in check.notes:
         warn(in_cli_words(note))

@@ -17,6 +17,7 @@ import typer
 
 from residua.cli import screen
 from residua.cli.guard import FAULT, NO_FAULT
+from residua.cli.shared_options import check_file
 from residua.cli.streams import complain
 from residua.errors import DataError
 from residua.monitor import Monitor
@@ -31,22 +32,20 @@ def live(
     config: Annotated[
         Path | None, typer.Argument(metavar="CONFIG.toml", help="Monitors, sources, store, sinks and page.")
     ] = None,
-    check: Annotated[
-        bool, typer.Option("--check", help="Read configuration and secrets, say what it is, and stop.")
-    ] = False,
+    check: Annotated[bool, typer.Option("--check", help="Check configuration and secrets, and stop.")] = False,
     reset: Annotated[
         str | None,
-        typer.Option("--reset", metavar="PLANT", help="Let a plant begin anew whose clock has gone back, and stop."),
+        typer.Option("--reset", metavar="PLANT", help="Restart a plant whose clock went back, and stop."),
     ] = None,
-    example: Annotated[bool, typer.Option("--example", help="Print a configuration to begin with, and stop.")] = False,
-    demo: Annotated[bool, typer.Option("--demo", help="Watch three simulated plants: nothing else is needed.")] = False,
+    example: Annotated[bool, typer.Option("--example", help="Print an example of a configuration, and stop.")] = False,
+    demo: Annotated[bool, typer.Option("--demo", help="Watch three simulated plants; no configuration.")] = False,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="DIR", help="With --demo: folder for what it writes.")
+        Path | None, typer.Option("--output", "-o", metavar="DIR", help="With --demo: folder for its files.")
     ] = None,
 ) -> None:
-    """Watch data as they come: alarms are stored, sent on, and shown on a page.
+    """Watch live data: store alarms, send them on, show a page.
 
-    Ends by Ctrl-C, or when all sources have ended: then status 1 if an alarm was raised, 0 if none.
+    It stops at Ctrl-C, or when all sources have ended: then with status 1 if an alarm was raised, else 0.
     """
     from residua.live import config as configuration
 
@@ -57,7 +56,8 @@ def live(
         _demo(config, output)
         return
     if config is None:
-        raise typer.BadParameter("name a configuration; residua live --example prints one", param_hint="CONFIG.toml")
+        raise typer.BadParameter("name a configuration; 'residua live --example' prints one", param_hint="CONFIG.toml")
+    check_file(config, "configuration")
     settings = configuration.load_settings(config)
     if reset is not None:
         _reset(settings, reset)
@@ -70,12 +70,12 @@ def live(
 
 
 def _say(settings: LiveSettings) -> None:
-    """Say what a configuration is."""
+    """Print a summary of a configuration."""
     from residua.live.watched_model import WatchedModel
 
     for one in settings.monitors:
-        WatchedModel(one.name, Monitor.load(one.file), settings.store.history)  # says what is wrong with it
-        more = ", and new ones" if one.accept_new else ""
+        WatchedModel(one.name, Monitor.load(one.file), settings.store.history)  # raises where the monitor cannot run
+        more = " and new ones" if one.accept_new else ""
         screen.say(f"monitor {visible(one.name)}: {len(one.plants)} plants{more}")
     for what, some in (("source", settings.sources), ("sink", settings.sinks)):
         for kind, _ in some:
@@ -85,7 +85,7 @@ def _say(settings: LiveSettings) -> None:
 
 
 def _reset(settings: LiveSettings, plant: str) -> None:
-    """Ask the run that has the store, or the next one, to let a plant begin anew."""
+    """Let the run that has the store, or the next one, restart a plant."""
     from residua.live.store import Changes
     from residua.live.stores import store_of
 
@@ -97,7 +97,7 @@ def _reset(settings: LiveSettings, plant: str) -> None:
         store.commit(Changes(meta={f"reset {plant}": "asked"}))
     finally:
         store.close()
-    screen.say(f"{visible(plant)} begins anew with its next reading")
+    screen.say(f"{visible(plant)} restarts with its next reading")
 
 
 def _run(settings: LiveSettings, *, linger: bool) -> int:
@@ -116,7 +116,7 @@ def _run(settings: LiveSettings, *, linger: bool) -> int:
             with _ended_by_signals(run) as stopped:
                 run.work(lambda: _started(run, server))
                 if linger and server is not None and not stopped.is_set():
-                    screen.say("the data have ended; the page stays until Ctrl-C")
+                    screen.say("the data have ended; the page stays up; press Ctrl-C to stop")
                     stopped.wait()
         finally:
             if server is not None:
@@ -127,12 +127,12 @@ def _run(settings: LiveSettings, *, linger: bool) -> int:
         if stopped.is_set():
             return NO_FAULT
         if not run.watch.judged:
-            raise DataError(f"no sample could be judged, so this is not a verdict: {rows:,} rows came{_dropped(run)}")
+            raise DataError(f"no sample could be judged, so there is no verdict: {rows:,} rows read{_dropped(run)}")
         return FAULT if raised or any(one.told for one in run.watch.plants.values()) else NO_FAULT
 
 
 def _dropped(run: Run) -> str:
-    """Say how many messages and readings were not used, by reason."""
+    """Return the numbers of messages and readings that were not used, by reason."""
     counts = {name: count for name, count in run.numbers.dropped.most_common() if name != "gap"}
     return f"; not used: {', '.join(f'{name} {count:,}' for name, count in counts.items())}" if counts else ""
 
@@ -144,7 +144,10 @@ def _started(run: Run, server: Any) -> None:
         # A token of the user's own has no business in a log, which is where it goes unless somebody looks on.
         screen.say(f"page: {server.place if given and not sys.stdout.isatty() else server.address}")
     plants = len(run.watch.plants)
-    screen.say(f"watching {plants:,} plants{', and new ones' if run.takes_new else ''}; Ctrl-C ends it")
+    watched = (
+        f"watching {plants:,} plants{' and new ones' if run.takes_new else ''}" if plants else "waiting for plants"
+    )
+    screen.say(f"{watched}; press Ctrl-C to stop")
     sys.stdout.flush()
 
 
@@ -199,10 +202,10 @@ def _demo(config: Path | None, output: Path | None) -> None:
     from residua.live.config import load_settings
 
     if config is not None:
-        raise typer.BadParameter("it needs no configuration, and writes one", param_hint="--demo")
+        raise typer.BadParameter("the demo writes its own configuration: leave CONFIG.toml out", param_hint="--demo")
     folder = Path(tempfile.mkdtemp(prefix="residua-live-")) if output is None else output
     if folder.exists() and not folder.is_dir():
-        raise DataError(f"{folder} is a file; the demo needs a folder")
+        raise DataError(f"{folder} is a file; name a folder")
     folder.mkdir(parents=True, exist_ok=True)
     path = demo.write(folder)
     screen.say(*demo.INTRODUCTION, f"configuration, recordings and store: {folder}")

@@ -28,11 +28,11 @@ CHOICE_TIME, TRYING_TIME = 10.0, 30.0
 
 
 class MethodError(ResiduaError):
-    """A method raised what is no answer about a plant: which one, and what."""
+    """A method raised an error that is no answer about a plant."""
 
 
 class OptionError(ValueError):
-    """An option whose text says nothing: which one, and what is wrong."""
+    """An option whose text cannot be read."""
 
     def __init__(self, option: str, why: str) -> None:
         super().__init__(f"{option}: {why}")
@@ -46,8 +46,7 @@ def option_name(name: str) -> str:
 
 def flag(option: Option) -> str:
     """Return how an option of a method is written on the command line."""
-    form = form_of(option)
-    return option_name(form.name if form and form.name else option.name)
+    return option_name(option.name)
 
 
 def method_name(method: Method) -> str:
@@ -58,11 +57,6 @@ def method_name(method: Method) -> str:
 def offered() -> dict[str, Method]:
     """Return the methods that a plant file and options can feed, and whose result a monitor can take, by name."""
     return {method_name(one): one for one in methods() if not in_python_only(one)}
-
-
-def former_names() -> dict[str, str]:
-    """Return the names that methods had before they were those of the functions, with these."""
-    return {former: name for name, one in offered().items() for former in one.formerly}
 
 
 def in_python_only(method: Method) -> str:
@@ -117,7 +111,7 @@ def _shared(name: str, holders: list[tuple[str, Option, Form]]) -> Shared:
     form = holders[0][2]
     texts = Counter(one.text for _, one, _ in holders)
     text = max(texts, key=lambda one: (bool(one), texts[one], len(one)))
-    plain = option_name(form.name or name)
+    plain = option_name(name)
     flags = (f"{plain}/--no-{plain[2:]}",) if form.is_flag else (plain,)
     if any(other.is_flag != form.is_flag for _, _, other in holders):  # of one name and two kinds: each reads its text
         form, flags = Form("TEXT", str), (plain,)
@@ -125,10 +119,15 @@ def _shared(name: str, holders: list[tuple[str, Option, Form]]) -> Shared:
 
 
 def in_plain_words(text: str) -> str:
-    """Return a description from a docstring without its markup."""
+    """Return a description from a docstring without markup."""
     text = re.sub(r":\w+:`~?(?:[\w.]*\.)?(\w+)`", r"\1", text)
-    text = re.sub(r":math:`([^`]*)`", r"\1", text).replace("``", "")
+    text = re.sub(r":math:`([^`]*)`", lambda found: _formula(found[1]), text).replace("``", "")
     return text.replace("[", "(").replace("]", ")")  # screens take brackets for markup
+
+
+def _formula(latex: str) -> str:
+    """Return a formula as it is typed: ``e^(-dt/tau)``."""
+    return re.sub(r"\\(\w+)", r"\1", latex.replace(r"\dots", "...").replace("{", "(").replace("}", ")"))
 
 
 @dataclass(frozen=True)
@@ -140,7 +139,7 @@ class Call:
     method : Method
     values : mapping of str to value
         Options that were asked for.
-    sample_time : float or None
+    dt : float or None
         Of the recordings.
     settings : mapping of str to value
         Of the monitor: a method takes those that it has an option for.
@@ -152,7 +151,7 @@ class Call:
 
     method: Method
     values: Mapping[str, Any]
-    sample_time: float | None = None
+    dt: float | None = None
     settings: Mapping[str, Any] = field(default_factory=dict)
     subject: str = "plant"
     made: dict[Chosen, Any] = field(default_factory=dict, repr=False)
@@ -170,7 +169,7 @@ class Call:
         return [one.name for one in self.method.options if one.required and one.name not in chosen]
 
     def run(self, plant: Plant) -> Any:
-        """Make the call, and return what a monitor takes of it."""
+        """Make the call, and return the part that a monitor takes."""
         asked = self.method.with_chosen(plant, self.asked, self.made, CHOICE_TIME)
         try:
             made = self.method.function(self._of_the_time(plant), **asked)
@@ -185,18 +184,18 @@ class Call:
         """Whether the plant is sampled first: the best filter of that, rather than the continuous one, sampled."""
         needs = self.method.requirements
         noise = NOISE in needs and bool(plant.Bw.shape[1])
-        return self.sample_time is not None and not plant.is_discrete and (noise or SAMPLED in needs)
+        return self.dt is not None and not plant.is_discrete and (noise or SAMPLED in needs)
 
     def _of_the_time(self, plant: Plant) -> Plant:
-        if self.sample_time is not None and self._sampled(plant):
-            return plant.discretize(self.sample_time)
+        if self.dt is not None and self._sampled(plant):
+            return plant.discretize(self.dt)
         if SAMPLED in self.method.requirements and not plant.is_discrete:
-            raise DesignError("it counts samples: give --sample-time, the step of the recordings")
+            raise DesignError("it counts samples: give --dt, the step of the recordings")
         return plant
 
     def code(self, plant: Plant) -> str:
         """Return the same in Python, for a plant called ``plant``."""
-        sampled = f"plant.discretize({self.sample_time!r})" if self._sampled(plant) else self.subject
+        sampled = f"plant.discretize({self.dt!r})" if self._sampled(plant) else self.subject
         made = [
             f"{name}={one.limited.format(seconds=CHOICE_TIME)}"
             for name, one in self.method.chosen.items()
@@ -215,13 +214,13 @@ def _with_real_numbers(value: Any) -> Any:
     return value.real if isinstance(value, complex) and not value.imag else value
 
 
-def choose(plant: Plant, sample_time: float | None) -> tuple[Plant, str, Call, str]:
+def choose(plant: Plant, dt: float | None) -> tuple[Plant, str, Call, str]:
     """Return the plant to design for, the method that :func:`residua.suggest` puts first, its call, and why.
 
     Parameters
     ----------
     plant : Plant
-    sample_time : float or None
+    dt : float or None
         Of the recordings: a continuous plant is sampled with it first.
 
     Raises
@@ -230,25 +229,25 @@ def choose(plant: Plant, sample_time: float | None) -> tuple[Plant, str, Call, s
         If nothing can come first.
     """
     subject = "plant"
-    if sample_time is not None and not plant.is_discrete:
-        plant, subject = plant.discretize(sample_time), f"plant.discretize({sample_time!r})"
+    if dt is not None and not plant.is_discrete:
+        plant, subject = plant.discretize(dt), f"plant.discretize({dt!r})"
     found = first_design(plant)
     best = found.best
     if best is None:
         tried = [f"{one.method.name}: {one.left_out or one.reason}" for one in found.entries if one.works is not None]
-        raise DesignError(
-            f"no design sees the faults of this plant whatever it does: {'; '.join([*found.notes, *tried])}"
-        )
-    why = "it serves the state; the plant has no faults"
+        raise DesignError(f"no design can see the faults of this plant: {'; '.join([*found.notes, *tried])}")
+    why = "it estimates the state; the plant has no faults"
     if best.sizes:
-        why = f"of a fault that lasts it sees (in brackets, by deviations of the noise) {found.seen_by(best)}"
+        why = (
+            f"it sees lasting faults from these sizes on (in brackets: deviations of the noise): {found.seen_by(best)}"
+        )
     if ".with_assumed_noise()" in best.call:
         plant, subject = plant.with_assumed_noise(), f"{subject}.with_assumed_noise()"
-        why += "; no noise is given, and what is assumed is a guess: fit the monitor on fault-free data"
+        why += "; the plant has no noise, so some is assumed: fit the monitor to fault-free data"
     return plant, method_name(best.method), Call(best.method, best.options, None, subject=subject), why
 
 
-def call_of(name: str, asked: Mapping[str, Any], settings: Mapping[str, Any], sample_time: float | None) -> Call:
+def call_of(name: str, asked: Mapping[str, Any], settings: Mapping[str, Any], dt: float | None) -> Call:
     """Return a method with its options.
 
     Parameters
@@ -258,14 +257,14 @@ def call_of(name: str, asked: Mapping[str, Any], settings: Mapping[str, Any], sa
         Options as they were written.
     settings : mapping of str to value
         Of the monitor: a method takes those that it has too.
-    sample_time : float or None
+    dt : float or None
 
     Raises
     ------
     SettingError
         If the method does not have an option, or needs one that is not there.
     OptionError
-        If a text says nothing.
+        If the text of an option cannot be read.
     """
     known = offered()
     method = known[name]
@@ -274,7 +273,7 @@ def call_of(name: str, asked: Mapping[str, Any], settings: Mapping[str, Any], sa
         if option not in own:
             raise SettingError(_not_of(option, name))
     values = {option: _read(own[option], value) for option, value in asked.items()}
-    call = Call(method, values, sample_time, settings)
+    call = Call(method, values, dt, settings)
     if call.left_out:
         needed = next(one for one in method.options if one.name == call.left_out[0])
         form = form_of(needed)
@@ -344,7 +343,7 @@ def _remedy(plant: Plant, name: str, call: Call) -> str:
 def _without_options(call: Call, method: Method, kept: Iterable[str] = ()) -> Call:
     """Return a call of a method with the defaults of its options, but for those that are kept."""
     values = {name: value for name, value in call.values.items() if name in kept}
-    return Call(method, values, call.sample_time, call.settings, call.subject, call.made)
+    return Call(method, values, call.dt, call.settings, call.subject, call.made)
 
 
 def _alternatives(plant: Plant, failed: str, call: Call) -> str:
@@ -359,9 +358,9 @@ def _alternatives(plant: Plant, failed: str, call: Call) -> str:
         elif _exists(other, plant):
             exposed = plant.disturbances and not method.decouples
             possible.append(f"--method {name}{' (does not decouple the disturbances)' if exposed else ''}")
-    untried = f"; not tried for want of time: {', '.join(late)}" if late else ""
+    untried = f"; not tried, for lack of time: {', '.join(late)}" if late else ""
     if possible:
-        return f"what exists for this plant: {', '.join(possible)}{untried}"
+        return f"methods that exist for this plant: {', '.join(possible)}{untried}"
     return f"no other method exists for this plant either{untried}"
 
 
@@ -377,7 +376,7 @@ HEADER = ("method", "needs", "exists when", "options")
 
 
 def table() -> list[tuple[str, ...]]:
-    """Return what each method needs and which options it has, as rows under :data:`HEADER`."""
+    """Return needs and options of each method, as rows under :data:`HEADER`."""
     rows = []
     for name, method in offered().items():
         flags = [flag(one) for one in method.options if form_of(one) is not None]

@@ -28,24 +28,21 @@ class Form:
     metavar : str
         What stands for its value in the help.
     read : callable
-        From text to a value; raises ``ValueError`` with what is wrong. Of a flag, from true or false.
+        From text to a value; raises ``ValueError`` with the mistake. Of a flag, from true or false.
     is_flag : bool
         Whether it is either there or not.
-    name : str
-        How the command line calls it; its own name when empty.
     """
 
     metavar: str
     read: Callable[[Any], Any] = field(compare=False)
     is_flag: bool = False
-    name: str = ""
 
 
 def form_of(option: Option) -> Form | None:
-    """Return how an option is written; ``None`` for what text cannot say, such as other plants."""
+    """Return how an option is written; ``None`` for values that have no text, such as other plants."""
     kinds = option.kinds
     if CodingSet in kinds:
-        return Form("LIST", parse_rows, name="rows")
+        return Form("LIST", parse_rows)
     mapped = next((typing.get_args(kind)[-1] for kind in kinds if typing.get_origin(kind) is Mapping), None)
     single = _single(option, kinds)
     if mapped is None:
@@ -101,10 +98,10 @@ def _named_or_not(each: Form, single: Callable[[str], Any] | None, text: str) ->
 
 
 def _check_different(entries: Sequence[str]) -> None:
-    """Raise when an entry is there twice."""
+    """Raise when an entry occurs twice."""
     twice = next((one for one, count in Counter(entries).items() if count > 1), None)
     if twice is not None:
-        raise ValueError(f"{twice!r} is there twice")
+        raise ValueError(f"{twice!r} occurs twice")
 
 
 def _choice(choices: tuple[str, ...], text: str) -> str:
@@ -127,7 +124,7 @@ def parse_number(text: str) -> float:
     except ValueError:
         number = float("nan")
     if not abs(number) < float("inf"):
-        raise ValueError(f"{text!r} is no number")
+        raise ValueError(f"{text!r} is not a number")
     return number
 
 
@@ -152,7 +149,7 @@ def parse_whole(text: str) -> int:
     try:
         return int(text)
     except ValueError:
-        raise ValueError(f"{text!r} is no whole number") from None
+        raise ValueError(f"{text!r} is not a whole number") from None
 
 
 def parse_matrix(text: str) -> Any:
@@ -166,7 +163,7 @@ def parse_matrix(text: str) -> Any:
     """
     rows = [[parse_number(entry.strip()) for entry in row.split(",")] for row in text.split(";") if row.strip()]
     if not rows or len({len(row) for row in rows}) > 1:
-        raise ValueError(f"{text!r} is no matrix: give numbers with commas, and rows of one length with semicolons")
+        raise ValueError(f"{text!r} is not a matrix: give numbers with commas, and rows of one length with semicolons")
     if ";" in text:
         return rows
     return rows[0] if len(rows[0]) > 1 else rows[0][0]
@@ -203,7 +200,7 @@ def parse_poles(text: str) -> tuple[complex, ...]:
             pole = complex("nan")
         if not (abs(pole) < float("inf")):
             raise ValueError(
-                f"{entry.strip()!r} is no pole: give numbers with commas between them, such as -3,-3 or -1+2j,-1-2j"
+                f"{entry.strip()!r} is not a pole: give numbers with commas between them, such as -3,-3 or -1+2j,-1-2j"
             )
         poles.append(pole)
     return tuple(poles)
@@ -223,7 +220,7 @@ def parse_rows(text: str) -> list[str]:
     Raises
     ------
     ValueError
-        If an entry has other characters than 0 and 1, or the lengths differ, or a row is there twice.
+        If an entry has other characters than 0 and 1, or the lengths differ, or a row occurs twice.
 
     Examples
     --------
@@ -233,6 +230,6 @@ def parse_rows(text: str) -> list[str]:
     """
     rows = ["".join(entry.split()) for entry in text.split(",")]
     if any(not row or set(row) - set("01") for row in rows) or len({len(row) for row in rows}) > 1:
-        raise ValueError(f"{text!r} are no rows: give zeros and ones, one for each fault, such as 011,101,110")
+        raise ValueError(f"{text!r} are not rows: give zeros and ones, one for each fault, such as 011,101,110")
     _check_different(rows)
     return rows

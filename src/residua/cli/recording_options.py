@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import ast
+import csv
+import inspect
 import re
-from collections.abc import Iterator, Mapping, Sequence
+import shlex
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, get_type_hints
 
 import typer
 
 from residua.cli import screen
+from residua.cli.shared_options import signed
 from residua.errors import ModelError, ResiduaError
 from residua.monitor import Monitor
 from residua.plant import Plant
@@ -21,7 +26,7 @@ from residua.recording.recording import Recording, read_recording
 
 
 class Decimal(StrEnum):
-    """What stands before the decimals."""
+    """The decimal mark."""
 
     point = "point"
     comma = "comma"
@@ -56,13 +61,10 @@ Step = Annotated[
         "--dt",
         metavar="S",
         callback=_positive,
-        help="Step in seconds, for recordings without times or whose times are not to be used; with --fill-gaps that "
-        "of the grid.",
+        help="Step in seconds, where there are no times or they are not used; with --fill-gaps the step of the grid.",
     ),
 ]
-Variable = Annotated[
-    str | None, typer.Option("--variable", metavar="NAME", help="Which array of a .mat or .npz file to read.")
-]
+Variable = Annotated[str | None, typer.Option("--variable", metavar="NAME", help="Array of a .mat or .npz file.")]
 FillGaps = Annotated[
     bool, typer.Option("--fill-gaps", help="Put the rows on a grid of equal steps; missing rows become gaps.")
 ]
@@ -72,16 +74,16 @@ Tolerance = Annotated[
         "--tolerance",
         metavar="PART",
         callback=_positive,
-        help="Largest irregularity of the times as a part of the step: 0.01, with --fill-gaps 0.1.",
+        help="Largest irregularity of the times, in steps: 0.01; with --fill-gaps 0.1.",
     ),
 ]
 DayFirst = Annotated[
-    bool | None, typer.Option("--day-first/--month-first", help="How dates such as 3/4/2026 are to be read.")
+    bool | None, typer.Option("--day-first/--month-first", help="Order of day and month in dates such as 3/4/2026.")
 ]
 TimeFormat = Annotated[
-    str | None, typer.Option("--time-format", metavar="FORMAT", help="How dates are written, as %d-%b-%Y %H:%M:%S.")
+    str | None, typer.Option("--time-format", metavar="FORMAT", help="Format of dates, such as %d-%b-%Y %H:%M:%S.")
 ]
-DecimalMark = Annotated[Decimal, typer.Option("--decimal", help="What stands before the decimals in text.")]
+DecimalMark = Annotated[Decimal, typer.Option("--decimal", help="Decimal mark of text.")]
 Columns = Annotated[
     str | None,
     typer.Option(
@@ -94,11 +96,20 @@ Columns = Annotated[
 Transpose = Annotated[
     bool, typer.Option("--transpose", help="Time runs along the rows of a matrix, or of text without a header.")
 ]
+MissingMarks = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--missing",
+        metavar="MARK",
+        help="A text or number that stands for a missing value, such as -9999; one option for each. Bad, No Data, N/A "
+        "and other marks of historians are known.",
+    ),
+]
 
 
 def parse_columns(text: str) -> dict[str, str] | list[str]:
-    """Return ``channel=column`` pairs as a mapping, names alone as a list."""
-    parts = [part.strip() for part in text.split(",")]
+    """Return ``channel=column`` pairs as a mapping, names alone as a list; pairs with a comma stand in quotes."""
+    parts = [part.strip() for part in next(csv.reader([text], skipinitialspace=True), [""])]
     if not all(parts):
         raise ValueError("a name is empty")
     pairs = [[half.strip() for half in part.split("=", 1)] for part in parts]
@@ -114,25 +125,26 @@ def parse_columns(text: str) -> dict[str, str] | list[str]:
 
 @dataclass(frozen=True)
 class Reading:
-    """What was said about how recordings are to be read."""
+    """How recordings are to be read; each field is an option of the commands that read some."""
 
-    time: str | None
-    dt: float | None
-    variable: str | None
-    fill_gaps: bool
-    tolerance: float | None
-    dayfirst: bool | None
-    time_format: str | None
-    decimal: Decimal
-    columns: str | None
-    transpose: bool
+    time: TimeColumn = None
+    dt: Step = None
+    variable: Variable = None
+    fill_gaps: FillGaps = False
+    tolerance: Tolerance = None
+    day_first: DayFirst = None
+    time_format: TimeFormat = None
+    decimal: DecimalMark = Decimal.point
+    columns: Columns = None
+    transpose: Transpose = False
+    missing: MissingMarks = None
 
     def read(self, path: Path, watch: Monitor) -> Recording:
         """Read a recording for a monitor."""
         return self.read_channels(path, _plant_of(watch))
 
     def options(self, watch: Monitor) -> ReadOptions:
-        """Return what was said, for a monitor."""
+        """Return the options, with the plant of a monitor."""
         return ReadOptions(
             _plant_of(watch),
             self.time,
@@ -141,10 +153,11 @@ class Reading:
             self.variable,
             self.tolerance,
             self.fill_gaps,
-            self.dayfirst,
+            self.day_first,
             self.time_format,
             self.decimal.mark,
             self.transpose,
+            self.missing or (),
         )
 
     @property
@@ -164,23 +177,40 @@ class Reading:
                 variable=self.variable,
                 tolerance=self.tolerance,
                 fill_gaps=self.fill_gaps,
-                dayfirst=self.dayfirst,
+                dayfirst=self.day_first,
                 time_format=self.time_format,
                 decimal=self.decimal.mark,
                 transpose=self.transpose,
+                missing=self.missing or (),
             )
         return replace(recording, notes=tuple(map(reading_words, recording.notes)))
 
 
+def with_reading(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command the options of :class:`Reading` in place of its last argument, ``reading``."""
+    own = list(inspect.signature(command, eval_str=True).parameters.values())[:-1]
+    kinds = get_type_hints(Reading, include_extras=True)
+    options = [
+        inspect.Parameter(one.name, inspect.Parameter.KEYWORD_ONLY, default=one.default, annotation=kinds[one.name])
+        for one in fields(Reading)
+    ]
+
+    def reads(**given: Any) -> None:
+        reading = Reading(**{one.name: given.pop(one.name) for one in options})
+        command(**given, reading=reading)
+
+    return signed(reads, [*own, *options], command.__doc__)
+
+
 def _plant_of(watch: Monitor) -> Plant:
-    """Return the plant of a monitor: sampled, it knows the step of recordings without times."""
+    """Return the plant of a monitor, sampled where its step is known."""
     try:
         return watch.generator.plant
     except ModelError:
         return watch.design.plant
 
 
-#: What is said in Python about reading, as a pattern, and the same for the command line.
+#: Words of Python about reading, as patterns, and those of the command line.
 _WORDS = {
     r"fill_gaps=True of read_recording and recording_from_frame": "--fill-gaps",
     r"\bfill_gaps(=True)?\b": "--fill-gaps",
@@ -188,6 +218,7 @@ _WORDS = {
     r"dayfirst=False\b": "--month-first",
     r"time_format=(?=[,; ])": "--time-format",
     r"decimal=','": "--decimal comma",
+    r"columns=\{channel: column\}": "--columns CHANNEL=COLUMN",
     r"columns=\[\.\.\.\]": '--columns "NAME,NAME,..."',
     r"columns must be a mapping \{channel: column\} here": "--columns takes CHANNEL=COLUMN here",
     r"\b(time|dt|variable|tolerance)=(?=[,;. )]|$)": r"--\1",
@@ -197,15 +228,36 @@ _WORDS = {
 
 
 def reading_words(text: str) -> str:
-    """Return what is said about reading a recording in the words of the command line."""
+    """Return a message about reading in the words of the command line."""
     for python, here in _WORDS.items():
         text = re.sub(python, here, text)
-    return text
+    return _LITERALS.sub(_option, text)
+
+
+#: Columns and marks as Python writes them.
+_LITERALS = re.compile(r"\b(columns|missing)=(\{'.*\}|\{\".*\}|\['.*'\])")
+
+
+def _option(found: re.Match[str]) -> str:
+    """Return the options for a mapping of columns, or for marks, as a shell takes them."""
+    try:
+        given = ast.literal_eval(found[2])
+    except (ValueError, SyntaxError):  # not alone: something of the same kind follows in the text
+        return found[0]
+    if isinstance(given, list):
+        return " ".join(f"--missing {quoted(mark)}" for mark in given)
+    pairs = [f"{channel}={column}" for channel, column in given.items()]
+    return "--columns " + quoted(",".join(f'"{pair}"' if "," in pair else pair for pair in pairs))
+
+
+def quoted(text: str) -> str:
+    """Return a text as one argument of a command, in the quotes that all shells have where that will do."""
+    return shlex.quote(text) if set(text) & set('"$`\\!') else f'"{text}"'
 
 
 @contextmanager
 def in_words_of_options() -> Iterator[None]:
-    """Say errors about reading in the words of the command line."""
+    """Put errors about reading in the words of the command line."""
     try:
         yield
     except ResiduaError as error:

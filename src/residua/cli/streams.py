@@ -37,7 +37,7 @@ def prepare() -> None:
 
 
 def complain(line: str) -> None:
-    """Write a line to standard error; where that cannot be written to, the exit status has to tell."""
+    """Write a line to standard error; where that cannot be written to, only the exit status is left."""
     try:
         print(line, file=sys.stderr, flush=True)
     except OSError:
@@ -45,7 +45,7 @@ def complain(line: str) -> None:
 
 
 def unwritten() -> OSError | None:
-    """Write out what standard output still holds; return what hinders that, after which it takes what comes to nowhere.
+    """Flush standard output; return the error that hinders it, after which output is discarded.
 
     A second attempt, at the end of the process, would end it with a status of its own.
     """
@@ -58,7 +58,7 @@ def unwritten() -> OSError | None:
 
 
 def silence_errors_that_cannot_be_written() -> None:
-    """Write out what standard error still holds; where that fails, it takes what comes to nowhere."""
+    """Flush standard error; where that fails, discard its output from then on."""
     try:
         sys.stderr.flush()
     except OSError:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from residua.cluster.packed_rows import EXACT, PackedRows, checked_shards, shard_of
 from residua.decide.checks import check_samples
 from residua.errors import DataError, FileFormatError
+from residua.files import other_version
 from residua.monitor.fleet_block import AlarmEvent, FleetBlock
 from residua.monitor.monitor import Monitor
 from residua.monitor.snapshot import restored_blocks, snapshot_of
@@ -346,7 +347,7 @@ def _parts(content: bytes) -> tuple[int, NDArray[np.int64], bytes]:
         raise FileFormatError("this state of a shard is cut short")
     _, version, shards, plants = _HEAD.unpack_from(content)
     if version != VERSION:
-        raise FileFormatError(f"this state of a shard has version {version}, this residua reads version {VERSION}")
+        raise FileFormatError(other_version("this state of a shard", version, VERSION, "start the shard without it"))
     end = _HEAD.size + 8 * plants
     if len(content) < end + _CHECK.size:
         raise FileFormatError("this state of a shard is cut short")

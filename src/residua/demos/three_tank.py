@@ -55,12 +55,14 @@ def run(folder: Path) -> Outcome:
         [
             Section("A leak in tank 3", diagnosis=leak, actual=actual),
             Section("A healthy recording", diagnosis=healthy, actual=()),
+            Section("The same from the command line", paragraphs=f"In {folder}:", commands=_COMMANDS),
         ],
         folder / "three-tank.html",
         "Three tanks: what has failed?",
         introduction=(*lines, _INTRODUCTION),
     )
-    return Outcome((*lines, *_commands(folder)), (), page, surprises(healthy, leak, actual, alike))
+    by_hand = (f"The same from the command line, in {folder}:", *(f"  {command}" for command in _COMMANDS))
+    return Outcome((*lines, *by_hand), (), page, surprises(healthy, leak, actual, alike))
 
 
 def surprises(healthy: Diagnosis, leak: Diagnosis, actual: str, groups: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
@@ -77,6 +79,11 @@ def surprises(healthy: Diagnosis, leak: Diagnosis, actual: str, groups: tuple[tu
     return tuple(out)
 
 
+_COMMANDS = (
+    "residua design three_tank.toml -o tank.json",
+    "residua fit tank.json normal.csv -o tank.json",
+    "residua run tank.json leak.csv --report leak.html",
+)
 _INTRODUCTION = (
     "The recordings are simulated with the published nonlinear model of the Amira DTS200 laboratory plant, whose level "
     "controllers hide faults. The monitor has only the linearised model in three_tank.toml and normal.csv."
@@ -109,13 +116,4 @@ def _lines(healthy: Diagnosis, leak: Diagnosis, actual: str, groups: tuple[tuple
         f"Diagnosis:          {found}",
         f"healthy.csv:        {quiet}",
         f"Look alike:         {alike} (no method tells them apart here)",
-    )
-
-
-def _commands(folder: Path) -> tuple[str, ...]:
-    return (
-        f"The same from the command line, in {folder}:",
-        "  residua design three_tank.toml -o tank.json",
-        "  residua fit tank.json normal.csv -o tank.json",
-        "  residua run tank.json leak.csv --report leak.html",
     )

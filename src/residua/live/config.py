@@ -187,7 +187,7 @@ def load_settings(path: str | Path) -> LiveSettings:
         If what an adapter needs is not installed.
     """
     path = Path(path)
-    content = read_bytes(path, "a configuration")
+    content = read_bytes(path, "configuration")
     if len(content) > _LARGEST:
         raise FileFormatError(f"{path}: this is too large for a configuration")
     try:
@@ -360,7 +360,7 @@ _EXAMPLE = """\
 # residua live: what is watched, where data come from, where alarms go. Times are in seconds.
 
 [[monitors]]
-file = "tank.json"                      # what residua fit or residua learn wrote
+file = "tank.json"                      # written by residua fit or learn
 plants = ["north", "south"]             # or accept_new = true
 
 [[sources]]

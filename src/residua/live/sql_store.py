@@ -8,12 +8,13 @@ from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from typing import Any
 
+from residua.files import other_version
 from residua.live.events import Event
 from residua.live.store import Changes, Store, StoreError
 from residua.live.watched_plant import WatchedPlant
 
 #: The version of the tables.
-SCHEMA = "1"
+SCHEMA = 1
 #: Rows of the tables that are dropped at once at most, so that no transaction is long.
 _AT_ONCE = 10_000
 
@@ -149,9 +150,10 @@ class SqlStore(Store):
         known = self.meta().get("schema")
         if known is None:
             with self._transaction() as cursor:
-                cursor.execute(self._worded(META), ("schema", SCHEMA))
-        elif known != SCHEMA:
-            raise StoreError(f"the store has tables of version {known}, this residua reads version {SCHEMA}")
+                cursor.execute(self._worded(META), ("schema", str(SCHEMA)))
+        elif known != str(SCHEMA):
+            found = int(known) if known.isdecimal() else known
+            raise StoreError(other_version("the store", found, SCHEMA, "name another store"))
 
 
 def _event_out(one: Event) -> tuple[Any, ...]:

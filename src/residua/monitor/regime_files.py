@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from residua.errors import FileFormatError, ResiduaError
-from residua.files import read_bytes, write_text
+from residua.files import other_version, read_bytes, write_text
 from residua.identify.operating_modes import ModeSignals, mode_signals
 from residua.identify.regimes import OperatingMode, Regimes
 from residua.json_files import CHECKSUM, check_checksum, dumps, loads
@@ -67,13 +67,12 @@ def save_regimes(monitor: RegimeMonitor, path: str | Path) -> None:
 def load_regimes(path: str | Path) -> RegimeMonitor:
     """Read a monitor by operating mode; raises :class:`FileFormatError` that says which entry is wrong."""
     path = Path(path)
-    content = loads(read_bytes(path, "a monitor"), path.name)
+    content = loads(read_bytes(path, "monitor"), path.name)
     if content.get("format") != REGIMES:
         raise FileFormatError(f'{path.name} is no monitor by operating mode (no "format": {REGIMES!r} in it)')
     if content.get("version") != VERSION:
         raise FileFormatError(
-            f"{path.name} has schema version {echo(content.get('version'))}, this residua reads version {VERSION}: "
-            "make the monitor anew with this version"
+            other_version(path.name, content.get("version"), VERSION, "design and fit the monitor again")
         )
     edited = not check_checksum(content, path.name)
     try:

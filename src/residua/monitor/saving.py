@@ -21,7 +21,7 @@ from residua.decide.member_bounds import bounds_in, bounds_out
 from residua.decide.test import TestSettings, Watched
 from residua.design import ResidualGenerator
 from residua.errors import FileFormatError, ResiduaError
-from residua.files import read_bytes, write_text
+from residua.files import other_version, read_bytes, write_text
 from residua.json_files import CHECKSUM, check_checksum
 from residua.monitor.design_records import generator_in, generator_out, sampled_in, sampled_out
 from residua.monitor.fault_learning import whitens
@@ -51,12 +51,12 @@ from residua.records import (
     values_out,
     whole_in,
 )
-from residua.visible import echo, shortened
+from residua.visible import shortened
 
 FORMAT = "residua-monitor"
 #: That of monitors by operating mode (``regime_files``), of which each holds several.
 REGIMES = "residua-regime-monitor"
-VERSION = 11
+VERSION = 12
 
 #: What a monitor says in every diagnosis whose file was edited: nobody but its author can know whether it still holds.
 EDITED = "the file of this monitor was edited after it was saved: its numbers are not those of the design"
@@ -132,7 +132,7 @@ def load_monitor(path: str | Path) -> Monitor:
     path = Path(path)
     if path.suffix.lower() == ".toml":
         raise FileFormatError(f"{path.name} looks like a plant file: design a monitor from it first (residua design)")
-    content = loads(read_bytes(path, "a monitor"), path.name)
+    content = loads(read_bytes(path, "monitor"), path.name)
     monitor = monitor_from(content, path.name)
     if not check_checksum(content, path.name) and EDITED not in monitor.notes:
         monitor.notes = (*monitor.notes, EDITED)
@@ -147,8 +147,7 @@ def monitor_from(content: Mapping[str, Any], source: str) -> Monitor:
         raise FileFormatError(f'{source} is not a monitor of residua (no "format": {FORMAT!r} in it)')
     if content.get("version") != VERSION:
         raise FileFormatError(
-            f"{source} has schema version {echo(content.get('version'))}, this residua reads version {VERSION}: make "
-            "the monitor anew with this version"
+            other_version(source, content.get("version"), VERSION, "design and fit the monitor again")
         )
     try:
         with np.errstate(all="ignore"):  # what overflows is refused; that it did is no news

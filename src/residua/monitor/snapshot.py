@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import FileFormatError, ResiduaError
+from residua.files import other_version
 from residua.monitor.fleet_block import FleetBlock, StandingAlarms, fingerprint_of
 from residua.monitor.monitor import Monitor
 from residua.monitor.plant_records import SELDOM, takes_no_memory
@@ -92,7 +93,7 @@ def _header(view: memoryview) -> tuple[dict[str, Any], int]:
         raise FileFormatError("this snapshot is cut short")
     _, version, length = _HEAD.unpack_from(view)
     if version != VERSION:
-        raise FileFormatError(f"this snapshot has version {version}, this residua reads version {VERSION}")
+        raise FileFormatError(other_version("this snapshot", version, VERSION, "start the fleet without it"))
     if hashlib.sha256(view[:-_SUM]).digest() != bytes(view[-_SUM:]):
         raise FileFormatError("this snapshot is cut short or was changed: its checksum is that of other bytes")
     try:

@@ -88,7 +88,7 @@ class BalancedPlant:
 
 def balanced(plant: Plant) -> BalancedPlant:
     """Return a plant in balanced units; that of one plant is computed once, as ``plant.balanced``."""
-    roles = [(plant.Bu, plant.Du), (plant.Bd, plant.Dd), (plant.Bf, plant.Df)]
+    roles = [(plant.B, plant.D), (plant.Bd, plant.Dd), (plant.Bf, plant.Df)]
     B, D = (np.hstack([role[k] for role in roles]) for k in (0, 1))
     units = scaling(plant.A, B, plant.C, D, plant.E, sampled=plant.is_discrete)
     R, X, U, Y = units.equations[:, None], units.states, units.inputs, units.outputs[:, None]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -18,7 +19,8 @@ from residua.plant.plant import Plant
 from residua.plant.toml_entry import Entry, suggestion
 from residua.visible import echo, listed, shortened
 
-FORMAT = "residua-plant/1"
+_VERSION = 1
+FORMAT = f"residua-plant/{_VERSION}"
 
 FILE_KEYS = (
     "format",
@@ -67,11 +69,11 @@ def load_plant(path: str | Path) -> Plant:
     >>> load_plant("no_such_plant.toml")
     Traceback (most recent call last):
         ...
-    residua.errors.FileFormatError: no_such_plant.toml: no such file; it was to be a plant file
+    residua.errors.FileFormatError: no_such_plant.toml: plant file not found
     """
     path = Path(path)
     try:
-        text = read_bytes(path, "a plant file").decode("utf-8-sig")
+        text = read_bytes(path, "plant file").decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise FileFormatError(f"{path.name}: not a text file in UTF-8 (byte {error.start})") from error
     return loads_plant(text, source=path.name)
@@ -112,7 +114,10 @@ def loads_plant(text: str, *, source: str = "plant") -> Plant:
         raise FileFormatError(f'{source}: not a plant file: it must say format = "{FORMAT}"')
     root = Entry(data, source, "", FILE_KEYS)
     if root.data["format"] != FORMAT:
-        raise root.error("format", f"expected {FORMAT!r}, got {kind_of(root.data['format'])}")
+        found = root.data["format"]
+        named = re.fullmatch(r"residua-plant/(\d{1,9})", str(found))
+        advice = "; upgrade residua" if named and int(named[1]) > _VERSION else ""
+        raise root.error("format", f"expected {FORMAT!r}, got {kind_of(found)}{advice}")
     try:
         plant = _core(root)
         for entry in root.tables("disturbances", ("name", "state", "output")):
@@ -211,7 +216,7 @@ def _with_fault(plant: Plant, entry: Entry) -> Plant:
     channel = None
     if kind == "actuator" and "input" in entry:
         channel = _channel(entry, "input", plant.inputs)
-        state, output = plant.Bu[:, channel], plant.Du[:, channel]
+        state, output = plant.B[:, channel], plant.D[:, channel]
         _only(entry, "input", ("state", "output"))
         label = plant.inputs[channel]
     elif kind == "sensor" and isinstance(entry.data.get("output"), str):

@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 
 from residua.errors import FileFormatError
-from residua.files import check_output, read_bytes, replacing
+from residua.files import check_output, other_version, read_bytes, replacing
 from residua.validate.runs import RunFigures
-from residua.visible import echo
 
 #: Of the layout; files of another one are refused.
 VERSION = 1
@@ -43,15 +42,16 @@ def read_runs(path: str | Path) -> tuple[dict[str, Any], RunFigures]:
     FileFormatError
         If it is none, or damaged.
     """
-    content = read_bytes(path, "the file of a campaign")
+    content = read_bytes(path, "campaign file")
     try:
         with np.load(io.BytesIO(content), allow_pickle=False) as file:
             head = json.loads(str(file[_HEAD]))
             arrays = {name: file[name] for name in _ARRAYS}
     except (ValueError, KeyError, OSError, EOFError, zipfile.BadZipFile) as error:
         raise FileFormatError(f"{path} is not the file of a campaign: {error}") from error
-    if not isinstance(head, dict) or head.get("version") != VERSION:
-        raise FileFormatError(f"{path}: expected version {VERSION} of the file of a campaign, got {echo(head)}")
+    version = head.get("version") if isinstance(head, dict) else None
+    if version != VERSION:
+        raise FileFormatError(other_version(str(path), version, VERSION, "run the campaign again"))
     like = RunFigures.empty(len(arrays["onset"]), len(arrays["decided"]))
     for name, values in arrays.items():
         wanted = getattr(like, name)

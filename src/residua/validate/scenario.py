@@ -154,7 +154,7 @@ def channel_of(fault: str, plant: Plant, what: str = "") -> tuple[str, int]:
         return "y", int(d.argmax())
     if kind == "actuator" and component in plant.inputs:
         i = plant.inputs.index(component)
-        own, command = (np.concatenate(pair) for pair in ((plant.Bf[:, j], d), (plant.Bu[:, i], plant.Du[:, i])))
+        own, command = (np.concatenate(pair) for pair in ((plant.Bf[:, j], d), (plant.B[:, i], plant.D[:, i])))
         if (np.abs(own - command) <= RESPONSE_ROUNDING * np.abs(command)).all():
             return "u", i
     raise SettingError(
@@ -191,7 +191,7 @@ def load_scenarios(path: str | Path) -> tuple[Scenario, ...]:
         at = 600
         size = [0.02, 0.05, 0.1]
     """
-    data = read_bytes(path, "a file of scenarios")
+    data = read_bytes(path, "scenario file")
     try:
         content = tomllib.loads(data.decode("utf-8"))
     except ValueError as error:

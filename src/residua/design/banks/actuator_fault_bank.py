@@ -24,7 +24,6 @@ from residua.plant import Plant
     decouples=True,
     singular=True,
     many=True,
-    formerly=["actuator-bank"],
     calls=each_scheme,
 )
 def actuator_fault_bank(

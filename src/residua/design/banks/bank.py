@@ -20,6 +20,7 @@ from residua.design.observers.observer import Observer
 from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace
 from residua.plant import Plant
+from residua.shown import Shown
 from residua.tolerances import LEAK, POLYNOMIAL_LEAKAGE
 from residua.words import counted
 
@@ -32,7 +33,7 @@ MOST_STATES = 4000
 
 @has_rates()
 @dataclass(frozen=True, eq=False, repr=False)
-class Bank:
+class Bank(Shown):
     """Residual generators that each ignore some faults, so that who fires names the fault.
 
     Attributes

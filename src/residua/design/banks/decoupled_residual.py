@@ -123,9 +123,9 @@ def decoupled_residual(
     Ky, Hy, V = units.rate * K[:, :p] * Y, q.H[:, :p] * Y, q.H[:, p:] @ model.algebra * R / units.rate
     system = StateSpace(
         units.rate * (O.T @ F @ O - found.K @ G @ O),
-        np.hstack([T @ plant.Bu - Ky @ plant.Du, Ky]),
+        np.hstack([T @ plant.B - Ky @ plant.D, Ky]),
         -G @ O,
-        np.hstack([-V @ plant.Bu - Hy @ plant.Du, Hy]),
+        np.hstack([-V @ plant.B - Hy @ plant.D, Hy]),
         dt=plant.dt,
         inputs=signal_names(plant),
         outputs=[f"r{i + 1}" for i in range(len(Hy))],

@@ -25,7 +25,6 @@ from residua.plant import Plant
     decouples=True,
     singular=True,
     many=True,
-    formerly=["sensor-bank"],
     calls=each_scheme,
 )
 def sensor_fault_bank(

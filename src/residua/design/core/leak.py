@@ -85,7 +85,7 @@ def leak(
     units, n_u = plant.balanced.units, len(plant.inputs)
     R, X, Y = units.equations, units.states, units.outputs
     Bd, Dd = (plant.Bd, plant.Dd) if unknown is None else unknown
-    B, D = np.hstack([plant.Bu, Bd]), np.hstack([plant.Du, Dd])
+    B, D = np.hstack([plant.B, Bd]), np.hstack([plant.D, Dd])
     size = np.maximum(
         np.abs(R[:, None] * B).max(axis=0, initial=0.0) / units.rate, np.abs(Y[:, None] * D).max(axis=0, initial=0.0)
     )

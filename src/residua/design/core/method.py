@@ -107,8 +107,6 @@ class Method:
         The time course of a fault for which its name holds.
     many : bool
         Whether it designs many filters, so that it takes long for a large plant.
-    formerly : tuple of str
-        Names that it had on the command line before.
     chosen : mapping of str to Chosen
         Arguments that are made from the plant when the user omits them.
     calls : callable
@@ -129,7 +127,6 @@ class Method:
     noise: Noise = field(default="filtered", repr=False)
     time_course: TimeCourse = field(default="any", repr=False)
     many: bool = field(default=False, repr=False)
-    formerly: tuple[str, ...] = field(default=(), repr=False)
     chosen: Mapping[str, Chosen] = field(default_factory=dict, repr=False)
     calls: Calls = field(default=one_call, repr=False)
 
@@ -252,7 +249,6 @@ def method(
     noise: Noise = "filtered",
     time_course: TimeCourse = "any",
     many: bool = False,
-    formerly: Iterable[str] = (),
     chosen: Mapping[str, Chosen] | None = None,
     calls: Calls = one_call,
 ) -> Callable[[Function], Function]:
@@ -286,8 +282,6 @@ def method(
         The time course of a fault for which its name holds.
     many : bool
         Whether it designs many filters.
-    formerly : sequence of str
-        Names that it had on the command line before, which go on with a note.
     chosen : mapping of str to Chosen, optional
         Arguments that are made from the plant when the user omits them.
     calls : callable
@@ -333,7 +327,6 @@ def method(
             noise,
             time_course,
             many,
-            tuple(formerly),
             dict(chosen or {}),
             calls,
         )

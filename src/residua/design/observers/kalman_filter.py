@@ -18,6 +18,7 @@ from residua.linear.subspaces.quotient import ObservableSplit
 from residua.plant import Plant
 from residua.plant.balanced import BalancedPlant, undetectable
 from residua.tolerances import RANK
+from residua.wrong_guesses import guessed
 
 _BOTH = "give both kinds, with_noise(process=..., measurement=...)"
 
@@ -32,6 +33,7 @@ _BOTH = "give both kinds, with_noise(process=..., measurement=...)"
     noise="least",
     time_course="constant",
 )
+@guessed("kalman_filter")
 def kalman_filter(plant: Plant) -> ResidualGenerator:
     r"""Use the innovations of the stationary Kalman filter as residuals.
 

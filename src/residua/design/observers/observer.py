@@ -93,13 +93,13 @@ class Observer:
     @property
     def G(self) -> NDArray[np.float64]:
         """``T B``: how control inputs enter the observer."""
-        return self.T @ self.plant.Bu
+        return self.T @ self.plant.B
 
     @property
     def _entrance(self) -> NDArray[np.float64]:
         """How controls and measurements enter, ``[T B - K D, K]``: of a control that is decoupled nothing is left."""
         p = self.plant
-        return np.hstack([self.T @ p.Bu - self.K @ p.Du, self.K])
+        return np.hstack([self.T @ p.B - self.K @ p.D, self.K])
 
     @property
     def A1(self) -> NDArray[np.float64]:
@@ -128,7 +128,7 @@ class Observer:
         """The observer as a system from control inputs and outputs to the state estimate."""
         p = self.plant
         J = np.zeros((p.n_states, p.n_states)) if self.J is None else self.J
-        direct = -self.H @ p.Du - J @ p.Bu
+        direct = -self.H @ p.D - J @ p.B
         return StateSpace(
             self.F,
             self._entrance,
@@ -176,7 +176,7 @@ class Observer:
             self.F,
             self._entrance,
             states,
-            np.hstack([-through @ p.Du - static @ p.Bu, through]),
+            np.hstack([-through @ p.D - static @ p.B, through]),
             dt=p.dt,
             inputs=signal_names(p),
             outputs=self._residual_names(),

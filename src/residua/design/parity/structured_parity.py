@@ -32,7 +32,6 @@ from residua.plant.input_output_model import InputOutputModel
     singular=True,
     noise="moving average",
     many=True,
-    formerly=["parity"],
     chosen={"structure": ROWS},
 )
 @in_own_time()

@@ -59,7 +59,7 @@ def load_checkpoint(path: str | Path, own: dict[str, Any], box: BoxedCost) -> Pr
     if not path.exists():
         return None
     try:
-        content = loads(read_bytes(path, "a checkpoint"), path.name)
+        content = loads(read_bytes(path, "checkpoint"), path.name)
         if content.get("format") != _FORMAT or content.get("version") not in (*_OLDER, _VERSION):
             raise ValueError(f'no "format": {_FORMAT!r} of version {_VERSION} in it')
         progress = Progressed(
