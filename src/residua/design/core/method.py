@@ -13,11 +13,12 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast, get_args
 
 from residua.design.core.options import Option, kinds_of, options_of, signature_of
 from residua.errors import ModelError, SettingError
 from residua.plant import InputOutputModel, Plant
+from residua.threads import in_one_thread
 from residua.visible import echo
 
 if TYPE_CHECKING:
@@ -254,8 +255,8 @@ def method(
 ) -> Callable[[Function], Function]:
     """Declare a design function: it is then in the tables, tried by ``suggest``, and offered on the command line.
 
-    Use it as a decorator. The function itself is returned, not changed: what it returns, its options and their texts
-    are read from its annotations and its numpydoc. On the command line stands what is designed for a plant alone and
+    Use it as a decorator. The function runs in one thread of BLAS. What it returns, its options and their texts are
+    read from its annotations and its numpydoc. On the command line stands what is designed for a plant alone and
     gives a :class:`residua.design.ResidualGenerator`, has one (``generator``) or makes one (``residual_generator()``).
 
     Parameters
@@ -311,7 +312,8 @@ def method(
     >>> forget("slow_observer")
     """
 
-    def declare(function: Function) -> Function:
+    def declare(plain: Function) -> Function:
+        function = cast(Function, in_one_thread(plain))
         record = Method(
             function,
             designs_for,

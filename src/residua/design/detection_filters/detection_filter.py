@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal, get_args
 
 import numpy as np
 import scipy.linalg
@@ -44,6 +45,8 @@ from residua.plant import Plant
 from residua.plant.comparable_units import EvenPlant, even_plant
 from residua.tolerances import RESIDUE, above_rounding
 
+#: The units in which a pseudoinverse is the smallest.
+Scaling = Literal["plant", "even"]
 #: What a fault does to the error, relative to the terms that it is the sum of, is rounding below this.
 _NO_EVENT = 1e-11
 
@@ -67,6 +70,7 @@ def detection_filter(
     poles: Poles = None,
     margin: float | None = None,
     faults: Iterable[str] | None = None,
+    scaling: Scaling = "plant",
     rtol: float = DEFAULT_RTOL,
 ) -> ResidualGenerator:
     r"""Design Beard's detection filter: a Luenberger observer whose residual tells faults apart by direction.
@@ -95,6 +99,9 @@ def detection_filter(
         sizes of the poles of the error equation without feedback, or less where that proves too much.
     faults : iterable of str, optional
         The faults to be kept apart; all faults of the plant when omitted.
+    scaling : {"plant", "even"}
+        The units of the outputs in which a pseudoinverse is the smallest: those of the plant, as in the paper, or
+        balanced ones, so that the filter does not depend on the units of the plant.
     rtol : float
         Relative tolerance of the rank decisions.
 
@@ -149,6 +156,7 @@ def detection_filter(
         faults=faults,
         base=Evidence(method="detection filter", references=REFERENCES),
         decouples=False,
+        scaling=scaling,
         rtol=rtol,
     )
 
@@ -168,6 +176,7 @@ def directional_filters(
     faults: Iterable[str] | None,
     base: Evidence,
     decouples: bool,
+    scaling: Scaling,
     rtol: float,
     form: OutputFreeForm | None = None,
 ) -> ResidualGenerator:
@@ -186,7 +195,7 @@ def directional_filters(
     if not answer.detectable:
         bad = describe_modes(answer.unstable_modes)
         raise DesignError(f"no stable filter exists: no measurement sees the mode {bad}; add a sensor")
-    weights = even.output_weights(A, np.zeros((len(A), 0)), C)
+    weights = weights_of(even, scaling, A, np.zeros((len(A), 0)), C, W)
     units = _Units.of(A, C, event_matrices(plant, T, chosen, form, weights), weights)
     events, unseen = fault_events(units.A, units.C, units.events, rtol=rtol)
     directly = [name for name in chosen if _seen_directly(plant, H, W, name)]
@@ -226,6 +235,17 @@ def directional_filters(
             failure = error
             lowered = (f"the default margin was lowered: {str(error).split(':')[0]}",)
     raise failure
+
+
+def weights_of(
+    even: EvenPlant, scaling: Scaling, A: NDArray, B: NDArray, C: NDArray, W: NDArray
+) -> NDArray[np.float64]:
+    """Return the weights that least squares give the outputs ``W y`` of a plant in even units."""
+    if scaling not in get_args(Scaling):
+        raise DesignError(f"scaling must be 'plant' or 'even', got {scaling!r}")
+    if scaling == "even":
+        return even.output_weights(A, B, C)
+    return 1 / np.linalg.norm(W * even.outputs, axis=1)
 
 
 def _margins(A: NDArray, dt: float, poles: Poles, margin: float | None) -> list[float | None]:

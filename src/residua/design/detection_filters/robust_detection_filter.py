@@ -15,7 +15,7 @@ from residua.design.core.generator import ResidualGenerator
 from residua.design.core.method import method
 from residua.design.core.needs import FAULTS, disturbances
 from residua.design.core.own_time import in_own_time
-from residua.design.detection_filters.detection_filter import REFERENCES, directional_filters
+from residua.design.detection_filters.detection_filter import REFERENCES, Scaling, directional_filters, weights_of
 from residua.design.detection_filters.directional_gain import Poles
 from residua.design.observers.unknown_input_observer import REFERENCE
 from residua.errors import DesignError
@@ -43,6 +43,7 @@ def robust_detection_filter(
     margin: float | None = None,
     faults: Iterable[str] | None = None,
     H0: ArrayLike | None = None,
+    scaling: Scaling = "plant",
     rtol: float = DEFAULT_RTOL,
 ) -> ResidualGenerator:
     r"""Design a filter that no disturbance reaches and that tells faults apart by direction.
@@ -68,6 +69,9 @@ def robust_detection_filter(
     H0 : array_like, shape (n, outputs), optional
         The free matrix of the general decoupling gain, in the units of the plant: zeros give the smallest ``H``
         in these units, as in the paper; when omitted, ``H`` is the smallest with evenly weighted outputs.
+    scaling : {"plant", "even"}
+        The units of the outputs in which a pseudoinverse is the smallest: those of the plant, as in the paper, or
+        balanced ones, so that the filter does not depend on the units of the plant.
     rtol : float
         Relative tolerance of the rank decisions.
 
@@ -115,10 +119,10 @@ def robust_detection_filter(
             "nothing is left to see faults with; add a sensor or decouple fewer disturbances"
         )
     even = even_plant(plant, explicit=True)
-    if H0 is not None:  # as the equations say, in the units of the plant
+    if H0 is not None and np.any(H0):  # as the equations say, in the units of the plant
         even = own_units(plant)
     form = output_free_form(even.plant, rtol=rtol)
-    H = decoupling_gain(form, H0)
+    H = decoupling_gain(form, weights_of(even, scaling, form.A, form.E, form.C, form.W), H0)
     T = decoupling_map(H, even.plant.C)
     p, q = len(form.W), form.E.shape[1]
     used = f"{q} {'is' if q == 1 else 'are'}"
@@ -143,16 +147,19 @@ def robust_detection_filter(
         faults=faults,
         base=base,
         decouples=True,
+        scaling=scaling,
         rtol=rtol,
         form=form,
     )
 
 
-def decoupling_gain(form: OutputFreeForm, H0: ArrayLike | None = None) -> NDArray[np.float64]:
-    """Return ``H`` on the measured outputs, with ``(H C - I) E = 0`` (eq. 5; Lemma 1)."""
+def decoupling_gain(
+    form: OutputFreeForm, weights: NDArray[np.float64], H0: ArrayLike | None = None
+) -> NDArray[np.float64]:
+    """Return ``H`` on the measured outputs, with ``(H C - I) E = 0`` (eq. 5; Lemma 1): the smallest by some weights."""
     CE = form.C @ form.E
     p = len(form.C)
-    inverse = np.linalg.pinv(CE) if CE.size else np.zeros((CE.shape[1], p))
+    inverse = np.linalg.pinv(weights[:, None] * CE) * weights if CE.size else np.zeros((CE.shape[1], p))
     inverse = np.where(np.any(form.C, axis=1), inverse, 0.0)  # rounding on a dead output is no gain
     H = form.E @ inverse
     for _ in range(2):  # channels in very different units make one pseudoinverse inexact
