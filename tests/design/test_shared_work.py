@@ -9,11 +9,9 @@ import pytest
 from numpy.typing import NDArray
 
 import residua as rs
-from residua.design.core import internal_form
 from residua.design.core.internal_form import frequency_grid
 from residua.design.detection_filters import directional_gain
 from residua.linear import StateSpace
-from residua.linear.systems import resolvent
 
 
 def _plant(n: int = 6, outputs: int = 4) -> rs.Plant:
@@ -94,20 +92,3 @@ def test_faults_that_one_filter_keeps_apart_are_tried_once(monkeypatch: pytest.M
     monkeypatch.setattr(directional_gain, "obstacle", counted)
     rs.design.detection_filter(_plant())
     assert asked == [2]
-
-
-def test_the_plant_is_eliminated_once_for_filters_with_the_same_frequencies(monkeypatch: pytest.MonkeyPatch) -> None:
-    plant = _plant(40, 10)
-    places: list[NDArray[np.float64]] = []
-    own = resolvent._factors
-
-    def noted(A: Any, E: Any, points: Any) -> Any:
-        if len(points) == internal_form.POINTS:
-            places.append(A)
-        return own(A, E, points)
-
-    monkeypatch.setattr(resolvent, "_factors", noted)
-    slowest = float(np.abs(plant.system(()).poles()).max())
-    for margin in (0.9 * slowest, 0.95 * slowest):
-        rs.design.luenberger_observer(plant, margin=margin).residual_generator()
-    assert len(places) == 3  # two filters and the plant

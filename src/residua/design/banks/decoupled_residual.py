@@ -187,6 +187,7 @@ def _gain(
                 process=w @ w.T,
                 measurement=v @ v.T / size[:, None] / size,
                 cross=w @ v.T / size,
+                rate=model.units.rate,
             )
             return replace(found, K=found.K / size, note="gain of the Kalman filter")
         except (AccuracyError, DesignError) as error:
@@ -203,6 +204,7 @@ def _gain(
         measurement=q.H @ measurement @ q.H.T,
         poles=poles,
         margin=margin,
+        rate=model.units.rate,
     )
     return replace(found, note=found.note or note)
 

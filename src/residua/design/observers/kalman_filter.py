@@ -133,6 +133,7 @@ def _gain(plant: Plant, model: BalancedPlant) -> ObserverGain:
             process=plant.process_noise / X[:, None] / X / rate,
             measurement=R / size[:, None] / size,
             cross=plant.cross_noise / X[:, None] * Y / size,
+            rate=rate,
         )
     except AccuracyError as error:
         raise DesignError(

@@ -113,6 +113,7 @@ def luenberger_observer(
         measurement=measurement[np.ix_(used, used)],
         poles=poles,
         margin=margin,
+        rate=model.units.rate,
     )
     names = ", ".join(plant.disturbances)
     evidence = Evidence(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ def asked(
     plant: Plant, poles: Sequence[complex] | ArrayLike | None, margin: float | None
 ) -> tuple[NDArray[np.complex128] | None, float | None]:
     """Return poles and a margin in the units of time of the balanced plant; a margin of a sampled one, per sample."""
+    poles = list(poles) if isinstance(poles, Iterator) else poles
     poles, margin = checked_options(poles, margin)
     if isinstance(poles, Mapping):
         raise DesignError("an observer takes a list of poles; poles per fault are for the detection filters")

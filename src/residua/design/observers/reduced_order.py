@@ -62,6 +62,7 @@ def reduced_observer(
         measurement=V1.T @ process @ V1,
         poles=poles,
         margin=margin,
+        rate=model.units.rate,
     )
     L = gain.K
     own = A22 - L @ A12

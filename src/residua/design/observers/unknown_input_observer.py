@@ -175,6 +175,7 @@ def _of_ordinary_plant(
         measurement=scipy.linalg.block_diag(read @ read.T, np.eye(len(rest))),
         poles=poles,
         margin=margin,
+        rate=model.units.rate,
     )
     K1 = M @ gain.K @ outputs
     F = T @ A - K1 @ C
@@ -228,6 +229,7 @@ def _of_singular_plant(
         measurement=q.H @ measurement @ q.H.T,
         poles=poles,
         margin=margin,
+        rate=model.units.rate,
     )
     units, p = model.units, plant.n_outputs
     R, X, Y = units.equations, units.states[:, None], units.outputs

@@ -63,6 +63,7 @@ def observer_gain(
     cross: Matrix | None = None,
     poles: Sequence[complex] | ArrayLike | None = None,
     margin: float | None = None,
+    rate: float = 1.0,
 ) -> ObserverGain:
     """Return the gain of an observer.
 
@@ -79,19 +80,23 @@ def observer_gain(
         As many as states, or as are seen; in units of the balanced plant.
     margin : float, optional
         Decay rate that all poles of the part that is seen must have; a smaller one is taken where it has no gain.
+    rate : float
+        The unit of rates of the balanced plant in 1/s, a power of two: errors say poles in 1/s.
     """
     O, hidden = split.seen, split.hidden  # noqa: E741
     fixed = np.asarray(np.linalg.eigvals(hidden.T @ A @ hidden), dtype=complex)
     F, G, none = O.T @ A @ O, C @ O, np.zeros(0, dtype=complex)
     if poles is not None:
-        placed = place_observer_poles(F, G, _movable(poles, len(F), fixed), dt=1.0 if sampled else 0.0)
+        wanted = rate * _movable(poles, len(F), fixed)
+        placed = place_observer_poles(rate * F, G, wanted, dt=1.0 if sampled else 0.0)
         if placed.error > POLE:
             raise AccuracyError(
                 f"a pole is off by {placed.error:.2g} > {POLE:.0e} of the requested pole: so ill-conditioned that "
                 "rounding moves it; ask for poles nearer to those of the plant or further apart, leave them out, or "
                 "add a sensor"
             )
-        return ObserverGain(O @ placed.gain, placed.achieved, placed.requested, fixed, placed.error)
+        K = O @ placed.gain / rate
+        return ObserverGain(K, placed.achieved / rate, placed.requested / rate, fixed, placed.error)
     W = O.T @ process @ O
     S = None if cross is None else O.T @ cross
     for part in _PARTS if margin else (0.0,):
@@ -100,9 +105,10 @@ def observer_gain(
             found = np.asarray(np.linalg.eigvals(F - K @ G), dtype=complex)
             note = "" if part == 1.0 or not margin else f"no gain has the margin: {part:.3g} of it was taken"
             return ObserverGain(O @ K, found, none, fixed, note=note)
+    modes = describe_modes(rate * np.linalg.eigvals(F))
     raise AccuracyError(
-        f"no gain was found for the part that the measurements see, with poles {describe_modes(np.linalg.eigvals(F))}: "
-        "they see a mode on the boundary of stability too weakly; add a sensor"
+        f"no gain was found for the part that the measurements see, with poles {modes}: they see a mode on the "
+        "boundary of stability too weakly; add a sensor"
     )
 
 
