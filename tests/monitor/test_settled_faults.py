@@ -95,7 +95,7 @@ def test_settled_codes_are_what_is_left_of_a_long_simulation(general: rs.design.
         for m, member in enumerate(generator.members):
             rows = list(member.residuals)
             largest, left = moved[:, rows].max(), moved[-10:, rows].max()
-            assert found[m, j] == (left > 1e-4 * largest), (fault, member.name)
+            assert found[m, j] == (left > max(1e-4 * largest, 1e-12)), (fault, member.name)  # less is rounding
     assert (found != generator.codes).any()
 
 

@@ -169,7 +169,7 @@ def test_a_dedicated_bank_of_the_package_names_three_drifting_sensors() -> None:
     plant = sampled_plant(1)
     bank = rs.design.sensor_fault_bank(plant, scheme="dedicated")
     quiet = noisy(plant, 2000, seed=4)
-    limits = 1.2 * np.nanmax(run(quiet[1], rs.Monitor(bank), quiet[0]).residuals[100:] ** 2, axis=0) ** 0.5
+    limits = 1.4 * np.nanmax(run(quiet[1], rs.Monitor(bank), quiet[0]).residuals[100:] ** 2, axis=0) ** 0.5
     watch = rs.Monitor(bank, test=PeakThreshold([float(x) for x in limits], window=60))
     u, y = noisy(plant, 2000, seed=5)
     starts = {"y3 sensor": 400, "y1 sensor": 1000, "y4 sensor": 1400}

@@ -17,7 +17,6 @@ from residua.errors import ModelError
 from residua.linear import StateSpace
 from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.linear.systems.state_space import square
-from residua.plant.balanced import BalancedPlant, balanced
 from residua.plant.channels import (
     FAULT_NOTES,
     ROLES,
@@ -217,6 +216,8 @@ class Plant(FaultFacts, Guessed, Shown):
     @cached_property
     def balanced(self) -> BalancedPlant:
         """The plant in balanced units, as ordinary state equations."""
+        from residua.plant.balanced import balanced
+
         return balanced(self)
 
     @cached_property

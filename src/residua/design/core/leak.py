@@ -32,9 +32,9 @@ _BEYOND = 30.0
 #: Rates of a plant, in units of its own, below which a pole is that of an integrator.
 _INTEGRATES = 1e-5
 #: A term this far below what it is made of, or below the largest of its input, is rounding.
-_ROUNDING = 1e-9
+_NO_TERM = 1e-9
 #: Terms are at least this part of the largest of their input: where nothing has to cancel, rounding is all there is.
-_FLOOR = 1e-7
+_LEAST_TERM = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,14 +121,14 @@ def leak(
     response = np.abs(L @ through[1] + dC @ states + dD)
     if estimate is None:
         read = np.abs(C @ states + D)
-        read = np.maximum(read, _ROUNDING * (np.abs(C) @ np.abs(states) + np.abs(D)))
+        read = np.maximum(read, _NO_TERM * (np.abs(C) @ np.abs(states) + np.abs(D)))
         taken = np.abs(L @ through[0] + Jy)
         terms = (np.abs(Ju) + taken @ read).max(axis=0, initial=0.0)
         largest = taken.max(axis=(0, 2), initial=0.0)[:, None] * read.max(axis=(0, 1), initial=0.0)
     else:
         terms = np.abs((height * estimate * X) @ states).max(axis=0, initial=0.0)
         largest = np.full_like(terms, max(1.0, float(terms.max(initial=0.0))))
-    terms = np.maximum(terms, _FLOOR * np.maximum(largest, terms.max(axis=0, keepdims=True, initial=0.0)))
+    terms = np.maximum(terms, _LEAST_TERM * np.maximum(largest, terms.max(axis=0, keepdims=True, initial=0.0)))
     peak = response.max(axis=0, initial=0.0)
     gains = peak / np.where(terms > 0, terms, np.where(peak > 0, peak, 1.0))
     defects = max((float(np.abs(M).max(initial=0.0)) for M in (dA, dC)), default=0.0)
@@ -157,7 +157,7 @@ def answers(system: StateSpace, plant: Plant, terms: Matrix) -> NDArray[np.bool_
     states = _resolvent(F, None, G, np.exp(1j * w) if plant.is_discrete else 1j * w)
     response = np.abs(L @ states + system.D[:, n_u:] / Y)
     made_of = np.abs(L) @ np.abs(states) + terms / Y
-    return np.any(response > _ROUNDING * made_of.max(axis=2, keepdims=True, initial=0.0), axis=(0, 2))
+    return np.any(response > _NO_TERM * made_of.max(axis=2, keepdims=True, initial=0.0), axis=(0, 2))
 
 
 def _power(size: Matrix) -> Matrix:
@@ -181,7 +181,7 @@ def _poles(A: Matrix, plant: Plant, E: Matrix) -> NDArray[np.complex128]:
     if plant.E is None:
         return np.asarray(np.linalg.eigvals(A) if len(A) else np.zeros(0), dtype=complex)
     poles = scipy.linalg.eigvals(A, E)
-    return np.asarray(poles[np.isfinite(poles) & (np.abs(poles) < 1 / _ROUNDING)], dtype=complex)
+    return np.asarray(poles[np.isfinite(poles) & (np.abs(poles) < 1 / _NO_TERM)], dtype=complex)
 
 
 def _points(of_filter: NDArray, of_plant: NDArray, sampled: bool) -> NDArray[np.complex128]:
@@ -203,7 +203,7 @@ def _points(of_filter: NDArray, of_plant: NDArray, sampled: bool) -> NDArray[np.
 def _rates(poles: NDArray, sampled: bool) -> NDArray[np.complex128]:
     """Return poles of a sampled system as rates per sample; those at zero have none."""
     poles = np.asarray(poles, dtype=complex)
-    return np.log(poles[np.abs(poles) > _ROUNDING]) if sampled else poles
+    return np.log(poles[np.abs(poles) > _NO_TERM]) if sampled else poles
 
 
 def _resolvent(

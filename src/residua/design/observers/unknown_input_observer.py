@@ -152,12 +152,8 @@ def _of_ordinary_plant(
     T = np.eye(n) - H @ C
     poles, margin = asked(plant, poles, margin)
     process, measurement = default_weights(model)
-    # x = E a + N b, and the outputs read a, and b alone: of T E = 0 nothing is left to rounding. For least squares the
-    # noises of both have nothing in common, however far the units of the plant are from even ones
-    noise = np.eye(len(W)) if poles is not None else W @ measurement @ W.T
-    white = np.linalg.inv(np.linalg.cholesky(noise))
-    read = np.linalg.pinv(white @ C @ E)
-    rest = np.linalg.svd(white @ C @ E)[0][:, q:].T if q else np.eye(len(C))
+    read, rest, white = _apart(C @ E, np.eye(len(W)) if poles is not None else W @ measurement @ W.T)
+    # x = E a + N b, and the outputs read a, and b alone: of T E = 0 nothing is left to rounding
     M, outputs = np.hstack([E, N]), np.vstack([read, rest]) @ white
     inverse = np.linalg.inv(M)
     A1, C1 = inverse @ T @ A @ M, outputs @ C @ M
@@ -198,6 +194,16 @@ def _of_ordinary_plant(
         True,
         _evidence(model, existence, gain, notes),
     )
+
+
+def _apart(CE: NDArray, noise: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+    """Return rows that invert ``CE``, rows that annihilate it, and what brings outputs to where they are rows.
+
+    The noises of both have nothing in common there, however far the units of the plant are from even ones.
+    """
+    white = np.linalg.inv(np.linalg.cholesky(noise))
+    rest = np.linalg.svd(white @ CE)[0][:, CE.shape[1] :].T if CE.shape[1] else np.eye(len(CE))
+    return np.linalg.pinv(white @ CE), rest, white
 
 
 def in_units_of_outputs(W: NDArray) -> NDArray[np.float64]:
