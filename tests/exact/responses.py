@@ -142,8 +142,13 @@ class Paths:
     own: NDArray[np.float64]
 
     def leak(self, columns: slice) -> NDArray[np.float64]:
-        """Return the response relative to the terms that cancel, zero where it is rounding of what stands elsewhere."""
-        total, terms, reach = (np.abs(M[:, :, columns]) for M in (self.total, self.terms, self.reach))
+        """Return the peak of the response relative to that of the terms that cancel, for each residual and input.
+
+        Zero where it is rounding of what stands elsewhere.
+        """
+        total, terms, reach = (
+            np.abs(M[:, :, columns]).max(axis=0, initial=0.0) for M in (self.total, self.terms, self.reach)
+        )
         ratio = total / np.where(terms > 0, terms, 1.0)
         return np.where(total > 1e-10 * reach, ratio, 0.0)
 

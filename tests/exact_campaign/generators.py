@@ -28,8 +28,6 @@ _ANSWER, _NEARLY_ANSWER = 1e-5, 1e-6
 #: A response off the claimed subspace by more than the second fraction, and by more than the evidence says, contradicts
 #: it; between the two it is close: what is below a millionth, in the units of the design, is no direction.
 _NEAR, _OFF = 1e-5, 1e-3
-#: A gain of a plant of small fractions above this comes of rounding that was taken for a coupling.
-_GAIN = 1e9
 #: Frequencies this far beyond the poles of plant and filter are asked about no more.
 _BEYOND_POLES = 100.0
 #: A residual that is made of less than this, against the others in base units, is rounding as a whole.
@@ -44,17 +42,11 @@ def examine_generator(subject: Subject, record: Record, made: Any, plant: Any, p
     decoupled = any(name in made.evidence.decoupling for name in ("disturbance", "everything ignored"))
     structure = np.asarray(made.structure)
     live = _live(found, structure)
-    _leak(record, found, made, decoupled, live, _growth(made, w, subject.integrators))
+    _leak(record, found, made, decoupled, live)
     _structure(record, found, structure, plant.faults, live)
     _subspaces(record, found, made, plant.faults, live)
     if not made.system.is_stable():
         record.problem("wrong", "stability", f"not stable: {made.system.poles()}")
-    sizes = {
-        name: value / subject.by.t for name, value in made.evidence.conditions.items() if name.startswith("size of")
-    }
-    gain = max(sizes.values(), default=0.0)
-    if subject.by.name == "base" and gain > _GAIN * max(1.0, subject.rates):
-        record.problem("wrong", "gain", f"{record.function}: a gain of size {gain:.1e} for a plant of small fractions")
     record.facts |= {
         f"{prefix}residuals": made.n_residuals,
         f"{prefix}order": made.system.n_states,
@@ -62,10 +54,7 @@ def examine_generator(subject: Subject, record: Record, made: Any, plant: Any, p
         f"{prefix}dimensions": {name: basis.shape[1] for name, basis in made.subspaces.items()},
         f"{prefix}fixed poles": len(made.evidence.fixed_poles),
     }
-    slowest = {"leaks measured from": (made.evidence.leaks_measured_from(made.dt) or 0.0) / subject.by.t}
-    record.evidence |= {
-        f"{prefix}{name}": value for name, value in (made.evidence.decoupling | sizes | slowest).items()
-    }
+    record.evidence |= {f"{prefix}{name}": value for name, value in made.evidence.decoupling.items()}
     return found
 
 
@@ -97,22 +86,10 @@ def _live(found: Paths, structure: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return structure.any(axis=1) | more
 
 
-def _growth(made: Any, w: Sequence[float], integrators: int) -> NDArray[np.float64]:
-    """Return by how much a leak at each frequency may be larger than where the evidence begins to measure it.
-
-    The terms of a plant that integrates ``k`` times, all chains together, may fall by powers of the frequency up to
-    the ``k``-th, against what rounding leaves of its filter.
-    """
-    slowest = made.evidence.leaks_measured_from(made.dt)
-    return np.maximum(1.0, (slowest or 0.0) / np.array(w)) ** integrators
-
-
-def _leak(
-    record: Record, found: Paths, made: Any, decoupled: bool, live: NDArray[np.bool_], growth: NDArray[np.float64]
-) -> None:
+def _leak(record: Record, found: Paths, made: Any, decoupled: bool, live: NDArray[np.bool_]) -> None:
     groups = [("control", found.to_controls)] + ([("disturbance", found.to_disturbances)] if decoupled else [])
     for name, columns in groups:
-        ratio = found.leak(columns)[:, live] / growth[:, None, None]
+        ratio = found.leak(columns)[live]
         if not ratio.size:
             continue
         worst = float(ratio.max())

@@ -95,7 +95,7 @@ class FaultSpace:
         if alone is not None:
             return [alone] if self.visible[fault] else []
         needed = list(basis)
-        for j in basis:
+        for j in reversed(basis):
             fewer = [i for i in needed if i != j]
             if self.closure(fewer)[fault]:
                 needed = fewer
