@@ -106,6 +106,25 @@ def _is_scaled(M: fmpq_mat, other: fmpq_mat, rows: list[fmpq], columns: list[fmp
     )
 
 
+def integrators(plant: ExactPlant) -> int:
+    """Return how often a plant integrates, all chains together: poles at ``s = 0``, or ``z = 1``.
+
+    It is how often a filter may have to be zero there: combinations of outputs integrate more often than any one.
+    """
+    A = plant.A - plant.E if plant.sampled else plant.A
+    n = plant.n
+    # a shift of a regular pencil that is no other pole leaves its pole at 0 that of one matrix
+    shifts = (A - c * plant.E for c in range(1, n + 2))
+    regular = next((M for M in shifts if rank(M) == n), None)
+    if regular is None:
+        raise ValueError("the pencil of the plant is not regular")
+    N = regular.solve(A) if n else A
+    power = identity(n)
+    for _ in range(n):
+        power = power * N
+    return n - rank(power)
+
+
 def at(P: tuple[fmpq_mat, fmpq_mat], s: fmpq | int) -> fmpq_mat:
     """Return a pencil at a point."""
     return P[0] + P[1] * s

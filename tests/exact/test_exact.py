@@ -12,7 +12,7 @@ from flint import fmpq, fmpq_mat, fmpq_poly
 
 from exact import pencils, questions, stability
 from exact.matrices import block, exact, identity, is_zero, null_space, rank, zeros
-from exact.plants import ExactPlant, at, exact_plant, with_answers_of
+from exact.plants import ExactPlant, at, exact_plant, integrators, with_answers_of
 from exact_campaign.cases import plant_of, units
 from exact_campaign.kinds import KINDS, case_of
 
@@ -148,3 +148,25 @@ def test_cases_known_by_hand() -> None:
     assert pencils.zero_polynomial(P) == fmpq_poly([4, 1])
     assert none.ncols() == 0
     assert null_space(exact([[fmpq(1), fmpq(2)]])).ncols() == 1
+
+
+def test_how_often_a_plant_integrates() -> None:
+    """Of three chains, of two, one and three states, in other coordinates, beside a pole; with ``E``, sampled too."""
+    n = 7
+    links = {(0, 1): 1, (3, 4): 1, (4, 5): 2}
+    A = fmpq_mat(n, n, [links.get((i, j), -3 if i == j == 6 else 0) for i in range(n) for j in range(n)])
+    T = fmpq_mat(n, n, [int(i == j) + int(j == (2 * i + 1) % n) * (i > 2) for i in range(n) for j in range(n)])
+    E = fmpq_mat(n, n, [int(i == j) + int(j == i + 1) for i in range(n) for j in range(n)])
+
+    def plant(A: fmpq_mat, E: fmpq_mat, sampled: bool) -> ExactPlant:
+        B, C, D = zeros(A.nrows(), 0), zeros(0, A.nrows()), zeros(0, 0)
+        return ExactPlant(E, A, B, C, D, B, D, B, D, sampled, plain=False)
+
+    for scaled in (A, T.inv() * A * T):
+        assert integrators(plant(scaled, identity(n), sampled=False)) == 6
+        assert integrators(plant(scaled + identity(n), identity(n), sampled=True)) == 6
+        assert integrators(plant(E * scaled, E, sampled=False)) == 6
+        assert integrators(plant(scaled + identity(n), identity(n), sampled=False)) == 0
+    singular = exact([[fmpq(1), fmpq(0)], [fmpq(0), fmpq(0)]])
+    chain = exact([[fmpq(0), fmpq(0)], [fmpq(0), fmpq(1)]])
+    assert integrators(plant(chain, singular, sampled=False)) == 1

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 import residua as rs
-from exact.plants import ExactPlant, exact_plant, with_answers_of
+from exact.plants import ExactPlant, exact_plant, integrators, with_answers_of
 from exact_campaign.cases import Case, Units, base_units, plant_of
 from residua.errors import AccuracyError, ResiduaError
 from residua.linear.subspaces.rank import RankDecision
@@ -103,6 +103,11 @@ class Subject:
         """The size of the dynamics, of the case."""
         A = plant_of(self.case).A
         return float(np.abs(A).max(initial=0.0)) or 1.0
+
+    @cached_property
+    def integrators(self) -> int:
+        """How often the plant integrates, of the case: decimal units may move them off by rounding."""
+        return integrators(exact_plant(plant_of(self.case)))
 
     def ask(self, function: str, call: Callable[[], Any], about: str = "") -> Record:
         """Ask, and keep the record; ``about`` is what the question depends on besides the plant, if anything."""

@@ -42,7 +42,7 @@ def examine_generator(subject: Subject, record: Record, made: Any, plant: Any, p
     decoupled = any(name in made.evidence.decoupling for name in ("disturbance", "everything ignored"))
     structure = np.asarray(made.structure)
     live = _live(found, structure)
-    _leak(record, found, made, decoupled, live)
+    _leak(record, found, made, decoupled, live, _growth(made, w, subject.integrators))
     _structure(record, found, structure, plant.faults, live)
     _subspaces(record, found, made, plant.faults, live)
     if not made.system.is_stable():
@@ -86,10 +86,22 @@ def _live(found: Paths, structure: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return structure.any(axis=1) | more
 
 
-def _leak(record: Record, found: Paths, made: Any, decoupled: bool, live: NDArray[np.bool_]) -> None:
+def _growth(made: Any, w: Sequence[float], integrators: int) -> NDArray[np.float64]:
+    """Return by how much a leak at each frequency may be larger than where the evidence begins to measure it.
+
+    The terms of a plant that integrates ``k`` times, all chains together, may fall by powers of the frequency up to
+    the ``k``-th, against what rounding leaves of its filter.
+    """
+    slowest = made.evidence.leaks_measured_from(made.dt)
+    return np.maximum(1.0, (slowest or 0.0) / np.array(w)) ** integrators
+
+
+def _leak(
+    record: Record, found: Paths, made: Any, decoupled: bool, live: NDArray[np.bool_], growth: NDArray[np.float64]
+) -> None:
     groups = [("control", found.to_controls)] + ([("disturbance", found.to_disturbances)] if decoupled else [])
     for name, columns in groups:
-        ratio = found.leak(columns)[live]
+        ratio = found.leak(columns, growth)[live]
         if not ratio.size:
             continue
         worst = float(ratio.max())

@@ -17,7 +17,6 @@ from residua.linear import (
     filter_riccati,
     h2_norm,
     hinf_norm,
-    invariant_zeros,
     observability_form,
     peak_norm,
     place_observer_margin,
