@@ -16,7 +16,7 @@ from residua.design.observers.observer import Observer, with_checked_estimate
 from residua.design.observers.observer_gain import asked, default_weights, gain_evidence
 from residua.errors import DesignError
 from residua.linear.poles.observer_gain import ObserverGain, observer_gain
-from residua.linear.subspaces.quotient import observable_split
+from residua.linear.subspaces.quotient import observable_split, without_rounding
 from residua.linear.subspaces.rank import RankDecision
 from residua.plant import Plant
 from residua.plant.balanced import BalancedPlant
@@ -194,10 +194,13 @@ def _of_ordinary_plant(
 
 def in_units_of_outputs(W: NDArray) -> NDArray[np.float64]:
     """Return rows with the largest entry of each a one: a residual that is the error of one output is in its units."""
-    size = np.abs(W).max(axis=1, keepdims=True, initial=0.0)
-    at = np.abs(W).argmax(axis=1)
-    sign = np.sign(W[np.arange(len(W)), at])[:, None]
-    return W * sign / np.where(size > 0, size, 1.0)
+    return W / _largest(W)
+
+
+def _largest(W: NDArray) -> NDArray[np.float64]:
+    """Return the largest entry of each row, as a column; one for a row of zeros."""
+    found = W[np.arange(len(W)), np.abs(W).argmax(axis=1)][:, None]
+    return np.where(found != 0, found, 1.0)
 
 
 def _of_singular_plant(
@@ -224,7 +227,8 @@ def _of_singular_plant(
     )
     units, p = model.units, plant.n_outputs
     R, X, Y = units.equations, units.states[:, None], units.outputs
-    K, inverse = q.J + gain.K @ q.H, q.R @ q.known[0]
+    K, inverse = without_rounding(q.J + gain.K @ q.H), without_rounding(q.R @ q.known[0])
+    read = q.H[:, :p] * Y
     T = (q.N @ model.derivative - K[:, p:] @ model.algebra) * R
     return Observer(
         plant,
@@ -233,12 +237,12 @@ def _of_singular_plant(
         units.rate * K[:, :p] * Y,
         X * (q.P - inverse @ q.C),
         X * inverse[:, :p] * Y,
-        in_units_of_outputs(q.H[:, :p] * Y),
+        read / _largest(read),
         "unknown input observer",
         True,
         _evidence(model, existence, gain, ()),
         J=X * (inverse[:, p:] @ model.algebra) * R / units.rate,
-        V=q.H[:, p:] @ model.algebra * R / units.rate,
+        V=q.H[:, p:] @ model.algebra * R / units.rate / _largest(read),
     )
 
 
