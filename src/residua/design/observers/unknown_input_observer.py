@@ -20,7 +20,7 @@ from residua.linear.subspaces.quotient import observable_split, without_rounding
 from residua.linear.subspaces.rank import RankDecision
 from residua.plant import Plant
 from residua.plant.balanced import BalancedPlant
-from residua.tolerances import BALANCED_RANK
+from residua.tolerances import BALANCED_RANK, RESIDUE, above_rounding
 from residua.words import counted
 
 REFERENCE = "Chen, Patton and Zhang (1996), Int. J. Control 63(1), eqs. (2) to (13)"
@@ -227,7 +227,8 @@ def _of_singular_plant(
     )
     units, p = model.units, plant.n_outputs
     R, X, Y = units.equations, units.states[:, None], units.outputs
-    K, inverse = without_rounding(q.J + gain.K @ q.H), without_rounding(q.R @ q.known[0])
+    inverse = without_rounding(q.R @ q.known[0])
+    K = above_rounding(q.J + gain.K @ q.H, np.abs(q.J) + np.abs(gain.K) @ np.abs(q.H), RESIDUE)
     read = q.H[:, :p] * Y
     T = (q.N @ model.derivative - K[:, p:] @ model.algebra) * R
     return Observer(

@@ -13,8 +13,8 @@ from residua.errors import AccuracyError, DesignError
 from residua.linear.poles.doubling import filter_covariance
 from residua.linear.poles.placement import place_observer_poles
 from residua.linear.poles.spectrum import describe_modes
-from residua.linear.subspaces.quotient import ObservableSplit, without_rounding
-from residua.tolerances import BALANCED_STABLE, POLE
+from residua.linear.subspaces.quotient import ObservableSplit
+from residua.tolerances import BALANCED_STABLE, POLE, RESIDUE, above_rounding
 from residua.words import counted
 
 Matrix = NDArray[np.float64]
@@ -108,7 +108,7 @@ def observer_gain(
 
 def _cleared(K: Matrix) -> Matrix:
     """Return a gain with zeros where a state is corrected by rounding of its other corrections alone."""
-    return without_rounding(K, np.abs(K).max(axis=1, keepdims=True, initial=0.0))
+    return above_rounding(K, np.abs(K).max(axis=1, keepdims=True, initial=0.0), RESIDUE)
 
 
 def _movable(poles: Sequence[complex] | ArrayLike, count: int, fixed: NDArray[np.complex128]) -> NDArray:

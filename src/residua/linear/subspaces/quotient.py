@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.linear.subspaces.rank import RankDecision
-from residua.tolerances import BALANCED_RANK
+from residua.tolerances import BALANCED_RANK, above_rounding
 
 Matrix = NDArray[np.float64]
 #: Balanced numbers below this are rounding: nothing is coupled by them.
@@ -156,9 +156,9 @@ def observable_split(A: Matrix, C: Matrix) -> ObservableSplit:
     return ObservableSplit(seen, hidden, decisions)
 
 
-def without_rounding(M: Matrix, size: float | Matrix = 1.0) -> Matrix:
-    """Return a matrix of numbers balanced to some size with zeros where rounding may be all that there is."""
-    return np.where(np.abs(M) > _ROUNDING * size, M, 0.0)
+def without_rounding(M: Matrix) -> Matrix:
+    """Return a matrix of balanced numbers with zeros where rounding may be all that there is."""
+    return above_rounding(M, 1.0, _ROUNDING)
 
 
 def _decided(s: Matrix) -> RankDecision:
