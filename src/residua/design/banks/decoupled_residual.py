@@ -179,7 +179,7 @@ def _gain(
         size = np.sqrt(np.maximum((v**2).sum(axis=1), np.finfo(float).tiny))
         try:
             if not np.linalg.matrix_rank(v / size[:, None]) == len(v):
-                raise AccuracyError("a residual has no measurement noise of its own")
+                raise DesignError("a residual has no measurement noise of its own")
             found = observer_gain(
                 F,
                 G / size[:, None],
@@ -190,7 +190,7 @@ def _gain(
                 cross=w @ v.T / size,
             )
             return replace(found, K=found.K / size, note="gain of the Kalman filter")
-        except AccuracyError as error:
+        except (AccuracyError, DesignError) as error:
             if kind == "kalman":
                 raise
             note = f"no gain of a Kalman filter: {error}"

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
 from residua.analysis.existence import UnknownInputExistence, unknown_input_observer_existence
@@ -144,28 +145,34 @@ def _of_ordinary_plant(
     q = E.shape[1]
     P = np.linalg.pinv(C @ E)
     H, N = E @ P, np.linalg.svd(P @ C)[2][q:].T if q else np.eye(n)
-    rest = np.linalg.svd(C @ E)[0][:, q:].T if q else np.eye(len(C))
     plain = H0 is None or not np.any(H0)
     if not plain:
         free = matrix(H0, "H0", (n, p), what="states x outputs") / X / Y @ np.linalg.pinv(W)
         H = H + free @ (np.eye(len(C)) - C @ H)
     T = np.eye(n) - H @ C
-    # x = E a + N b, and the outputs are a, and what reads b alone: of T E = 0 nothing is left to rounding
-    M, outputs = np.hstack([E, N]), np.vstack([P, rest])
-    inverse = np.linalg.inv(M)
-    A1, C1 = inverse @ T @ A @ M, outputs @ C @ M
-    C1[:q], C1[q:, :q] = np.eye(q, n), 0.0
-    if plain:
-        A1[:q] = 0.0
     poles, margin = asked(plant, poles, margin)
     process, measurement = default_weights(model)
+    # x = E a + N b, and the outputs read a, and b alone: of T E = 0 nothing is left to rounding. For least squares the
+    # noises of both have nothing in common, however far the units of the plant are from even ones
+    noise = np.eye(len(W)) if poles is not None else W @ measurement @ W.T
+    white = np.linalg.inv(np.linalg.cholesky(noise))
+    read = np.linalg.pinv(white @ C @ E)
+    rest = np.linalg.svd(white @ C @ E)[0][:, q:].T if q else np.eye(len(C))
+    M, outputs = np.hstack([E, N]), np.vstack([read, rest]) @ white
+    inverse = np.linalg.inv(M)
+    A1, C1 = inverse @ T @ A @ M, outputs @ C @ M
+    C1[:, :q] = np.eye(len(C1), q)
+    if poles is not None:
+        C1[:q, q:] = 0.0
+    if plain:
+        A1[:q] = 0.0
     gain = observer_gain(
         A1,
         C1,
         observable_split(A1, C1),
         sampled=plant.is_discrete,
         process=inverse @ process @ inverse.T,
-        measurement=outputs @ W @ measurement @ W.T @ outputs.T,
+        measurement=scipy.linalg.block_diag(read @ read.T, np.eye(len(rest))),
         poles=poles,
         margin=margin,
     )
