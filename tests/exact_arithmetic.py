@@ -71,21 +71,22 @@ def response(system: rs.StateSpace, z: complex) -> list[list[Number]]:
     return out
 
 
-def exact_leak(system: rs.StateSpace, plant: rs.Plant, points: NDArray[np.complex128], role: str) -> float:
-    """Return the largest ratio of a leak to the sizes of its terms over residuals, inputs of a role, and points."""
-    n_u, worst = len(plant.inputs), Decimal(0)
+def exact_leaks(
+    system: rs.StateSpace, plant: rs.Plant, points: NDArray[np.complex128]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the peaks over points of what controls and disturbances do to residuals, and of the sum of its terms."""
+    n_u, roles = len(plant.inputs), plant.system(("control", "disturbance"))
+    shape = len(points), system.n_outputs, roles.n_inputs
+    leaks, sizes = np.zeros(shape), np.zeros(shape)
     with localcontext() as context:
         context.prec = DIGITS
-        for z in points:
-            Q, P = response(system, z), response(plant.system(role), z)
-            for q in Q:
-                for j in range(len(P[0])):
-                    terms = [_times(q[n_u + k], P[k][j]) for k in range(len(P))]
-                    terms += [q[j]] if role == "control" else []
-                    parts = sum((_size(x) for x in terms), Decimal(0))
-                    total = _size((sum((x[0] for x in terms), Decimal(0)), sum((x[1] for x in terms), Decimal(0))))
-                    worst = max(worst, total / parts if parts else Decimal(0))
-    return float(worst)
+        for k, z in enumerate(points):
+            Q, P = response(system, z), response(roles, z)
+            for i, j in np.ndindex(shape[1:]):
+                terms = [_times(Q[i][n_u + m], P[m][j]) for m in range(len(P))] + ([Q[i][j]] if j < n_u else [])
+                total = sum((x[0] for x in terms), Decimal(0)), sum((x[1] for x in terms), Decimal(0))
+                leaks[k, i, j], sizes[k, i, j] = _size(total), sum((_size(x) for x in terms), Decimal(0))
+    return leaks.max(axis=0), sizes.max(axis=0)
 
 
 def modular(M: NDArray) -> list[list[int]]:

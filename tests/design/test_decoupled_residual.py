@@ -167,6 +167,6 @@ def test_the_gain_is_checked() -> None:
         rs.design.decoupled_residual(noisy, gain="kalman", margin=1.0)
     silent = plant.with_noise(process=1.0)  # no measurement noise: no Kalman filter, and that is said
     found = rs.design.decoupled_residual(silent)
-    assert any("there is no Kalman filter" in note for note in found.evidence.notes)
+    assert any("no gain of a Kalman filter" in note for note in found.evidence.notes)
     with pytest.raises(DesignError):
         rs.design.decoupled_residual(silent, gain="kalman")

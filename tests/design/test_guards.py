@@ -22,7 +22,7 @@ from residua.design.core.generator import make_generator
 from residua.design.core.internal_form import check_state_map
 from residua.design.core.responses import state_covariance
 from residua.design.core.signatures import Signature
-from residua.design.observers.estimate_check import check_estimate
+from residua.design.observers.observer import with_checked_estimate
 from residua.design.observers.perfect_observer import perfect_observer
 from residua.design.parity.conversion import to_parity
 from residua.design.parity.directional_pencil import check_directions
@@ -95,7 +95,6 @@ def ignoring() -> Any:
 
 
 Change = Callable[[Any], Any]
-UIO, BANK = "design.observers.unknown_input_observer", "design.banks.bank"
 
 #: The guard; the inner function that is wrong, and how; what is designed.
 WRONG = [
@@ -163,39 +162,18 @@ WRONG = [
         id="identities of the inverse form",
     ),
     pytest.param(
-        "design.observers.observer_gain:place_observer_poles",
+        "linear.poles.observer_gain:place_observer_poles",
         lambda placed: replace(placed, error=OFF),
         lambda: D.unknown_input_observer(ordinary(), poles=[-2, -2 + 1j, -2 - 1j]),
-        marks=trips("design.observers.observer_gain:place"),
+        marks=trips("linear.poles.observer_gain:observer_gain:1"),
         id="poles of an observer",
     ),
     pytest.param(
-        "design.observers.unknown_input_observer:decomposed_existence",
-        lambda found: replace(found, decomposition=replace(found.decomposition, T=found.decomposition.T + OFF)),
-        lambda: D.unknown_input_observer(engine()),
-        marks=trips("design.observers.unknown_input_observer:assemble:1"),
-        id="T E = 0",
-    ),
-    pytest.param(
-        "design.observers.unknown_input_observer:decomposed_existence",
-        lambda found: replace(found, decomposition=replace(found.decomposition, H=off(found.decomposition.H))),
-        lambda: D.unknown_input_observer(engine()),
-        marks=trips("design.observers.unknown_input_observer:assemble:2"),
-        id="T E + H C = I",
-    ),
-    pytest.param(
-        "design.observers.reduced_order:_particular",
-        lambda found: (off(found[0]), found[1]),
-        lambda: D.reduced_order_observer(gertler()),
-        marks=trips("design.observers.reduced_order:_check:2"),
-        id="identities of a reduced order",
-    ),
-    pytest.param(
-        "design.observers.reduced_order:explicit_poles",
-        lambda poles: poles + 1e6,
-        lambda: D.reduced_order_observer(gertler()),
-        marks=trips("design.observers.reduced_order:_check:1"),
-        id="stability of a reduced order",
+        "linear.poles.observer_gain:_least_squares",
+        lambda gain: None,
+        lambda: D.luenberger_observer(gertler()),
+        marks=trips("linear.poles.observer_gain:observer_gain:2"),
+        id="gain of an observer",
     ),
     pytest.param(
         "design.observers.perfect_gain:_deadbeat",
@@ -257,7 +235,7 @@ WRONG = [
         "design.parity.relations:realize_relation",
         lambda part: replace(part, state_map=off(part.state_map)),
         lambda: D.parity_relations(gertler(), insensitive_to="p1"),
-        marks=trips("design.core.internal_form:_accepted"),
+        marks=trips("design.parity.relations:_filtered"),
         id="state map of a relation",
     ),
     pytest.param(
@@ -301,12 +279,13 @@ def test_a_wrong_result_is_refused(
         design()
 
 
-@trips("design.observers.estimate_check:check_estimate")
-def test_an_estimate_that_is_off_is_refused() -> None:
-    observer = D.luenberger_observer(gertler())
-    check_estimate(observer)
+@trips("design.observers.observer:with_checked_estimate")
+@pytest.mark.parametrize("design", [D.luenberger_observer, D.unknown_input_observer, D.reduced_order_observer])
+def test_an_estimate_that_is_off_is_refused(design: Callable[[rs.Plant], Any]) -> None:
+    observer = design(gertler())
+    with_checked_estimate(observer)
     with pytest.raises(AccuracyError, match="off the state"):
-        check_estimate(replace(observer, K=off(observer.K)))
+        with_checked_estimate(replace(observer, K=off(observer.K)))
 
 
 @trips("design.core.responses:state_covariance:2")
@@ -340,14 +319,6 @@ def test_a_member_that_answers_to_what_it_ignores_is_refused() -> None:
     check_promise(member, Wanted("without p1", ("p1",), ("p2",)))
     with pytest.raises(AccuracyError, match="answers to p2"):
         check_promise(member, Wanted("without p2", ("p2",), ()))
-
-
-@trips("design.banks.decoupled_residual:_designed")
-def test_a_residual_that_lost_a_fault_it_can_see_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    ignoring()
-    changed(monkeypatch, "design.core.canonical_checks:signatures_of", _silent)
-    with pytest.raises(AccuracyError, match="lost in rounding"):
-        ignoring()
 
 
 def _silent(found: tuple[dict[str, Signature], float]) -> tuple[dict[str, Signature], float]:
@@ -468,13 +439,10 @@ def test_a_fault_that_is_not_ignored_is_named() -> None:
 
 
 @trips("design.core.internal_form:_accepted")
-@pytest.mark.parametrize("which", ["state_map", "known_form"])
-def test_maps_and_forms_of_another_filter_are_refused(which: str) -> None:
-    good = D.unknown_input_observer(engine()).residual_generator()
-    form = good.internal_form()
-    wrong = {"state_map": off(good.state_map), "known_form": form.replaced(B=off(form.B))}
+def test_the_form_of_another_filter_is_refused() -> None:
+    form = D.unknown_input_observer(engine()).residual_generator().internal_form()
     with pytest.raises(AccuracyError, match="identities"):
-        _made(**{which: wrong[which]})
+        _made(known_form=form.replaced(B=off(form.B)))
 
 
 @trips("design.core.internal_form:_accepted")

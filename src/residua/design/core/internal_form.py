@@ -325,20 +325,19 @@ _slowest: Latest[float] = Latest()
 def _slowest_zero(system: StateSpace, multiplicity: int = 2) -> float:
     """Return the size of the smallest zero of the response of an output to an input that is not at 0.
 
-    Rounding scatters one at 0 of some multiplicity, as a filter has where its plant integrates, by that root. In a
-    pencil it moves the zeros of a response that is weak beside others, too: a zero counts where its own response is far
-    smaller than beside it.
+    Rounding scatters one at 0 of some multiplicity, as a filter has where its plant integrates, by that root: none of a
+    cluster about 0 counts. In a pencil it moves the zeros of a response that is weak beside others, too: a zero counts
+    where its own response is far smaller than beside it.
     """
     A, B, C, D, E = system.A, system.B, system.C, system.D, system.E
 
     def found() -> float:
         least = float(np.finfo(float).eps) ** (1 / max(multiplicity, 2)) * _size(system)
-        zeros = [
-            (zero, (i, j))
-            for i, j in np.ndindex(system.D.shape)
-            for zero in invariant_zeros(A, B[:, [j]], C[[i]], D[[i]][:, [j]], E).zeros
-            if np.abs(zero) > least and zero.imag >= 0
-        ]
+        zeros = []
+        for i, j in np.ndindex(system.D.shape):
+            known = invariant_zeros(A, B[:, [j]], C[[i]], D[[i]][:, [j]], E)
+            scattered = max((2 * c.radius for c in known.clusters if abs(c.center) <= c.radius), default=0.0)
+            zeros += [(z, (i, j)) for z in known.zeros if abs(z) > max(least, scattered) and z.imag >= 0]
         even = in_even_units(system).system
         for zero, (i, j) in sorted(zeros, key=lambda one: float(np.abs(one[0]))):
             there, *beside = np.abs(response_terms(even, zero * _AT_AND_BESIDE).values[:, i, j])

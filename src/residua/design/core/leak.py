@@ -132,7 +132,8 @@ def leak(
     peak = response.max(axis=0, initial=0.0)
     gains = peak / np.where(terms > 0, terms, np.where(peak > 0, peak, 1.0))
     defects = max((float(np.abs(M).max(initial=0.0)) for M in (dA, dC)), default=0.0)
-    return Leak(gains, defects, float(np.abs(s[0])) * units.rate if len(s) else 0.0)
+    slowest = np.angle(s[0]) / plant.dt if plant.is_discrete else s[0].imag * units.rate
+    return Leak(gains, defects, float(slowest))
 
 
 def answers(system: StateSpace, plant: Plant, terms: Matrix) -> NDArray[np.bool_]:
@@ -184,7 +185,7 @@ def _poles(A: Matrix, plant: Plant, E: Matrix) -> NDArray[np.complex128]:
 
 
 def _points(of_filter: NDArray, of_plant: NDArray, sampled: bool) -> NDArray[np.complex128]:
-    """Return points on the boundary of stability, from far below the slowest rate to far above the fastest, and at each."""
+    """Return points on the boundary of stability, from far below the slowest rate to far above the fastest."""
     rates = [np.abs(_rates(poles, sampled)) for poles in (of_plant, of_filter)]
     rates[0] = rates[0][rates[0] > _INTEGRATES]
     every = np.concatenate([*rates, [] if sum(map(len, rates)) else [1.0]])

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
 from residua.analysis.existence import UnknownInputExistence, unknown_input_observer_existence
@@ -16,11 +17,11 @@ from residua.design.observers.observer import Observer, with_checked_estimate
 from residua.design.observers.observer_gain import asked, default_weights, gain_evidence
 from residua.errors import DesignError
 from residua.linear.poles.observer_gain import ObserverGain, observer_gain
-from residua.linear.subspaces.quotient import observable_split
+from residua.linear.subspaces.quotient import observable_split, without_rounding
 from residua.linear.subspaces.rank import RankDecision
 from residua.plant import Plant
 from residua.plant.balanced import BalancedPlant
-from residua.tolerances import BALANCED_RANK
+from residua.tolerances import BALANCED_RANK, RESIDUE, above_rounding
 from residua.words import counted
 
 REFERENCE = "Chen, Patton and Zhang (1996), Int. J. Control 63(1), eqs. (2) to (13)"
@@ -144,28 +145,34 @@ def _of_ordinary_plant(
     q = E.shape[1]
     P = np.linalg.pinv(C @ E)
     H, N = E @ P, np.linalg.svd(P @ C)[2][q:].T if q else np.eye(n)
-    rest = np.linalg.svd(C @ E)[0][:, q:].T if q else np.eye(len(C))
     plain = H0 is None or not np.any(H0)
     if not plain:
         free = matrix(H0, "H0", (n, p), what="states x outputs") / X / Y @ np.linalg.pinv(W)
         H = H + free @ (np.eye(len(C)) - C @ H)
     T = np.eye(n) - H @ C
-    # x = E a + N b, and the outputs are a, and what reads b alone: of T E = 0 nothing is left to rounding
-    M, outputs = np.hstack([E, N]), np.vstack([P, rest])
-    inverse = np.linalg.inv(M)
-    A1, C1 = inverse @ T @ A @ M, outputs @ C @ M
-    C1[:q], C1[q:, :q] = np.eye(q, n), 0.0
-    if plain:
-        A1[:q] = 0.0
     poles, margin = asked(plant, poles, margin)
     process, measurement = default_weights(model)
+    # x = E a + N b, and the outputs read a, and b alone: of T E = 0 nothing is left to rounding. For least squares the
+    # noises of both have nothing in common, however far the units of the plant are from even ones
+    noise = np.eye(len(W)) if poles is not None else W @ measurement @ W.T
+    white = np.linalg.inv(np.linalg.cholesky(noise))
+    read = np.linalg.pinv(white @ C @ E)
+    rest = np.linalg.svd(white @ C @ E)[0][:, q:].T if q else np.eye(len(C))
+    M, outputs = np.hstack([E, N]), np.vstack([read, rest]) @ white
+    inverse = np.linalg.inv(M)
+    A1, C1 = inverse @ T @ A @ M, outputs @ C @ M
+    C1[:, :q] = np.eye(len(C1), q)
+    if poles is not None:
+        C1[:q, q:] = 0.0
+    if plain:
+        A1[:q] = 0.0
     gain = observer_gain(
         A1,
         C1,
         observable_split(A1, C1),
         sampled=plant.is_discrete,
         process=inverse @ process @ inverse.T,
-        measurement=outputs @ W @ measurement @ W.T @ outputs.T,
+        measurement=scipy.linalg.block_diag(read @ read.T, np.eye(len(rest))),
         poles=poles,
         margin=margin,
     )
@@ -194,10 +201,13 @@ def _of_ordinary_plant(
 
 def in_units_of_outputs(W: NDArray) -> NDArray[np.float64]:
     """Return rows with the largest entry of each a one: a residual that is the error of one output is in its units."""
-    size = np.abs(W).max(axis=1, keepdims=True, initial=0.0)
-    at = np.abs(W).argmax(axis=1)
-    sign = np.sign(W[np.arange(len(W)), at])[:, None]
-    return W * sign / np.where(size > 0, size, 1.0)
+    return W / _largest(W)
+
+
+def _largest(W: NDArray) -> NDArray[np.float64]:
+    """Return the largest entry of each row, as a column; one for a row of zeros."""
+    found = W[np.arange(len(W)), np.abs(W).argmax(axis=1)][:, None]
+    return np.where(found != 0, found, 1.0)
 
 
 def _of_singular_plant(
@@ -224,7 +234,9 @@ def _of_singular_plant(
     )
     units, p = model.units, plant.n_outputs
     R, X, Y = units.equations, units.states[:, None], units.outputs
-    K, inverse = q.J + gain.K @ q.H, q.R @ q.known[0]
+    inverse = without_rounding(q.R @ q.known[0])
+    K = above_rounding(q.J + gain.K @ q.H, np.abs(q.J) + np.abs(gain.K) @ np.abs(q.H), RESIDUE)
+    read = q.H[:, :p] * Y
     T = (q.N @ model.derivative - K[:, p:] @ model.algebra) * R
     return Observer(
         plant,
@@ -233,12 +245,12 @@ def _of_singular_plant(
         units.rate * K[:, :p] * Y,
         X * (q.P - inverse @ q.C),
         X * inverse[:, :p] * Y,
-        in_units_of_outputs(q.H[:, :p] * Y),
+        read / _largest(read),
         "unknown input observer",
         True,
         _evidence(model, existence, gain, ()),
         J=X * (inverse[:, p:] @ model.algebra) * R / units.rate,
-        V=q.H[:, p:] @ model.algebra * R / units.rate,
+        V=q.H[:, p:] @ model.algebra * R / units.rate / _largest(read),
     )
 
 

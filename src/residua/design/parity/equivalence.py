@@ -306,18 +306,18 @@ def _generator(design: Any) -> ResidualGenerator:
 def _signal_units(generator: ResidualGenerator, Q: NDArray, w: NDArray) -> NDArray[np.float64]:
     r"""Return what one is, for each signal that a generator reads, when responses to it are compared.
 
-    The largest response; but for a control input not less than the terms that cancel in :math:`Q_u + Q_y P_u = 0`, and
-    for an output not much less than the others, in balanced units. What is smaller may be rounding: that of an actuator
-    whose fault is ignored is not read at all.
+    The largest response; but for an output not much less than the others, in balanced units, and for a control input
+    not less than the terms that cancel in :math:`Q_u + Q_y P_u = 0` then. What is smaller may be rounding: that of an
+    actuator whose fault is ignored is not read at all.
     """
     plant, n_u = generator.plant, len(generator.plant.inputs)
     size = np.abs(Q).max(axis=(0, 1))
     P = plant.system("control").frequency_response(w)
-    terms = (np.abs(Q[:, :, n_u:]) @ np.abs(P)).max(axis=(0, 1))
     p = plant.system(("control", "disturbance", "fault"))
     outputs = descriptor_units(p.A, p.E, p.B, p.C, p.D).outputs
-    largest = np.max(size[n_u:] / outputs, initial=0.0)
-    return np.maximum(size, np.concatenate([terms, _FAINT_OUTPUT * largest * outputs]))
+    least = _FAINT_OUTPUT * np.max(size[n_u:] / outputs, initial=0.0) * outputs
+    terms = (np.maximum(np.abs(Q[:, :, n_u:]), least) @ np.abs(P)).max(axis=(0, 1))
+    return np.maximum(size, np.concatenate([terms, least]))
 
 
 def _matched(
