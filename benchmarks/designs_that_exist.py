@@ -103,6 +103,18 @@ def _with_roles(plant: rs.Plant) -> rs.Plant:
     return plant
 
 
+def _sensors(plant: rs.Plant) -> rs.Plant:
+    """Return a plant with the faults of its first sensors alone, and no disturbance."""
+    kept = [fault.name for fault in plant.fault_list if fault.kind == "sensor"][:3]
+    return plant.without_disturbances().without_faults([name for name in plant.faults if name not in kept])
+
+
+def _structured(plant: rs.Plant) -> rs.design.Bank:
+    """Return the bank of the first attainable rows of the first faults."""
+    few = plant.without_faults(plant.faults[4:])
+    return rs.design.structured_bank(few, rs.coding.attainable(few).digits[:4])
+
+
 def _one_fault(plant: rs.Plant) -> rs.Plant:
     return plant.without_faults(plant.faults[1:])
 
@@ -116,9 +128,9 @@ DESIGNS: dict[str, Callable[[rs.Plant], Any]] = {
     "parity_relations": lambda p: rs.design.parity_relations(p),
     "detection_filter": lambda p: rs.design.detection_filter(_one_fault(p.without_disturbances())),
     "fault_estimator": lambda p: rs.design.fault_estimator(_one_fault(p)),
-    "sensor_fault_bank": lambda p: rs.design.sensor_fault_bank(p.without_disturbances(), outputs=p.outputs[:3]),
+    "sensor_fault_bank": lambda p: rs.design.sensor_fault_bank(_sensors(p)),
     "robust_detection_filter": lambda p: rs.design.robust_detection_filter(_one_fault(p)),
-    "structured_bank": lambda p: rs.design.structured_bank(p),
+    "structured_bank": lambda p: _structured(p),
 }
 
 
