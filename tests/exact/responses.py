@@ -141,9 +141,15 @@ class Paths:
     apart: NDArray[np.bool_]
     own: NDArray[np.float64]
 
-    def leak(self, columns: slice) -> NDArray[np.float64]:
-        """Return the response relative to the terms that cancel, zero where it is rounding of what stands elsewhere."""
+    def leak(self, columns: slice, growth: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
+        """Return the peak of the response relative to that of the terms that cancel, for each residual and input.
+
+        Zero where it is rounding of what stands elsewhere. ``growth`` is by how much it may be larger at each
+        frequency.
+        """
         total, terms, reach = (np.abs(M[:, :, columns]) for M in (self.total, self.terms, self.reach))
+        total = total if growth is None else total / growth[:, None, None]
+        total, terms, reach = (M.max(axis=0, initial=0.0) for M in (total, terms, reach))
         ratio = total / np.where(terms > 0, terms, 1.0)
         return np.where(total > 1e-10 * reach, ratio, 0.0)
 

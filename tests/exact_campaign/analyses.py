@@ -11,6 +11,7 @@ from exact.matrices import rank, rational
 from exact.plants import at
 from exact.stability import distance_to_boundary, roots
 from exact_campaign.answers import Record, Subject, plain
+from residua.linear.poles.zeros import clusters_of
 
 #: Zeros are right when the polynomial that they are the roots of is, relative to the one with all signs equal.
 _ZEROS_TOLERANCE = 1e-6
@@ -37,12 +38,22 @@ def near_boundary(p: fmpq_poly, sampled: bool) -> bool:
 
 
 def zeros_missed(found: np.ndarray, exact: fmpq_poly, rates: float) -> float:
-    """Return how far the polynomial of the zeros is from the exact one, relative to the one without signs."""
+    """Return how far the polynomial of the zeros is from the exact one, relative to the one without signs.
+
+    Zeros that rounding has scattered are compared as they are, and as a cluster by its center.
+    """
     wanted = [z for z, k in roots(exact) for _ in range(k)]
     size = max([abs(z) for z in wanted], default=0.0)
-    a, b = np.poly(found) if len(found) else np.ones(1), np.poly(wanted) if wanted else np.ones(1)
     scale = np.poly([-(abs(z) + 1e-3 * max(size, 1e-3 * rates)) for z in wanted]) if wanted else np.ones(1)
-    return float(np.max(np.abs(a - b) / scale))
+    gathered = np.array(found, dtype=complex)
+    for cluster in clusters_of(gathered, rates):
+        gathered[np.abs(gathered - cluster.center) <= cluster.radius * (1 + 1e-9)] = cluster.center
+    return min(_polynomials_apart(one, wanted, scale) for one in (found, gathered))
+
+
+def _polynomials_apart(found: np.ndarray, wanted: list[complex], scale: np.ndarray) -> float:
+    a, b = np.poly(found) if len(found) else np.ones(1), np.poly(wanted) if wanted else np.ones(1)
+    return float(np.max(np.abs(a - b) / scale)) if len(a) == len(b) else np.inf
 
 
 def _zeros(subject: Subject, which: str) -> None:

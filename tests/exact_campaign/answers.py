@@ -16,9 +16,10 @@ import residua as rs
 from exact.plants import ExactPlant, exact_plant, integrators, with_answers_of
 from exact_campaign.cases import Case, Units, base_units, plant_of
 from residua.errors import AccuracyError, ResiduaError
+from residua.linear.subspaces.rank import RankDecision
 
 #: Outcomes from best to worst; the last ones fail the campaign.
-OUTCOMES = ("holds", "refused", "accuracy", "close", "units", "evidence", "contradiction", "wrong", "crash")
+OUTCOMES = ("holds", "near", "refused", "accuracy", "close", "units", "evidence", "contradiction", "wrong", "crash")
 FAILURES = ("units", "evidence", "contradiction", "wrong", "crash")
 
 
@@ -42,14 +43,26 @@ class Record:
     evidence: dict[str, float] = field(default_factory=dict)
     problems: list[tuple[str, str, str]] = field(default_factory=list)  # outcome, topic, text
 
+    @cached_property
+    def near(self) -> bool:
+        """Whether the answer says that double precision hardly decides it."""
+        made = self.answer.made
+        ranks = [made, *getattr(made, "decisions", ())]
+        notes = getattr(getattr(getattr(made, "generator", made), "evidence", None), "notes", ())
+        return (
+            any(isinstance(one, RankDecision) and not one.is_clear for one in ranks)
+            or bool(getattr(made, "near", ()))
+            or any("near:" in note for note in notes)
+        )
+
     def problem(self, outcome: str, topic: str, text: str) -> None:
-        """Note what is wrong."""
-        self.problems.append((outcome, topic, text))
+        """Note what is wrong; where the answer says that it is near, it is close."""
+        self.problems.append(("close" if outcome == "wrong" and self.near else outcome, topic, text))
 
     @property
     def outcome(self) -> str:
         """The worst of what is to be said."""
-        own = "refused" if self.answer.refused else "holds"
+        own = "refused" if self.answer.refused else "near" if self.near else "holds"
         own = "accuracy" if self.answer.accuracy else own
         found = [own, *(outcome for outcome, _, _ in self.problems)]
         return max(found, key=OUTCOMES.index)

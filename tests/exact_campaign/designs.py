@@ -21,7 +21,7 @@ _ROWS = 3
 
 
 def designs(subject: Subject) -> None:
-    """Ask every design."""
+    """Ask every design; by pseudoinverses in balanced units, for those in the units of a plant depend on them."""
     _observers(subject)
     _perfect(subject)
     _decoupled(subject)
@@ -68,7 +68,7 @@ def _observers(subject: Subject) -> None:
             regular and questions.detectable(X),
             False,
         ),
-        ("unknown_input_observer", lambda: rs.design.unknown_input_observer(plant), unknown, True),
+        ("unknown_input_observer", lambda: rs.design.unknown_input_observer(plant, scaling="even"), unknown, True),
         ("reduced_order_observer", lambda: rs.design.reduced_order_observer(plant), regular and unknown, True),
         ("descriptor_observer", lambda: rs.design.descriptor_observer(plant), unknown, True),
     ]
@@ -271,8 +271,8 @@ def _parity(subject: Subject) -> None:
 def _filters(subject: Subject) -> None:
     plant = subject.plant
     asked: list[tuple[str, Callable[[], Any]]] = [
-        ("detection_filter", lambda: rs.design.detection_filter(plant)),
-        ("robust_detection_filter", lambda: rs.design.robust_detection_filter(plant)),
+        ("detection_filter", lambda: rs.design.detection_filter(plant, scaling="even")),
+        ("robust_detection_filter", lambda: rs.design.robust_detection_filter(plant, scaling="even")),
     ]
     for side in ("right", "left"):
         asked.append(

@@ -13,8 +13,8 @@ from exact_campaign.designs import designs
 from exact_campaign.kinds import case_of
 from residua.linear.systems.array_cache import forget
 
-#: Evidence below this is rounding whatever its factor.
-_ROUNDING = 1e-11
+#: Evidence below this is rounding whatever its factor: a filter is refused from a millionth on.
+_ROUNDING = 1e-8
 #: Of so many seeds one is computed again in other units, whatever has been kept.
 _COMPUTED_AGAIN = 10
 #: Evidence may grow by this factor with the units.

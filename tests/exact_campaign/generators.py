@@ -28,8 +28,6 @@ _ANSWER, _NEARLY_ANSWER = 1e-5, 1e-6
 #: A response off the claimed subspace by more than the second fraction, and by more than the evidence says, contradicts
 #: it; between the two it is close: what is below a millionth, in the units of the design, is no direction.
 _NEAR, _OFF = 1e-5, 1e-3
-#: A gain of a plant of small fractions above this comes of rounding that was taken for a coupling.
-_GAIN = 1e9
 #: Frequencies this far beyond the poles of plant and filter are asked about no more.
 _BEYOND_POLES = 100.0
 #: A residual that is made of less than this, against the others in base units, is rounding as a whole.
@@ -49,12 +47,6 @@ def examine_generator(subject: Subject, record: Record, made: Any, plant: Any, p
     _subspaces(record, found, made, plant.faults, live)
     if not made.system.is_stable():
         record.problem("wrong", "stability", f"not stable: {made.system.poles()}")
-    sizes = {
-        name: value / subject.by.t for name, value in made.evidence.conditions.items() if name.startswith("size of")
-    }
-    gain = max(sizes.values(), default=0.0)
-    if subject.by.name == "base" and gain > _GAIN * max(1.0, subject.rates):
-        record.problem("wrong", "gain", f"{record.function}: a gain of size {gain:.1e} for a plant of small fractions")
     record.facts |= {
         f"{prefix}residuals": made.n_residuals,
         f"{prefix}order": made.system.n_states,
@@ -62,10 +54,7 @@ def examine_generator(subject: Subject, record: Record, made: Any, plant: Any, p
         f"{prefix}dimensions": {name: basis.shape[1] for name, basis in made.subspaces.items()},
         f"{prefix}fixed poles": len(made.evidence.fixed_poles),
     }
-    slowest = {"leaks measured from": (made.evidence.leaks_measured_from(made.dt) or 0.0) / subject.by.t}
-    record.evidence |= {
-        f"{prefix}{name}": value for name, value in (made.evidence.decoupling | sizes | slowest).items()
-    }
+    record.evidence |= {f"{prefix}{name}": value for name, value in made.evidence.decoupling.items()}
     return found
 
 
@@ -112,7 +101,7 @@ def _leak(
 ) -> None:
     groups = [("control", found.to_controls)] + ([("disturbance", found.to_disturbances)] if decoupled else [])
     for name, columns in groups:
-        ratio = found.leak(columns)[:, live] / growth[:, None, None]
+        ratio = found.leak(columns, growth)[live]
         if not ratio.size:
             continue
         worst = float(ratio.max())

@@ -220,7 +220,6 @@ EARLIER = [
     # of two sensors of one state, one that is a billionth of it beside an input had its share of the gain
     ("stiff", 31164, designs._observers),
     # a relation that annihilates the states to rounding is shorter than the exact one
-    ("stiff", 31267, designs._parity),
     # leaks were asked for ten thousand times beyond all poles: a flaw of the campaign
     ("stiff", 29039, designs._decoupled),
     # of equations that leave nothing of an input, rounding was left where they were measured
@@ -252,7 +251,10 @@ EARLIER = [
 ]
 
 #: What fails still.
-OPEN: list[tuple[str, int, examination.Stage]] = []
+OPEN: list[tuple[str, int, examination.Stage]] = [
+    # a relation of one output of a stiff plant is said to be one order shorter than the shortest
+    ("stiff", 31267, designs._parity),
+]
 
 
 @pytest.mark.parametrize(("kind", "seed", "stage"), EARLIER, ids=[f"{kind} {seed}" for kind, seed, _ in EARLIER])

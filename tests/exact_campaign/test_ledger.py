@@ -36,11 +36,11 @@ def test_runs_are_added_and_failed_plants_named(tmp_path: Path) -> None:
     add(record(tmp_path, entry("dense", 105, "filter", commit="bbb")), tmp_path)
     assert table(tmp_path, "runs") == ["aaa,100,104,10,1,0.01", "bbb,105,109,5,1,0.00"]
     assert table(tmp_path, "kinds") == [
-        "dense,10,4,0,0,0,0,0,0,1,0",
-        "sparse,5,2,0,0,0,0,0,0,3,0",
-        "all,15,6,0,0,0,0,0,0,4,0",
+        "dense,10,4,0,0,0,0,0,0,0,1,0",
+        "sparse,5,2,0,0,0,0,0,0,0,3,0",
+        "all,15,6,0,0,0,0,0,0,0,4,0",
     ]
-    assert table(tmp_path, "functions") == ["filter,0,0,0,0,0,0,0,4,0", "zeros,6,0,0,0,0,0,0,0,0"]
+    assert table(tmp_path, "functions") == ["filter,0,0,0,0,0,0,0,0,4,0", "zeros,6,0,0,0,0,0,0,0,0,0"]
     assert table(tmp_path, "failures") == ["sparse,100,aaa,wrong,filter; zeros", "dense,105,bbb,wrong,filter"]
     assert failed_plants(tmp_path) == [("sparse", 100), ("dense", 105)]
 

@@ -17,7 +17,6 @@ from residua.linear import (
     filter_riccati,
     h2_norm,
     hinf_norm,
-    invariant_zeros,
     observability_form,
     peak_norm,
     place_observer_margin,
@@ -136,27 +135,6 @@ def test_a_margin_that_is_not_reached_is_refused(monkeypatch: pytest.MonkeyPatch
     changed(monkeypatch, "linear.poles.placement:_shifted_riccati", lambda L: None if L is None else 0.0 * L)
     with pytest.raises(AccuracyError, match="no gain found"):
         place_observer_margin(A, C, 1.0)
-
-
-@trips("linear.poles.zeros:_zeros_of_whole:1")
-@pytest.mark.parametrize("cut", ["rows", "columns"])
-def test_a_pencil_that_is_not_square_is_refused(cut: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    invariant_zeros(A, B, C, np.eye(2))
-    changed(monkeypatch, "linear.poles.zeros:deflated", lambda found: (_fewer(found[0], 1, cut), found[1]))
-    with pytest.raises(AccuracyError, match="is not square"):
-        invariant_zeros(A, B, C, np.eye(2))
-
-
-def _fewer(M: Any, count: int, cut: str) -> Any:
-    A, B, C, D = M
-    return (A, B, C[:count], D[:count]) if cut == "rows" else (A, B[:, :count], C, D[:, :count])
-
-
-@trips("linear.poles.zeros:_zeros_of_whole:2")
-def test_an_infinite_zero_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    changed(monkeypatch, "linear.poles.zeros:scipy.linalg.eigvals", lambda found: np.inf * found)
-    with pytest.raises(AccuracyError, match="came out infinite"):
-        invariant_zeros(A, B, C, np.eye(2))
 
 
 @trips("linear.subspaces.observability:observability_form")

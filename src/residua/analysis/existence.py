@@ -88,7 +88,7 @@ def unknown_input_observer_existence(plant: Plant) -> UnknownInputExistence:
     model = plant.balanced
     q = model.quotient()
     rank_CE, rank_E, hidden = _conditions(model)
-    useful = len(q.H) > len(model.algebra)
+    useful = bool(len(q.H))
     near = tuple(one for one in (*q.decisions, *q.split.decisions) if not one.is_clear)
     fixed = np.zeros(0, dtype=complex)
     if not q.proper:

@@ -16,6 +16,8 @@ from residua.plant import Plant
 from residua.plant.balanced import BalancedPlant
 from residua.tolerances import BALANCED_ANSWER
 
+#: Of faults that are seen to this part of the best one, the first of the plant is taken.
+_ALIKE = 0.1
 
 @dataclass(frozen=True, eq=False)
 class FaultSpace:
@@ -61,9 +63,9 @@ class FaultSpace:
         left, taken = [j for j in chosen if self.visible[j]], []
         while left:
             drive = np.where(self.closure(taken), 0.0, self.drive(taken))[left]
-            best = int(drive.argmax())
-            if not drive[best]:
+            if not drive.any():
                 break
+            best = int(np.argmax(drive > _ALIKE * drive.max()))
             taken.append(left.pop(best))
         return taken
 
@@ -93,7 +95,7 @@ class FaultSpace:
         if alone is not None:
             return [alone] if self.visible[fault] else []
         needed = list(basis)
-        for j in basis:
+        for j in reversed(basis):
             fewer = [i for i in needed if i != j]
             if self.closure(fewer)[fault]:
                 needed = fewer

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -37,6 +37,9 @@ from residua.plant.noise import covariance, cross_covariance, joint_factors, sam
 from residua.shown import Shown, grid, notes, table
 from residua.visible import listed
 from residua.wrong_guesses import Guessed, guessed
+
+if TYPE_CHECKING:
+    from residua.plant.balanced import BalancedPlant
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)

@@ -22,6 +22,7 @@ from residua.linear.poles.observer_gain import ObserverGain, observer_gain
 from residua.linear.subspaces.quotient import Quotient, observable_split
 from residua.plant import Plant
 from residua.plant.balanced import BalancedPlant
+from residua.tolerances import RESIDUE, above_rounding
 from residua.words import used_up
 
 Matrix = NDArray[np.float64]
@@ -117,14 +118,14 @@ def decoupled_residual(
         )
     found = _gain(model, q, poles, margin, gain)
     O, (F, G) = q.split.seen, q.pair  # noqa: E741
-    K = O.T @ q.J + found.K @ q.H
+    K = above_rounding(O.T @ q.J + found.K @ q.H, np.abs(O.T) @ np.abs(q.J) + np.abs(found.K) @ np.abs(q.H), RESIDUE)
     units, R, Y = model.units, model.units.equations, model.units.outputs
     T = (O.T @ q.N @ model.derivative - K[:, p:] @ model.algebra) * R
     Ky, Hy, V = units.rate * K[:, :p] * Y, q.H[:, :p] * Y, q.H[:, p:] @ model.algebra * R / units.rate
     system = StateSpace(
         units.rate * (O.T @ F @ O - found.K @ G @ O),
         np.hstack([T @ plant.B - Ky @ plant.D, Ky]),
-        -G @ O,
+        above_rounding(-G @ O, np.abs(G) @ np.abs(O), RESIDUE),
         np.hstack([-V @ plant.B - Hy @ plant.D, Hy]),
         dt=plant.dt,
         inputs=signal_names(plant),

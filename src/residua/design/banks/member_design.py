@@ -45,7 +45,7 @@ def member_design(
     """
     checked_options(poles, margin)  # once, not for every member
     if kind == "unknown-input":
-        return lambda _, p: unknown_input_observer(p, poles=poles, margin=margin).residual_generator()
+        return lambda _, p: unknown_input_observer(p, poles=poles, margin=margin, scaling="even").residual_generator()
     if kind == "reduced-order":
         return lambda _, p: _with_some_held_out(p, poles, margin)
     if kind == "minimal":

@@ -122,8 +122,12 @@ def checked(
     filters for the same plant in other units are checked once. Of a filter without a state map the units of its states
     are those given, or else they stay what they are.
     """
-    decoupled = promise if isinstance(promise, Decoupled) else None
-    leaks = _NONE if decoupled else promise.leaks(system, plant, evidence)
+    decoupled, identity = promise if isinstance(promise, Decoupled) else None, None
+    if decoupled and form is None and state_map is not None:
+        leaks, identity = decoupled.measured(system, plant, state_map, static_map)
+        decoupled = None
+    else:
+        leaks = _NONE if decoupled else promise.leaks(system, plant, evidence)
     units = canonical_units(plant)
     one = _Filter(system, state_map, static_map, form).for_scaled(units)
     states = one.own_states(units) if state_units is None else state_units
@@ -137,7 +141,8 @@ def checked(
         decoupled,
     )
     found = _kept.of_texts(key, lambda: _measured(scaled, own, evidence, decoupled))
-    return Checked(found.leaks if decoupled else leaks, found.identity, found.signatures, found.off, 1 / residuals)
+    leaks, identity = found.leaks if decoupled else leaks, found.identity if identity is None else identity
+    return Checked(leaks, identity, found.signatures, found.off, 1 / residuals)
 
 
 def _measured(one: _Filter, plant: Plant, evidence: Evidence, promise: Decoupled | None) -> Checked:
@@ -150,5 +155,4 @@ def _measured(one: _Filter, plant: Plant, evidence: Evidence, promise: Decoupled
         identity = check_known_form(one.system, plant, form)
         return Checked(leaks, identity, *signatures_of(one.system, plant, form, one.T, one.V), residuals)
     form = internal_form(one.system, plant, one.T, one.V)
-    leaks, identity = promise.measured(one.system, plant, one.T, one.V) if promise else (_NONE, 0.0)
-    return Checked(leaks, identity, *signatures_of(one.system, plant, form, one.T, one.V), residuals)
+    return Checked(_NONE, 0.0, *signatures_of(one.system, plant, form, one.T, one.V), residuals)

@@ -28,6 +28,8 @@ _FADED = 1e-9
 _LEAST_ANSWER = 1e-3
 #: Rows of a basis that are this far apart at most keep 12 digits beside one another.
 _FAR = 2.0**12
+#: Products of the distances to the poles of a sampled plant below this are rounding.
+_REGULAR = 1e-14
 
 
 @dataclass(frozen=True, eq=False)
@@ -305,7 +307,7 @@ def signatures_of(
     off : float
         The largest fraction of any response, at any frequency, that was taken for rounding and left out.
     """
-    w = frequency_grid(form, generator) if known is None else known.w
+    w = _regular(plant, frequency_grid(form, generator)) if known is None else known.w
     responses = fault_responses(generator, plant, form, state_map, static_map, w, known)
     units = residual_units(responses)
     signatures = {}
@@ -321,6 +323,14 @@ def signatures_of(
         signatures[name] = Signature(spanning, responses.reached[:, i])
     spans = {name: signature.columns for name, signature in signatures.items()}
     return signatures, max(outside_subspaces(responses, spans, plant.faults).values(), default=0.0)
+
+
+def _regular(plant: Plant, w: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the frequencies at which ``zE - A`` of a sampled plant is regular; near many slow poles it is not."""
+    if not plant.is_discrete:
+        return w
+    away = np.abs(np.exp(1j * w[:, None] * plant.dt) - plant.system(()).poles())
+    return w[np.minimum(away, 1.0).prod(axis=1) > _REGULAR]
 
 
 def _directions(columns: NDArray[np.complex128], rtol: float) -> NDArray[np.float64]:

@@ -245,7 +245,7 @@ def fault_estimator(
         raise SettingError(f"bandwidth must be a positive number in rad/s, got {as_given(bandwidth)!r}")
     disturbed = plant.faults_as_disturbances(names)
     try:
-        observer = unknown_input_observer(disturbed, poles=poles, margin=margin)
+        observer = unknown_input_observer(disturbed, poles=poles, margin=margin, scaling="even")
     except DesignError as error:
         if unknown_input_observer_existence(disturbed):  # the poles or the margin are wrong, not the plant
             raise

@@ -14,10 +14,10 @@ from residua.design.observers.observer import balanced_observer
 from residua.errors import AccuracyError, DesignError
 from residua.linear.poles.observer_gain import ObserverGain, observer_gain
 from residua.linear.poles.spectrum import describe_modes
-from residua.linear.subspaces.quotient import ObservableSplit
+from residua.linear.subspaces.quotient import ObservableSplit, observable_split
 from residua.plant import Plant
 from residua.plant.balanced import BalancedPlant, undetectable
-from residua.tolerances import RANK
+from residua.tolerances import BALANCED_ANSWER, RANK
 from residua.wrong_guesses import guessed
 
 _BOTH = "give both kinds, with_noise(process=..., measurement=...)"
@@ -136,8 +136,21 @@ def _gain(plant: Plant, model: BalancedPlant) -> ObserverGain:
             rate=rate,
         )
     except AccuracyError as error:
+        if not _moves_by_itself(plant, model):
+            raise
         raise DesignError(
-            "there is no stationary Kalman filter: a mode on the boundary of stability, or beyond it, gets no noise "
-            f"or is hardly seen; {_BOTH}, or add a sensor"
+            f"there is no stationary Kalman filter: a mode on the boundary of stability gets no noise; {_BOTH}"
         ) from error
     return replace(gain, K=gain.K / size)
+
+
+def _moves_by_itself(plant: Plant, model: BalancedPlant) -> bool:
+    """Tell whether a mode on the boundary of stability gets no process noise but what the measurements show."""
+    X = model.units.states[:, None]
+    through = plant.cross_noise @ np.linalg.pinv(plant.measurement_noise)
+    A = model.A - through @ plant.C / X * model.units.states / model.units.rate
+    noise = (plant.Bw - through @ plant.Dw) / X
+    still = observable_split(A.T, noise.T / (np.abs(noise).max(initial=0.0) or 1.0)).hidden
+    modes = np.linalg.eigvals(still.T @ A.T @ still)
+    away = np.abs(modes) - 1 if plant.is_discrete else np.real(modes)
+    return bool(np.any(np.abs(away) < BALANCED_ANSWER))

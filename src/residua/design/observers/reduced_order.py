@@ -15,7 +15,7 @@ from residua.design.observers.unknown_input_observer import in_units_of_outputs
 from residua.errors import DesignError
 from residua.linear.poles.observer_gain import observer_gain
 from residua.linear.poles.spectrum import describe_modes
-from residua.linear.subspaces.quotient import Quotient, observable_split, quotient
+from residua.linear.subspaces.quotient import Quotient, observable_split, quotient, without_rounding
 from residua.linear.subspaces.rank import RankDecision
 from residua.plant import Plant
 from residua.plant.balanced import BalancedPlant, is_inside
@@ -45,6 +45,7 @@ def reduced_observer(
     F, G = q.pair
     U, s, Vh = np.linalg.svd(G) if G.size else (np.eye(len(G)), np.zeros(0), np.eye(len(F)))
     k = int(np.count_nonzero(s > BALANCED_RANK))
+    U, Vh = without_rounding(U), without_rounding(Vh)
     V1, V2 = Vh[:k].T, Vh[k:].T
     reading = (U[:, :k] / s[:k]).T @ q.H  # a from the outputs
     A11, A12, A21, A22 = V1.T @ F @ V1, V1.T @ F @ V2, V2.T @ F @ V1, V2.T @ F @ V2
@@ -67,9 +68,9 @@ def reduced_observer(
     L = gain.K
     own = A22 - L @ A12
     down = V2.T - L @ V1.T
-    K = (own @ L + A21 - L @ A11) @ reading + down @ q.J
-    out = q.P - q.R @ q.known[0] @ q.C
-    inverse = out @ (V1 + V2 @ L) @ reading + q.R @ q.known[0]
+    K = without_rounding((own @ L + A21 - L @ A11) @ reading + down @ q.J)
+    out = without_rounding(q.P - q.R @ q.known[0] @ q.C)
+    inverse = without_rounding(out @ (V1 + V2 @ L) @ reading + q.R @ q.known[0])
     units = model.units
     R, X, Y, n_used = units.equations, units.states[:, None], units.outputs, len(used)
     evidence = Evidence(

@@ -17,11 +17,11 @@ from residua.design.observers.observer import Observer, with_checked_estimate
 from residua.design.observers.observer_gain import asked, default_weights, gain_evidence
 from residua.errors import DesignError
 from residua.linear.poles.observer_gain import ObserverGain, observer_gain
-from residua.linear.subspaces.quotient import observable_split
+from residua.linear.subspaces.quotient import observable_split, without_rounding
 from residua.linear.subspaces.rank import RankDecision
 from residua.plant import Plant
 from residua.plant.balanced import BalancedPlant
-from residua.tolerances import BALANCED_RANK
+from residua.tolerances import BALANCED_RANK, RESIDUE, above_rounding
 from residua.words import counted
 
 REFERENCE = "Chen, Patton and Zhang (1996), Int. J. Control 63(1), eqs. (2) to (13)"
@@ -208,10 +208,13 @@ def _apart(CE: NDArray, noise: NDArray) -> tuple[NDArray, NDArray, NDArray]:
 
 def in_units_of_outputs(W: NDArray) -> NDArray[np.float64]:
     """Return rows with the largest entry of each a one: a residual that is the error of one output is in its units."""
-    size = np.abs(W).max(axis=1, keepdims=True, initial=0.0)
-    at = np.abs(W).argmax(axis=1)
-    sign = np.sign(W[np.arange(len(W)), at])[:, None]
-    return W * sign / np.where(size > 0, size, 1.0)
+    return W / _largest(W)
+
+
+def _largest(W: NDArray) -> NDArray[np.float64]:
+    """Return the largest entry of each row, as a column; one for a row of zeros."""
+    found = W[np.arange(len(W)), np.abs(W).argmax(axis=1)][:, None]
+    return np.where(found != 0, found, 1.0)
 
 
 def _of_singular_plant(
@@ -239,7 +242,9 @@ def _of_singular_plant(
     )
     units, p = model.units, plant.n_outputs
     R, X, Y = units.equations, units.states[:, None], units.outputs
-    K, inverse = q.J + gain.K @ q.H, q.R @ q.known[0]
+    inverse = without_rounding(q.R @ q.known[0])
+    K = above_rounding(q.J + gain.K @ q.H, np.abs(q.J) + np.abs(gain.K) @ np.abs(q.H), RESIDUE)
+    read = q.H[:, :p] * Y
     T = (q.N @ model.derivative - K[:, p:] @ model.algebra) * R
     return Observer(
         plant,
@@ -248,12 +253,12 @@ def _of_singular_plant(
         units.rate * K[:, :p] * Y,
         X * (q.P - inverse @ q.C),
         X * inverse[:, :p] * Y,
-        in_units_of_outputs(q.H[:, :p] * Y),
+        read / _largest(read),
         "unknown input observer",
         True,
         _evidence(model, existence, gain, ()),
         J=X * (inverse[:, p:] @ model.algebra) * R / units.rate,
-        V=q.H[:, p:] @ model.algebra * R / units.rate,
+        V=q.H[:, p:] @ model.algebra * R / units.rate / _largest(read),
     )
 
 

@@ -12,9 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.linear.subspaces.rank import RankDecision
-from residua.tolerances import BALANCED_RANK
+from residua.tolerances import BALANCED_RANK, above_rounding
 
 Matrix = NDArray[np.float64]
+#: Balanced numbers below this are rounding: nothing is coupled by them.
+_ROUNDING = 8 * float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +57,7 @@ class Quotient:
         """``D_q^+`` and ``H``: rows that read the inputs from the outputs, and rows that read none of them."""
         U, s, Vh = np.linalg.svd(self.D)
         k = self.D.shape[1]
-        return Vh.T / s @ U[:, :k].T, U[:, k:].T
+        return without_rounding(Vh.T / s @ U[:, :k].T), without_rounding(U[:, k:].T)
 
     @cached_property
     def J(self) -> Matrix:
@@ -70,7 +72,7 @@ class Quotient:
     @cached_property
     def pair(self) -> tuple[Matrix, Matrix]:
         """``(F, G)``."""
-        return self.A - self.J @ self.C, self.H @ self.C
+        return without_rounding(self.A - self.J @ self.C), without_rounding(self.H @ self.C)
 
     @cached_property
     def split(self) -> ObservableSplit:
@@ -137,6 +139,7 @@ def quotient(A: Matrix, B: Matrix, C: Matrix, D: Matrix, P: Matrix | None = None
         B, D = np.hstack([U.T @ A @ W, U.T @ B]), np.hstack([C @ W, D])
         R, P, N = np.hstack([P @ W, R]), P @ U, U.T @ N
         A, C = U.T @ A @ U, C @ U
+        A, B, C, D, N, P, R = (without_rounding(M) for M in (A, B, C, D, N, P, R))
 
 
 def observable_split(A: Matrix, C: Matrix) -> ObservableSplit:
@@ -153,8 +156,12 @@ def observable_split(A: Matrix, C: Matrix) -> ObservableSplit:
     return ObservableSplit(seen, hidden, decisions)
 
 
-def _decided(M: Matrix, s: Matrix) -> RankDecision:
-    del M
+def without_rounding(M: Matrix) -> Matrix:
+    """Return a matrix of balanced numbers with zeros where rounding may be all that there is."""
+    return above_rounding(M, 1.0, _ROUNDING)
+
+
+def _decided(s: Matrix) -> RankDecision:
     return RankDecision(int(np.count_nonzero(s > BALANCED_RANK)), s, BALANCED_RANK)
 
 
@@ -162,20 +169,21 @@ def _row_split(M: Matrix) -> tuple[Matrix, Matrix, Matrix, RankDecision]:
     """Return bases, as columns, of the left null space, the null space and the row space of a matrix."""
     rows, columns = M.shape
     if not M.size:
-        return np.eye(rows), np.eye(columns), np.zeros((columns, 0)), _decided(M, np.zeros(0))
+        return np.eye(rows), np.eye(columns), np.zeros((columns, 0)), _decided(np.zeros(0))
     U, s, Vh = np.linalg.svd(M)
-    decision = _decided(M, s)
+    U, Vh = without_rounding(U), without_rounding(Vh)
+    decision = _decided(s)
     k = decision.rank
     return U[:, k:], Vh[k:].T, Vh[:k].T, decision
 
 
 def _column_split(M: Matrix) -> tuple[Matrix, Matrix, RankDecision]:
     """Return bases of the range of a matrix and of its complement."""
-    complement, _, _, decision = _row_split(M)
     if not M.size:
-        return np.zeros((len(M), 0)), np.eye(len(M)), decision
-    U = np.linalg.svd(M)[0]
-    return U[:, : decision.rank], complement, decision
+        return np.zeros((len(M), 0)), np.eye(len(M)), _decided(np.zeros(0))
+    U, s, _ = np.linalg.svd(M)
+    decision, U = _decided(s), without_rounding(U)
+    return U[:, : decision.rank], U[:, decision.rank :], decision
 
 
 def explicit(

@@ -7,7 +7,8 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import connected_components
+
+from residua.linear.subspaces.parts import part_of_each
 
 #: Entries of the balanced system below this count as none when the units are chosen.
 _LEFT_OUT = 1e-10
@@ -136,7 +137,7 @@ def _whole_in_each_part(row: NDArray, column: NDArray, i: NDArray, j: NDArray) -
     rows, columns = len(row), len(column)
     graph = np.zeros((rows + columns, rows + columns), dtype=bool)
     graph[i, rows + j] = True
-    _, part = connected_components(graph, directed=False)
+    part = part_of_each(graph)
     _, first = np.unique(part, return_index=True)
     both = np.concatenate([row, column])
     shift = both[first] - np.round(both[first])
