@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from residua import arrays
 from residua.design.core.method import method
-from residua.design.core.own_time import has_rates, in_own_time
+from residua.design.core.own_time import has_rates
 from residua.design.estimation.fault_estimator import FaultEstimator, fault_estimator
 from residua.errors import AccuracyError, DesignError
 from residua.plant import Plant

@@ -27,8 +27,8 @@ from residua.linear.poles.placement import place_observer_poles
 from residua.linear.poles.spectrum import spectrum_error
 from residua.linear.subspaces.rank import DEFAULT_RTOL, decide_rank, equilibrated
 from residua.linear.systems.balancing import evened
-from residua.plant.comparable_units import even_plant
 from residua.plant import Plant
+from residua.plant.comparable_units import even_plant
 from residua.tolerances import IDENTITY, RESIDUE, TINY
 from residua.words import rates_in, unit_of_rates
 
