@@ -22,7 +22,7 @@ from residua.linear.poles.observer_gain import ObserverGain, observer_gain
 from residua.linear.subspaces.quotient import Quotient, observable_split
 from residua.plant import Plant
 from residua.plant.balanced import BalancedPlant
-from residua.tolerances import RESIDUE, above_rounding
+from residua.tolerances import RESIDUE, RESPONSE_ROUNDING, above_rounding
 from residua.words import used_up
 
 Matrix = NDArray[np.float64]
@@ -118,7 +118,9 @@ def decoupled_residual(
         )
     found = _gain(model, q, poles, margin, gain)
     O, (F, G) = q.split.seen, q.pair  # noqa: E741
-    K = above_rounding(O.T @ q.J + found.K @ q.H, np.abs(O.T) @ np.abs(q.J) + np.abs(found.K) @ np.abs(q.H), RESIDUE)
+    K = above_rounding(
+        O.T @ q.J + found.K @ q.H, np.abs(O.T) @ np.abs(q.J) + np.abs(found.K) @ np.abs(q.H), RESPONSE_ROUNDING
+    )
     units, R, Y = model.units, model.units.equations, model.units.outputs
     T = (O.T @ q.N @ model.derivative - K[:, p:] @ model.algebra) * R
     Ky, Hy, V = units.rate * K[:, :p] * Y, q.H[:, :p] * Y, q.H[:, p:] @ model.algebra * R / units.rate

@@ -16,12 +16,12 @@ from residua.design.core.method import method
 from residua.design.observers.observer import Observer, with_checked_estimate
 from residua.design.observers.observer_gain import asked, default_weights, gain_evidence
 from residua.errors import DesignError
-from residua.linear.poles.observer_gain import ObserverGain, observer_gain
+from residua.linear.poles.observer_gain import ObserverGain, cleared, observer_gain
 from residua.linear.subspaces.quotient import observable_split, without_rounding
 from residua.linear.subspaces.rank import RankDecision
 from residua.plant import Plant
 from residua.plant.balanced import BalancedPlant
-from residua.tolerances import BALANCED_RANK, RESIDUE, above_rounding
+from residua.tolerances import BALANCED_RANK, RESPONSE_ROUNDING, above_rounding
 from residua.words import counted
 
 REFERENCE = "Chen, Patton and Zhang (1996), Int. J. Control 63(1), eqs. (2) to (13)"
@@ -135,21 +135,25 @@ def _of_ordinary_plant(
     units, n, p = model.units, plant.n_states, plant.n_outputs
     B, D = model.disturbances
     U, s, Vh = np.linalg.svd(D) if D.size else (np.eye(p), np.zeros(0), np.eye(D.shape[1]))
-    k = int(np.count_nonzero(s > BALANCED_RANK))
+    k, U = int(np.count_nonzero(s > BALANCED_RANK)), without_rounding(U)
     W, G = U[:, k:].T, B @ (Vh[:k].T / s[:k]) @ U[:, :k].T
     if scaling == "plant" and len(W):
         W = np.linalg.qr((W * units.outputs).T)[0].T / units.outputs
     A, C = model.A - G @ model.C, W @ model.C
-    E = np.linalg.svd(B @ Vh[k:].T)[0][:, : existence.rank_E.rank] if existence.rank_E.rank else B[:, :0]
+    E = (
+        without_rounding(np.linalg.svd(B @ Vh[k:].T)[0])[:, : existence.rank_E.rank]
+        if existence.rank_E.rank
+        else B[:, :0]
+    )
     X, Y = units.states[:, None], units.outputs
     q = E.shape[1]
-    P = np.linalg.pinv(C @ E)
-    H, N = E @ P, np.linalg.svd(P @ C)[2][q:].T if q else np.eye(n)
+    P = cleared(np.linalg.pinv(C @ E))
+    H, N = E @ P, without_rounding(np.linalg.svd(P @ C)[2][q:].T) if q else np.eye(n)
     plain = H0 is None or not np.any(H0)
     if not plain:
         free = matrix(H0, "H0", (n, p), what="states x outputs") / X / Y @ np.linalg.pinv(W)
         H = H + free @ (np.eye(len(C)) - C @ H)
-    T = np.eye(n) - H @ C
+    T = _summed(np.eye(n), -H, C)
     poles, margin = asked(plant, poles, margin)
     process, measurement = default_weights(model)
     read, rest, white = _apart(C @ E, np.eye(len(W)) if poles is not None else W @ measurement @ W.T)
@@ -173,9 +177,10 @@ def _of_ordinary_plant(
         margin=margin,
         rate=model.units.rate,
     )
-    K1 = M @ gain.K @ outputs
+    K1 = _summed(np.zeros((n, len(W))), M @ gain.K, outputs)
     F = T @ A - K1 @ C
-    K = K1 @ W + T @ G + F @ H @ W
+    HW = _summed(np.zeros((n, p)), H, W)
+    K = _summed(_summed(_summed(np.zeros((n, p)), T, G), F, HW), K1, W)
     notes = ()
     if q and len(W) > q:
         notes = (
@@ -188,7 +193,7 @@ def _of_ordinary_plant(
         X * T / units.states,
         units.rate * X * K * Y,
         np.eye(n),
-        X * H @ W * Y,
+        X * HW * Y,
         in_units_of_outputs(W * Y),
         "unknown input observer",
         True,
@@ -202,8 +207,14 @@ def _apart(CE: NDArray, noise: NDArray) -> tuple[NDArray, NDArray, NDArray]:
     The noises of both have nothing in common there, however far the units of the plant are from even ones.
     """
     white = np.linalg.inv(np.linalg.cholesky(noise))
-    rest = np.linalg.svd(white @ CE)[0][:, CE.shape[1] :].T if CE.shape[1] else np.eye(len(CE))
-    return np.linalg.pinv(white @ CE), rest, white
+    q = CE.shape[1]
+    rest = without_rounding(np.linalg.svd(white @ CE)[0][:, q:].T) if q else np.eye(len(CE))
+    return cleared(np.linalg.pinv(white @ CE)), rest, white
+
+
+def _summed(M: NDArray, left: NDArray, right: NDArray) -> NDArray[np.float64]:
+    """Return ``M + left right`` without what rounding leaves of sums that cancel."""
+    return above_rounding(M + left @ right, np.abs(M) + np.abs(left) @ np.abs(right), RESPONSE_ROUNDING)
 
 
 def in_units_of_outputs(W: NDArray) -> NDArray[np.float64]:
@@ -243,7 +254,7 @@ def _of_singular_plant(
     units, p = model.units, plant.n_outputs
     R, X, Y = units.equations, units.states[:, None], units.outputs
     inverse = without_rounding(q.R @ q.known[0])
-    K = above_rounding(q.J + gain.K @ q.H, np.abs(q.J) + np.abs(gain.K) @ np.abs(q.H), RESIDUE)
+    K = _summed(q.J, gain.K, q.H)
     read = q.H[:, :p] * Y
     T = (q.N @ model.derivative - K[:, p:] @ model.algebra) * R
     return Observer(

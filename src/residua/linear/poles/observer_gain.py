@@ -14,7 +14,7 @@ from residua.linear.poles.doubling import filter_covariance
 from residua.linear.poles.placement import place_observer_poles
 from residua.linear.poles.spectrum import describe_modes
 from residua.linear.subspaces.quotient import ObservableSplit
-from residua.tolerances import BALANCED_STABLE, POLE, RESIDUE, above_rounding
+from residua.tolerances import BALANCED_STABLE, POLE, above_rounding
 from residua.words import counted
 
 Matrix = NDArray[np.float64]
@@ -95,7 +95,7 @@ def observer_gain(
                 "rounding moves it; ask for poles nearer to those of the plant or further apart, leave them out, or "
                 "add a sensor"
             )
-        K = _cleared(O @ placed.gain) / rate
+        K = cleared(O @ placed.gain) / rate
         return ObserverGain(K, placed.achieved / rate, placed.requested / rate, fixed, placed.error)
     W = O.T @ process @ O
     S = None if cross is None else O.T @ cross
@@ -104,7 +104,7 @@ def observer_gain(
         if K is not None:
             found = np.asarray(np.linalg.eigvals(F - K @ G), dtype=complex)
             note = "" if part == 1.0 or not margin else f"no gain has the margin: {part:.3g} of it was taken"
-            return ObserverGain(_cleared(O @ K), found, none, fixed, note=note)
+            return ObserverGain(cleared(O @ K), found, none, fixed, note=note)
     modes = describe_modes(rate * np.linalg.eigvals(F))
     raise AccuracyError(
         f"no gain was found for the part that the measurements see, with poles {modes}: they see a mode on the "
@@ -112,9 +112,9 @@ def observer_gain(
     )
 
 
-def _cleared(K: Matrix) -> Matrix:
-    """Return a gain with zeros where a state is corrected by rounding of its other corrections alone."""
-    return above_rounding(K, np.abs(K).max(axis=1, keepdims=True, initial=0.0), RESIDUE)
+def cleared(K: Matrix) -> Matrix:
+    """Return a matrix with zeros where an entry is rounding beside another of its row."""
+    return above_rounding(K, np.abs(K).max(axis=1, keepdims=True, initial=0.0))
 
 
 def _movable(poles: Sequence[complex] | ArrayLike, count: int, fixed: NDArray[np.complex128]) -> NDArray:
