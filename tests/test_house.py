@@ -39,6 +39,7 @@ ROOMS = (
         "kernels",
         "facade",
         "forks",
+        "threads",
         "shown",
         "wrong_guesses",
         "progress",

@@ -133,18 +133,8 @@ def _of_ordinary_plant(
     """Return the observer of the paper, after the disturbances in the outputs are expressed by these."""
     model = plant.balanced
     units, n, p = model.units, plant.n_states, plant.n_outputs
-    B, D = model.disturbances
-    U, s, Vh = np.linalg.svd(D) if D.size else (np.eye(p), np.zeros(0), np.eye(D.shape[1]))
-    k, U = int(np.count_nonzero(s > BALANCED_RANK)), without_rounding(U)
-    W, G = U[:, k:].T, B @ (Vh[:k].T / s[:k]) @ U[:, :k].T
-    if scaling == "plant" and len(W):
-        W = np.linalg.qr((W * units.outputs).T)[0].T / units.outputs
+    W, G, E = _without_disturbed_outputs(model, existence.rank_E.rank, scaling)
     A, C = model.A - G @ model.C, W @ model.C
-    E = (
-        without_rounding(np.linalg.svd(B @ Vh[k:].T)[0])[:, : existence.rank_E.rank]
-        if existence.rank_E.rank
-        else B[:, :0]
-    )
     X, Y = units.states[:, None], units.outputs
     q = E.shape[1]
     P = cleared(np.linalg.pinv(C @ E))
@@ -199,6 +189,18 @@ def _of_ordinary_plant(
         True,
         _evidence(model, existence, gain, notes),
     )
+
+
+def _without_disturbed_outputs(model: BalancedPlant, rank: int, scaling: str) -> tuple[NDArray, NDArray, NDArray]:
+    """Return the outputs ``W y`` without disturbances, how the others replace theirs, and a basis of what is left."""
+    B, D = model.disturbances
+    p = len(D)
+    U, s, Vh = np.linalg.svd(D) if D.size else (np.eye(p), np.zeros(0), np.eye(D.shape[1]))
+    k, U = int(np.count_nonzero(s > BALANCED_RANK)), without_rounding(U)
+    W, G = U[:, k:].T, B @ (Vh[:k].T / s[:k]) @ U[:, :k].T
+    if scaling == "plant" and len(W):
+        W = np.linalg.qr((W * model.units.outputs).T)[0].T / model.units.outputs
+    return W, G, without_rounding(np.linalg.svd(B @ Vh[k:].T)[0])[:, :rank] if rank else B[:, :0]
 
 
 def _apart(CE: NDArray, noise: NDArray) -> tuple[NDArray, NDArray, NDArray]:

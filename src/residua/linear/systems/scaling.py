@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from residua.linear.subspaces.parts import part_of_each
 
 #: Entries of the balanced system below this count as none when the units are chosen.
-_LEFT_OUT = 1e-10
+_NO_ENTRY = 1e-10
 #: Rounds in which faint entries are left out and the units chosen anew.
 _ROUNDS = 2
 #: Weight of ``r_i + x_i = 0`` where there is no ``E``: the equation of a state has the units of that state.
@@ -91,7 +91,7 @@ def scaling(A: NDArray, B: NDArray, C: NDArray, D: NDArray, E: NDArray | None = 
     for _ in range(_ROUNDS + 1):
         row, column, rate = _least_squares(n + p, n + m, i[keep], j[keep], t[keep], logs[keep], weight[keep])
         size = logs + row[i] + column[j] - rate * t
-        before, keep = keep, (size > np.log2(_LEFT_OUT)) | (weight > 1)
+        before, keep = keep, (size > np.log2(_NO_ENTRY)) | (weight > 1)
         if (keep == before).all():
             break
     row, column = _whole_in_each_part(row, column, i[keep], j[keep])
