@@ -20,6 +20,7 @@ from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace
 from residua.linear.poles.observer_gain import ObserverGain, observer_gain
 from residua.linear.subspaces.quotient import Quotient, observable_split
+from residua.linear.subspaces.rank import decide_rank
 from residua.plant import Plant
 from residua.plant.balanced import BalancedPlant
 from residua.tolerances import RESIDUE, RESPONSE_ROUNDING, above_rounding
@@ -180,7 +181,7 @@ def _gain(
         w, v = O.T @ (q.N @ w - q.J @ v), q.H @ v
         size = np.sqrt(np.maximum((v**2).sum(axis=1), np.finfo(float).tiny))
         try:
-            if not np.linalg.matrix_rank(v / size[:, None]) == len(v):
+            if decide_rank(v / size[:, None]).rank < len(v):
                 raise DesignError("a residual has no measurement noise of its own")
             found = observer_gain(
                 F,
