@@ -5,6 +5,7 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
+import scipy.linalg  # noqa: F401  # brings a BLAS of its own
 from threadpoolctl import ThreadpoolController
 
 import residua as rs

@@ -18,6 +18,7 @@ _limiter: Any = None
 
 @cache
 def _controller() -> Any:
+    import scipy.linalg  # noqa: F401  # brings a library of its own
     from threadpoolctl import ThreadpoolController  # looks at all libraries that are loaded
 
     return ThreadpoolController()
