@@ -121,11 +121,11 @@ def fixed_poles(parts: IgnoredColumns, confined: Confinement, *, rtol: float) ->
     And modes that no output sees, whether they are in a space or not.
     """
     blocks = split_blocks(parts.A, parts.C, [event.space for event in confined.events], rtol=rtol)
-    return np.concatenate([_modes_unseen(parts, *pair, rtol=rtol) for pair in (*blocks.pairs, blocks.rest)])
+    return np.concatenate([_modes_unseen(parts, *pair) for pair in (*blocks.pairs, blocks.rest)])
 
 
-def _modes_unseen(parts: IgnoredColumns, A: NDArray, C: NDArray, *, rtol: float) -> NDArray[np.complex128]:
-    return detectability(A, C, dt=parts.plant.dt, rtol=rtol).unobservable_modes
+def _modes_unseen(parts: IgnoredColumns, A: NDArray, C: NDArray) -> NDArray[np.complex128]:
+    return detectability(A, C, dt=parts.plant.dt).unobservable_modes
 
 
 def right_gain(
