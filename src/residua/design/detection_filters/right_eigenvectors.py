@@ -166,7 +166,7 @@ def right_gain(
     bad = fixed[~is_stable_mode(fixed, dt, margin or 0.0)]
     if len(bad):
         which = "not stable" if margin is None else f"not stable with the margin {margin * unit_of_rates():g}"
-        unseen = _modes_unseen(parts, parts.A, parts.C, rtol=rtol)
+        unseen = _modes_unseen(parts, parts.A, parts.C)
         slow = unseen[~is_stable_mode(unseen, dt, margin or 0.0)]
         if len(slow):
             raise DesignError(

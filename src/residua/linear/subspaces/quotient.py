@@ -156,7 +156,7 @@ def observable_split(A: Matrix, C: Matrix) -> ObservableSplit:
     return ObservableSplit(seen, hidden, decisions)
 
 
-def without_rounding(M: Matrix) -> Matrix:
+def without_rounding(M: NDArray) -> Matrix:
     """Return a matrix of balanced numbers with zeros where rounding may be all that there is."""
     return above_rounding(M, 1.0, _ROUNDING)
 
