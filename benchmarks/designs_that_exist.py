@@ -1,10 +1,12 @@
-"""Every design on many plants: made, near, refused for accuracy, or none exists; leak, gain and time.
+"""Every design on many plants: made, near, refused for accuracy, or none exists; leak, gain, time, and the textbook's.
 
 Run it, with the folder of the SLICOT systems if there is one::
 
     .venv/bin/python benchmarks/designs_that_exist.py --data FOLDER --out docs/data
 
-It writes ``designs_that_exist.csv``, a row for each plant and design.
+It writes ``designs_that_exist.csv``, a row for each plant and design, and ``designs_that_exist_counts.csv``, a row for
+each design. Whether the filter of a textbook works is that of ``tests/textbook_filters.py``: stable, with a leak below
+1e-6.
 """
 
 from __future__ import annotations
@@ -28,8 +30,14 @@ from typing import Any
 import numpy as np
 import scipy.io
 
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
+
+from textbook_filters import FILTERS, NoFilterError
+
 import residua as rs
+from residua.design.core.leak import leak
 from residua.errors import AccuracyError, ResiduaError
+from residua.tolerances import LEAK
 
 SECONDS = 60
 MOST_SENSOR_FAULTS = 6
@@ -95,6 +103,18 @@ def _with_roles(plant: rs.Plant) -> rs.Plant:
     return plant
 
 
+def _sensors(plant: rs.Plant) -> rs.Plant:
+    """Return a plant with the faults of its first sensors alone, and no disturbance."""
+    kept = [fault.name for fault in plant.fault_list if fault.kind == "sensor"][:3]
+    return plant.without_disturbances().without_faults([name for name in plant.faults if name not in kept])
+
+
+def _structured(plant: rs.Plant) -> rs.design.Bank:
+    """Return the bank of the first attainable rows of the first faults."""
+    few = plant.without_faults(plant.faults[4:])
+    return rs.design.structured_bank(few, rs.coding.attainable(few).digits[:4])
+
+
 def _one_fault(plant: rs.Plant) -> rs.Plant:
     return plant.without_faults(plant.faults[1:])
 
@@ -108,9 +128,29 @@ DESIGNS: dict[str, Callable[[rs.Plant], Any]] = {
     "parity_relations": lambda p: rs.design.parity_relations(p),
     "detection_filter": lambda p: rs.design.detection_filter(_one_fault(p.without_disturbances())),
     "fault_estimator": lambda p: rs.design.fault_estimator(_one_fault(p)),
-    "sensor_fault_bank": lambda p: rs.design.sensor_fault_bank(p.without_disturbances(), outputs=p.outputs[:3]),
+    "sensor_fault_bank": lambda p: rs.design.sensor_fault_bank(_sensors(p)),
     "robust_detection_filter": lambda p: rs.design.robust_detection_filter(_one_fault(p)),
-    "structured_bank": lambda p: rs.design.structured_bank(p),
+    "structured_bank": lambda p: _structured(p),
+}
+
+
+def textbook(plant: rs.Plant, name: str) -> str:
+    """Return whether the filter of a textbook works on a plant; empty where there is none for the design."""
+    if name not in FILTERS:
+        return ""
+    try:
+        system, T = FILTERS[name](PLANTS[name](plant).explicit())
+        return "works" if leak(system, PLANTS[name](plant).explicit(), T).gains.max(initial=0.0) <= LEAK else "leaks"
+    except (NoFilterError, np.linalg.LinAlgError, ValueError, ResiduaError):
+        return "none"
+
+
+#: The plants that the filters of a textbook are tried on.
+PLANTS: dict[str, Callable[[rs.Plant], rs.Plant]] = {
+    "kalman_filter": rs.Plant.without_disturbances,
+    "luenberger_observer": rs.Plant.without_disturbances,
+    "unknown_input_observer": lambda p: p,
+    "detection_filter": lambda p: _one_fault(p.without_disturbances()),
 }
 
 
@@ -138,7 +178,29 @@ def row(plant: rs.Plant, name: str) -> dict[str, Any]:
     finally:
         signal.alarm(0)
     ms = 1000 * (time.process_time() - started)
-    return {"plant": plant.name, "states": plant.n_states, "design": name, **found, "ms": f"{ms:.1f}"}
+    found |= {"textbook": textbook(plant, name), "ms": f"{ms:.1f}"}
+    return {"plant": plant.name, "states": plant.n_states, "design": name, **found}
+
+
+def _summary(name: str, rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the counts of a design, its leaks and its times."""
+    outcomes = Counter(one["outcome"] for one in rows)
+    leaks = [float(one["leak"]) for one in rows if one["leak"]]
+    times = [float(one["ms"]) for one in rows if one["outcome"] in ("made", "near")]
+    refused = [one for one in rows if one["outcome"] == "refused"]
+    return {
+        "design": name,
+        "made": outcomes["made"],
+        "near": outcomes["near"],
+        "refused": len(refused),
+        "where the textbook works": sum(one["textbook"] == "works" for one in refused),
+        "none exists": outcomes["none exists"],
+        "too long or crash": outcomes["too long"] + outcomes["crash"],
+        "median leak": f"{np.median(leaks):.0e}" if leaks else "",
+        "largest leak": f"{max(leaks):.0e}" if leaks else "",
+        "median ms": f"{np.median(times):.0f}" if times else "",
+        "largest ms": f"{max(times):.0f}" if times else "",
+    }
 
 
 def _too_long(*_: Any) -> None:
@@ -152,19 +214,22 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--designs", nargs="*", default=list(DESIGNS))
     options = parser.parse_args()
-    rows, counts = [], Counter()
+    rows = []
     for plant in plants(options.data):
         for name in options.designs:
-            one = row(plant, name)
-            rows.append(one)
-            counts[name, one["outcome"]] += 1
+            rows.append(row(plant, name))
         print(plant.name, *(f"{r['outcome']}:{r['ms']}" for r in rows[-len(options.designs) :]), flush=True)
     with (options.out / "designs_that_exist.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, rows[0])
         writer.writeheader()
         writer.writerows(rows)
-    for key, count in sorted(counts.items()):
-        print(*key, count)
+    summary = [_summary(name, [one for one in rows if one["design"] == name]) for name in options.designs]
+    with (options.out / "designs_that_exist_counts.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, summary[0])
+        writer.writeheader()
+        writer.writerows(summary)
+    for one in summary:
+        print(*one.values())
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from residua.errors import ModelError
 from residua.linear.subspaces.quotient import Quotient, explicit, observable_split, quotient
 from residua.linear.systems.scaling import Scaling, scaling
-from residua.tolerances import BALANCED_RANK, BALANCED_STABLE
+from residua.tolerances import BALANCED_RANK, BALANCED_STABLE, ROUNDING
 
 if TYPE_CHECKING:
     from residua.plant.plant import Plant
@@ -107,8 +107,14 @@ def balanced(plant: Plant) -> BalancedPlant:
 
 
 def is_inside(modes: NDArray[np.complex128], sampled: bool) -> NDArray[np.bool_]:
-    """Tell which modes of a balanced plant are stable; the boundary counts as unstable."""
-    return np.abs(modes) < 1 - BALANCED_STABLE if sampled else np.real(modes) < -BALANCED_STABLE
+    """Tell which modes of a balanced plant are stable; the boundary counts as unstable.
+
+    Inside by more than rounding: of the largest of them, in units of the rate of the plant, and of the plant itself.
+    """
+    if sampled:
+        return np.abs(modes) < 1 - BALANCED_STABLE
+    rounding = max(BALANCED_STABLE * float(np.abs(modes).max(initial=0.0)), ROUNDING)
+    return np.real(modes) < -rounding
 
 
 def undetectable(model: BalancedPlant, outputs: list[int] | None = None) -> NDArray[np.complex128]:

@@ -35,6 +35,8 @@ _INTEGRATES = 1e-5
 _ROUNDING = 1e-9
 #: Terms are at least this part of the largest of their input: where nothing has to cancel, rounding is all there is.
 _FLOOR = 1e-7
+#: Complex numbers in the largest arrays: 64 MB.
+_AT_ONCE = 4_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,58 +84,95 @@ def leak(
     estimate : ndarray, shape (outputs of the filter, n), optional
         What the outputs estimate, ``M x``: the error is looked at, relative to the peak of what is estimated.
     """
-    units, n_u = plant.balanced.units, len(plant.inputs)
-    R, X, Y = units.equations, units.states, units.outputs
-    Bd, Dd = (plant.Bd, plant.Dd) if unknown is None else unknown
-    B, D = np.hstack([plant.B, Bd]), np.hstack([plant.D, Dd])
-    size = np.maximum(
-        np.abs(R[:, None] * B).max(axis=0, initial=0.0) / units.rate, np.abs(Y[:, None] * D).max(axis=0, initial=0.0)
-    )
-    U = 1 / _power(size)
-    A, B, C, D = (
-        R[:, None] * plant.A * X / units.rate,
-        R[:, None] * B * U / units.rate,
-        Y[:, None] * plant.C * X,
-        Y[:, None] * D * U,
-    )
-    E = np.eye(len(A)) if plant.E is None else R[:, None] * plant.E * X
-    T = state_map / R
-    driven = np.abs(np.hstack([T, system.B[:, n_u:] / Y / units.rate]))  # of T alone rounding may be all there is
-    own = 1 / _power(driven.max(axis=1, initial=0.0))
-    T = own[:, None] * T
-    F = own[:, None] * system.A / own / units.rate
-    Gy = own[:, None] * system.B[:, n_u:] / Y / units.rate
-    Gu = own[:, None] * system.B[:, :n_u] * U[:n_u] / units.rate
-    L, Jy, Ju = system.C / own, system.D[:, n_u:] / Y, system.D[:, :n_u] * U[:n_u]
-    V = np.zeros((len(L), len(A))) if static_map is None else static_map / R * units.rate
-    rows = np.hstack([L, Jy, Ju]) if estimate is None else estimate * X
-    height = 1 / _power(np.abs(rows).max(axis=1, initial=0.0))[:, None]
-    L, Jy, Ju, V = height * L, height * Jy, height * Ju, height * V
-    wide = B.shape[1] - n_u
-    Gu, Ju = (np.hstack([M, np.zeros((len(M), wide))]) for M in (Gu, Ju))
-    dA = _sum((F, T, E), (Gy, C), (-T, A))
-    dB = _sum((Gu,), (Gy, D), (-T, B))
-    dC = _sum((L, T, E), (Jy, C), (V, A), *(() if estimate is None else ((-height * estimate * X,),)))
-    dD = _sum((Ju,), (Jy, D), (V, B))
-    s = _points(np.linalg.eigvals(F) if len(F) else np.zeros(0), _poles(A, plant, E), plant.is_discrete)
-    states = _resolvent(A, E if plant.E is not None else None, B, s)
-    through = _resolvent(F, None, np.hstack([Gy]), s, dA @ states + dB)
-    response = np.abs(L @ through[1] + dC @ states + dD)
-    if estimate is None:
-        read = np.abs(C @ states + D)
-        read = np.maximum(read, _ROUNDING * (np.abs(C) @ np.abs(states) + np.abs(D)))
-        taken = np.abs(L @ through[0] + Jy)
-        terms = (np.abs(Ju) + taken @ read).max(axis=0, initial=0.0)
-        largest = taken.max(axis=(0, 2), initial=0.0)[:, None] * read.max(axis=(0, 1), initial=0.0)
-    else:
-        terms = np.abs((height * estimate * X) @ states).max(axis=0, initial=0.0)
-        largest = np.full_like(terms, max(1.0, float(terms.max(initial=0.0))))
+    p = _balanced_plant(plant, (plant.Bd, plant.Dd) if unknown is None else unknown)
+    f = _balanced_filter(system, plant, p, state_map, static_map, estimate)
+    dA = _sum((f.F, f.T, p.E), (f.Gy, p.C), (-f.T, p.A))
+    dB = _sum((f.Gu,), (f.Gy, p.D), (-f.T, p.B))
+    dC = _sum((f.L, f.T, p.E), (f.Jy, p.C), (f.V, p.A), *(() if estimate is None else ((-f.estimate,),)))
+    dD = _sum((f.Ju,), (f.Jy, p.D), (f.V, p.B))
+    of_plant, of_filter = _Resolvent.of(p.A, None if plant.E is None else p.E), _Resolvent.of(f.F, None)
+    s = _points(of_filter.poles, of_plant.poles, plant.is_discrete)
+    shape = (len(f.L), p.B.shape[1])
+    peak, terms, taken, read = np.zeros(shape), np.zeros(shape), np.zeros(len(f.L)), np.zeros(shape[1])
+    for some in np.array_split(s, 1 + len(s) * max(len(p.A), len(f.F)) * (shape[1] + f.Gy.shape[1]) // _AT_ONCE):
+        x = of_plant(p.B, some)
+        missed = of_filter(dA @ x + dB, some)
+        peak = np.maximum(peak, np.abs(f.L @ missed + dC @ x + dD).max(axis=0, initial=0.0))
+        if estimate is not None:
+            terms = np.maximum(terms, np.abs(f.estimate @ x).max(axis=0, initial=0.0))
+            continue
+        Q = np.abs(f.L @ of_filter(f.Gy, some) + f.Jy)
+        P = np.maximum(np.abs(p.C @ x + p.D), _ROUNDING * (np.abs(p.C) @ np.abs(x) + np.abs(p.D)))
+        terms = np.maximum(terms, (np.abs(f.Ju) + Q @ P).max(axis=0, initial=0.0))
+        taken = np.maximum(taken, Q.max(axis=(0, 2), initial=0.0))
+        read = np.maximum(read, P.max(axis=(0, 1), initial=0.0))
+    largest = np.outer(taken, read) if estimate is None else np.full(shape, max(1.0, terms.max(initial=0.0)))
     terms = np.maximum(terms, _FLOOR * np.maximum(largest, terms.max(axis=0, keepdims=True, initial=0.0)))
-    peak = response.max(axis=0, initial=0.0)
     gains = peak / np.where(terms > 0, terms, np.where(peak > 0, peak, 1.0))
     defects = max((float(np.abs(M).max(initial=0.0)) for M in (dA, dC)), default=0.0)
-    slowest = np.angle(s[0]) / plant.dt if plant.is_discrete else s[0].imag * units.rate
+    slowest = np.angle(s[0]) / plant.dt if plant.is_discrete else s[0].imag * plant.balanced.units.rate
     return Leak(gains, defects, float(slowest))
+
+
+@dataclass(frozen=True, eq=False)
+class _Plant:
+    """A balanced plant with controls and what else must not be seen as inputs of unit size, by factors ``inputs``."""
+
+    A: Matrix
+    B: Matrix
+    C: Matrix
+    D: Matrix
+    E: Matrix
+    inputs: Matrix
+
+
+@dataclass(frozen=True, eq=False)
+class _Filter:
+    """A filter of the balanced plant, its states and outputs of unit size, with its maps; see the module."""
+
+    F: Matrix
+    Gu: Matrix
+    Gy: Matrix
+    L: Matrix
+    Ju: Matrix
+    Jy: Matrix
+    T: Matrix
+    V: Matrix
+    estimate: Matrix
+
+
+def _balanced_plant(plant: Plant, unknown: tuple[Matrix, Matrix]) -> _Plant:
+    units = plant.balanced.units
+    R, X, Y = units.equations[:, None], units.states, units.outputs[:, None]
+    B, D = R * np.hstack([plant.B, unknown[0]]) / units.rate, Y * np.hstack([plant.D, unknown[1]])
+    U = 1 / _power(np.maximum(np.abs(B).max(axis=0, initial=0.0), np.abs(D).max(axis=0, initial=0.0)))
+    E = np.eye(len(R)) if plant.E is None else R * plant.E * X
+    return _Plant(R * plant.A * X / units.rate, B * U, Y * plant.C * X, D * U, E, U)
+
+
+def _balanced_filter(
+    system: StateSpace, plant: Plant, p: _Plant, T: Matrix, V: Matrix | None, estimate: Matrix | None
+) -> _Filter:
+    units, n_u = plant.balanced.units, len(plant.inputs)
+    R, X, Y, U = units.equations, units.states, units.outputs, p.inputs[:n_u]
+    T, Gy = T / R, system.B[:, n_u:] / Y / units.rate
+    own = 1 / _power(np.abs(np.hstack([T, Gy])).max(axis=1, initial=0.0))[:, None]  # T alone may be rounding
+    L, Jy, Ju = system.C / own[:, 0], system.D[:, n_u:] / Y, system.D[:, :n_u] * U
+    M = np.zeros((len(L), len(R))) if estimate is None else estimate * X
+    heights = np.hstack([L, Jy, Ju]) if estimate is None else M
+    height = 1 / _power(np.abs(heights).max(axis=1, initial=0.0))[:, None]
+    none = np.zeros((len(own), p.B.shape[1] - n_u)), np.zeros((len(L), p.B.shape[1] - n_u))
+    return _Filter(
+        own * system.A / own[:, 0] / units.rate,
+        np.hstack([own * system.B[:, :n_u] * U / units.rate, none[0]]),
+        own * Gy,
+        height * L,
+        np.hstack([height * Ju, none[1]]),
+        height * Jy,
+        own * T,
+        np.zeros((len(L), len(R))) if V is None else height * V / R * units.rate,
+        height * M,
+    )
 
 
 def answers(system: StateSpace, plant: Plant, terms: Matrix) -> NDArray[np.bool_]:
@@ -148,15 +187,14 @@ def answers(system: StateSpace, plant: Plant, terms: Matrix) -> NDArray[np.bool_
         The sizes of what the direct responses to the outputs are made of.
     """
     units, n_u = plant.balanced.units, len(plant.inputs)
-    Y = units.outputs
-    size = np.abs(system.B[:, n_u:] / Y).max(axis=1, initial=0.0)
-    own = 1 / _power(size)
-    F = own[:, None] * system.A / own / units.rate
-    G, L = own[:, None] * system.B[:, n_u:] / Y / units.rate, system.C / own
+    G = system.B[:, n_u:] / units.outputs / units.rate
+    own = 1 / _power(np.abs(G).max(axis=1, initial=0.0))[:, None]
+    L = system.C / own[:, 0]
     w = np.geomspace(1e-3, 3.0, 7) if plant.is_discrete else np.geomspace(1e-3, 1e2, 7)
-    states = _resolvent(F, None, G, np.exp(1j * w) if plant.is_discrete else 1j * w)
-    response = np.abs(L @ states + system.D[:, n_u:] / Y)
-    made_of = np.abs(L) @ np.abs(states) + terms / Y
+    resolvent = _Resolvent.of(own * system.A / own[:, 0] / units.rate, None)
+    states = resolvent(own * G, np.exp(1j * w) if plant.is_discrete else 1j * w)
+    response = np.abs(L @ states + system.D[:, n_u:] / units.outputs)
+    made_of = np.abs(L) @ np.abs(states) + terms / units.outputs
     return np.any(response > _ROUNDING * made_of.max(axis=2, keepdims=True, initial=0.0), axis=(0, 2))
 
 
@@ -174,14 +212,6 @@ def _sum(*products: tuple[Matrix, ...]) -> Matrix:
             one = one @ other.astype(np.longdouble)
         total = total + one
     return np.asarray(total, dtype=np.float64)
-
-
-def _poles(A: Matrix, plant: Plant, E: Matrix) -> NDArray[np.complex128]:
-    """Return the finite poles of a balanced plant."""
-    if plant.E is None:
-        return np.asarray(np.linalg.eigvals(A) if len(A) else np.zeros(0), dtype=complex)
-    poles = scipy.linalg.eigvals(A, E)
-    return np.asarray(poles[np.isfinite(poles) & (np.abs(poles) < 1 / _ROUNDING)], dtype=complex)
 
 
 def _points(of_filter: NDArray, of_plant: NDArray, sampled: bool) -> NDArray[np.complex128]:
@@ -206,33 +236,43 @@ def _rates(poles: NDArray, sampled: bool) -> NDArray[np.complex128]:
     return np.log(poles[np.abs(poles) > _ROUNDING]) if sampled else poles
 
 
-def _resolvent(
-    A: Matrix, E: Matrix | None, B: Matrix, s: NDArray[np.complex128], more: NDArray | None = None
-) -> NDArray[np.complex128]:
-    """Return ``(s E - A)^-1 B`` at points, shape (points, n, inputs); with ``more``, of it too, in front a pair."""
-    n, wide = len(A), B.shape[1]
-    right = (
-        np.broadcast_to(B, (len(s), *B.shape))
-        if more is None
-        else np.concatenate([np.broadcast_to(B, (len(s), *B.shape)), more], axis=2)
-    )
-    if not n:
-        out = np.zeros((len(s), 0, right.shape[2]), dtype=complex)
-    else:
+@dataclass(frozen=True, eq=False)
+class _Resolvent:
+    """``(s E - A)^-1``, from a Schur form: ``A = Q upper Z'``, ``E = Q lower Z'``."""
+
+    upper: NDArray[np.complex128]
+    lower: NDArray[np.complex128]
+    Q: NDArray[np.complex128]
+    Z: NDArray[np.complex128]
+
+    @classmethod
+    def of(cls, A: Matrix, E: Matrix | None) -> _Resolvent:
+        """Return that of a matrix or a pencil."""
+        if not len(A):
+            none = np.zeros((0, 0), dtype=complex)
+            return cls(none, none, none, none)
         if E is None:
             upper, Z = scipy.linalg.schur(A, output="complex")
-            Q, lower = Z, np.eye(n)
-        else:
-            upper, lower, Q, Z = scipy.linalg.qz(A, E, output="complex")
-        right = Q.conj().T @ right
-        out = np.zeros_like(right, dtype=complex)
-        for i in range(n - 1, -1, -1):
-            row = s[:, None] * lower[i, i + 1 :] - upper[i, i + 1 :]
-            rest = right[:, i] - np.einsum("kj,kjm->km", row, out[:, i + 1 :])
-            pivot = s * lower[i, i] - upper[i, i]
+            return cls(upper, np.eye(len(A), dtype=complex), Z, Z)
+        return cls(*scipy.linalg.qz(A, E, output="complex"))
+
+    @property
+    def poles(self) -> NDArray[np.complex128]:
+        """The finite eigenvalues."""
+        a, b = np.diag(self.upper), np.diag(self.lower)
+        finite = np.abs(b) > _ROUNDING * np.abs(a)
+        return a[finite] / b[finite]
+
+    def __call__(self, B: NDArray, s: NDArray[np.complex128]) -> NDArray[np.complex128]:
+        """Return ``(s E - A)^-1 B`` at points, shape (points, n, inputs); ``B`` may be one for each point."""
+        right = self.Q.conj().T @ np.broadcast_to(B, (len(s), *B.shape[-2:]))
+        out = np.zeros(right.shape, dtype=complex)
+        for i in range(len(self.upper) - 1, -1, -1):
+            row = s[:, None] * self.lower[i, i + 1 :] - self.upper[i, i + 1 :]
+            pivot = s * self.lower[i, i] - self.upper[i, i]
+            rest = right[:, i] - (row[:, None] @ out[:, i + 1 :])[:, 0]
             out[:, i] = rest / np.where(pivot == 0, np.finfo(float).eps, pivot)[:, None]
-        out = Z @ out
-    return out if more is None else (out[:, :, :wide], out[:, :, wide:])  # pyright: ignore[reportReturnType]
+        return self.Z @ out
 
 
 __all__ = ["LEAK", "Leak", "leak"]
