@@ -76,7 +76,7 @@ def test_a_state_that_nothing_sees_is_hidden_in_all_units() -> None:
     for p in in_all_units("stiff", 310):
         answer = rs.linear.detectability(p.A, p.C)
         assert len(answer.unobservable_modes) == 1
-        assert answer.form.residual < 1e-9
+        assert rs.linear.observability_form(p.A, p.C).residual < 1e-9
 
 
 @pytest.mark.parametrize(("kind", "seed"), [("repeated poles", 25), ("repeated poles", 108), ("repeated poles", 133)])
@@ -337,7 +337,7 @@ def test_a_zero_at_the_boundary_is_not_stable_by_rounding() -> None:
         answer = rs.analysis.unknown_input_observer_existence(p)
         assert not answer
         assert abs(answer.fixed_poles) < 1e-9 * p.balanced.units.rate
-        with pytest.raises(DesignError, match="invariant zero 0|invariant zero -?[0-9.]+e-"):
+        with pytest.raises(DesignError, match=r"invariant zero (0|-?[0-9.]+e-)"):
             rs.design.unknown_input_observer(p)
 
 

@@ -19,6 +19,7 @@ from residua.tolerances import BALANCED_ANSWER
 #: Of faults that are seen to this part of the best one, the first of the plant is taken.
 _ALIKE = 0.1
 
+
 @dataclass(frozen=True, eq=False)
 class FaultSpace:
     """The faults of a plant as residuals see them, for any set of faults that they ignore with the disturbances.

@@ -138,7 +138,7 @@ def _smallest_part(
     def missed(system: StateSpace) -> float:
         return response_error(system.evaluate(points), wanted, terms)
 
-    part = reachable_part(whole, rtol)
+    part = reachable_part(whole)
     error, order = missed(part.system), part.system.n_states
     clear = error <= tolerance and _margin(part) >= _CLEAR
     if order:

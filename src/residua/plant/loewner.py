@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 from residua.linear.poles.stability import hidden_modes
 from residua.linear.polynomials.polynomial_matrix import PolynomialMatrix
 from residua.linear.subspaces.rank import RankDecision, spectral_norm
-from residua.linear.subspaces.weak_couplings import SURELY, copies_of
 from residua.linear.systems.balancing import balance_system, power_of_two, state_units
 from residua.linear.systems.state_space import StateSpace
 from residua.plant.observer_form import ReachablePart, quotient, response_points
@@ -36,6 +35,10 @@ _EPS = float(np.finfo(float).eps)
 _FEWEST = 10
 #: How often rows and columns are brought to one size in turn.
 _ROUNDS = 4
+#: Copies, and by how many units in the last place their entries differ at most.
+_COPIES, _LAST_PLACES = 2, 4
+#: What is as many times as large as what copies differ by is no rounding.
+_SURELY = 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +76,7 @@ class Loewner:
         """Return the decision for an order, with what counts as rounding or as set apart by it."""
         s = self.singular_values
         below = float(s[k]) if k < len(s) else 0.0
-        return RankDecision(k, s, max(below, SURELY * self.rounding, RESIDUE * float(s.max(initial=0.0))))
+        return RankDecision(k, s, max(below, _SURELY * self.rounding, RESIDUE * float(s.max(initial=0.0))))
 
     def system(self, k: int, whole: StateSpace) -> StateSpace:
         """Return the system of some order with these values, in balanced units, and the feedthrough of ``whole``.
@@ -98,12 +101,21 @@ def loewner(H: PolynomialMatrix, N: PolynomialMatrix, whole: StateSpace) -> Loew
     L, shifted, V, W = _differences(H, N, whole.D, left, right)
     moved = [
         _differences(PolynomialMatrix(P), PolynomialMatrix(Q), whole.D, left, right)[0] - L
-        for P, Q in copies_of((H.coefficients, N.coefficients))
+        for P, Q in _copies(H.coefficients, N.coefficients)
     ]
     rows, columns = _even_units(L, np.sqrt(np.sum(np.square(moved), axis=0)))
     U, s, Vh = np.linalg.svd(rows[:, None] * L * columns, full_matrices=False)
     rounding = max(spectral_norm(rows[:, None] * off * columns) for off in moved)
     return Loewner(shifted, V, W, rows, columns, U, s, Vh, rounding, np.concatenate([right, right.conj()]))
+
+
+def _copies(*matrices: NDArray[np.float64]) -> list[list[NDArray[np.float64]]]:
+    """Return matrices a few times more, each time with other last digits, which are the same in every call."""
+    rng = np.random.default_rng(0)
+    return [
+        [M * (1 + _EPS * rng.integers(-_LAST_PLACES, _LAST_PLACES + 1, M.shape)) for M in matrices]
+        for _ in range(_COPIES)
+    ]
 
 
 def loewner_part(found: Loewner, k: int, whole: StateSpace) -> ReachablePart:
@@ -162,5 +174,5 @@ def _even_units(
         for axis in (0, 1):
             scaled, noise = (np.linalg.norm(units[0][:, None] * M * units[1], axis=1 - axis) for M in (L, rounding))
             factor = np.minimum(1 / np.maximum(scaled, TINY), RESPONSE_ROUNDING / np.maximum(noise, TINY))
-            units[axis] = units[axis] * np.where(scaled > SURELY * noise, power_of_two(factor), 0.0)
+            units[axis] = units[axis] * np.where(scaled > _SURELY * noise, power_of_two(factor), 0.0)
     return units[0], units[1]

@@ -197,10 +197,10 @@ def _improper(output: str, dt: float, why: str) -> ModelError:
     )
 
 
-def reachable_part(system: StateSpace, rtol: float) -> ReachablePart:
+def reachable_part(system: StateSpace) -> ReachablePart:
     """Return the part of a system that its inputs reach, in balanced units; its transfer matrix is unchanged."""
     At, Bt = np.ascontiguousarray(system.A.T), np.ascontiguousarray(system.B.T)
-    form = staircase(At, Bt, rtol=rtol, compare=False)  # callers compare responses, which tell more
+    form = staircase(At, Bt)  # callers compare responses, which tell more
     k = form.n_observable
     removed, uncertainty = hidden_modes(form.A, form.Q, k, form.rounding)
     if k < system.n_states:

@@ -191,7 +191,7 @@ def directional_filters(
     chosen = tuple(plant.faults[index_of(name, plant.faults, "fault")] for name in wanted)
     if not chosen:
         raise DesignError("the plant has no faults to tell apart: add some with with_sensor_faults, with_faults")
-    answer = detectability(A, C, dt=plant.dt, rtol=rtol)
+    answer = detectability(A, C, dt=plant.dt)
     if not answer.detectable:
         bad = describe_modes(answer.unstable_modes)
         raise DesignError(f"no stable filter exists: no measurement sees the mode {bad}; add a sensor")

@@ -180,14 +180,14 @@ def block_gain(
     """
     blocks = split_blocks(A, C, [event.space for event in events], rtol=rtol)
     pairs = [*blocks.pairs, blocks.rest]
-    seen = [observable_part(Ai, Ci, dt, rtol) for Ai, Ci in pairs]
+    seen = [observable_part(Ai, Ci, dt) for Ai, Ci in pairs]
     fixed = np.concatenate([part.fixed for part in seen])
     *sizes, rest = (part.order for part in seen)
     shares = share_poles(poles, [event.faults for event in events], sizes, rest, fixed, dt)
     distance = default_margin(A, dt) if margin is None else margin
     gains, requested, errors = [], [], [0.0]
     for (Ai, Ci), share in zip(pairs, shares, strict=True):
-        placed = placed_share(Ai, Ci, share, distance, dt, rtol=rtol)
+        placed = placed_share(Ai, Ci, share, distance, dt)
         gains.append(placed.gain)
         requested.append(np.zeros(0, complex) if share is None else share)
         errors.append(float(placed.error))
@@ -195,7 +195,7 @@ def block_gain(
     return DirectionalGain(K, fixed, np.concatenate(requested), max(errors))
 
 
-def placed_share(A: NDArray, C: NDArray, poles: NDArray | None, margin: float, dt: float, *, rtol: float) -> Placement:
+def placed_share(A: NDArray, C: NDArray, poles: NDArray | None, margin: float, dt: float) -> Placement:
     """Place the poles of a pair in even units where its share says, or beyond the margin, with no gain from rounding.
 
     Raises
@@ -205,11 +205,7 @@ def placed_share(A: NDArray, C: NDArray, poles: NDArray | None, margin: float, d
     AccuracyError
         If the poles are not reached, or only by a gain so large that rounding would be what it acts through.
     """
-    placed = (
-        place_observer_margin(A, C, margin, dt=dt, rtol=rtol)
-        if poles is None
-        else place_observer_poles(A, C, poles, dt=dt, rtol=rtol)
-    )
+    placed = place_observer_margin(A, C, margin, dt=dt) if poles is None else place_observer_poles(A, C, poles, dt=dt)
     refuse_far_gain(A, C, placed.gain, _rate(poles, margin, dt))
     return placed
 

@@ -194,7 +194,7 @@ def _right_ways(
 ) -> list[Callable[[], ResidualGenerator]]:
     """Return the designs to try with right eigenvectors: the columns themselves, then combinations."""
     S0, confinement = confinements(parts, combine=combine, rtol=rtol)
-    require_detectable(parts, rtol=rtol)
+    require_detectable(parts)
     ranks = {"ignored in the outputs": parts.direct}
 
     def way(k: int, distance: float, lowered: str) -> ResidualGenerator:
@@ -217,7 +217,7 @@ def _left_ways(
 ) -> list[Callable[[], ResidualGenerator]]:
     """Return the designs to try with left eigenvectors."""
     rows = left_rows(parts, approximate=approximate, rtol=rtol)
-    require_detectable(parts, rtol=rtol)
+    require_detectable(parts)
     S0 = parts.with_even_rows(np.vstack([rows.moving, rows.still]))
 
     def way(distance: float, lowered: str) -> ResidualGenerator:

@@ -169,9 +169,9 @@ def _columns(left: NDArray, direct: NDArray, names: tuple[str, ...], rtol: float
     return own | {f"ignored {i + 1}": basis[:, [i]] for i in range(basis.shape[1])}
 
 
-def require_detectable(parts: IgnoredColumns, *, rtol: float) -> None:
+def require_detectable(parts: IgnoredColumns) -> None:
     """Raise when no observer that uses the outputs left over is stable."""
-    answer = detectability(parts.A, parts.C, dt=parts.plant.dt, rtol=rtol)
+    answer = detectability(parts.A, parts.C, dt=parts.plant.dt)
     if not answer:
         bad = describe_modes(answer.unstable_modes)
         raise DesignError(

@@ -117,7 +117,7 @@ def left_gain(
     N = null_basis(H)[0] if k else np.eye(n)
     # Sums that cancel leave exact zeros: what rounding leaves of them would be couplings that poles are placed through.
     A2, C2 = without_rounding(N.T, A, N), without_rounding(C, N)
-    form = observability_form(A2, C2, rtol=rtol)
+    form = observability_form(A2, C2)
     fixed = np.asarray(form.unobservable_modes, dtype=complex)
     shares = share_poles(poles, [("left",)], [k], form.n_observable, fixed, dt)
     share = np.full(k, first, dtype=complex) if shares[0] is None else shares[0]
@@ -128,7 +128,7 @@ def left_gain(
     wanted = np.hstack([H, -without_rounding(target, H)]), np.vstack([A, np.eye(n)])
     K_left = without_rounding(inverse, *wanted, inverse_without_rounding(C))
     rest = shares[1]
-    placed = placed_share(A2, C2, rest, distance, dt, rtol=rtol)
+    placed = placed_share(A2, C2, rest, distance, dt)
     requested = np.concatenate([share, np.zeros(0, complex) if rest is None else rest])
     return DirectionalGain(K_left + N @ placed.gain, fixed, requested, float(placed.error))
 

@@ -121,11 +121,11 @@ def fixed_poles(parts: IgnoredColumns, confined: Confinement, *, rtol: float) ->
     And modes that no output sees, whether they are in a space or not.
     """
     blocks = split_blocks(parts.A, parts.C, [event.space for event in confined.events], rtol=rtol)
-    return np.concatenate([_modes_unseen(parts, *pair, rtol=rtol) for pair in (*blocks.pairs, blocks.rest)])
+    return np.concatenate([_modes_unseen(parts, *pair) for pair in (*blocks.pairs, blocks.rest)])
 
 
-def _modes_unseen(parts: IgnoredColumns, A: NDArray, C: NDArray, *, rtol: float) -> NDArray[np.complex128]:
-    return detectability(A, C, dt=parts.plant.dt, rtol=rtol).unobservable_modes
+def _modes_unseen(parts: IgnoredColumns, A: NDArray, C: NDArray) -> NDArray[np.complex128]:
+    return detectability(A, C, dt=parts.plant.dt).unobservable_modes
 
 
 def right_gain(
@@ -166,7 +166,7 @@ def right_gain(
     bad = fixed[~is_stable_mode(fixed, dt, margin or 0.0)]
     if len(bad):
         which = "not stable" if margin is None else f"not stable with the margin {margin * unit_of_rates():g}"
-        unseen = _modes_unseen(parts, parts.A, parts.C, rtol=rtol)
+        unseen = _modes_unseen(parts, parts.A, parts.C)
         slow = unseen[~is_stable_mode(unseen, dt, margin or 0.0)]
         if len(slow):
             raise DesignError(

@@ -356,7 +356,7 @@ def _placed(N_BO: NDArray, plant: Plant, poles: NDArray, rtol: float) -> tuple[N
         shift = 1.5 * float(max(np.abs(inverses).max(), np.abs(np.linalg.eigvals(N_BO)).max()))
     n = plant.n_states
     with rates_in(unit_of_rates() ** -2):  # they are times
-        placed = place_observer_poles(N_BO - shift * np.eye(n), plant.C, inverses - shift, rtol=rtol)
+        placed = place_observer_poles(N_BO - shift * np.eye(n), plant.C, inverses - shift)
     return placed.gain, 1 / (placed.requested + shift)
 
 

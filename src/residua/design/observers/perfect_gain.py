@@ -372,7 +372,7 @@ def full_rank_gain(
     """
     p = _problem(R, S, n, rtol, bandwidth, inputs)
     rng = np.random.default_rng(seed)
-    form = staircase(p.M, p.H, rtol=rtol, units="given")
+    form = staircase(p.M, p.H, units="given")
     c = len(p.M)
     ends = c - int(np.count_nonzero(np.linalg.svd(p.S, compute_uv=False) > rtol))
     candidates: list[PerfectGain] = []

@@ -112,7 +112,7 @@ def observer_gain(
     )
 
 
-def cleared(K: Matrix) -> Matrix:
+def cleared(K: NDArray) -> Matrix:
     """Return a matrix with zeros where an entry is rounding beside another of its row."""
     return above_rounding(K, np.abs(K).max(axis=1, keepdims=True, initial=0.0))
 

@@ -18,8 +18,7 @@ from residua.linear.poles.spectrum import describe_modes, match_poles, spectrum_
 from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.far_gain import refuse_far_gain
 from residua.linear.subspaces.observable_part import ObservablePart, observable_part
-from residua.linear.subspaces.rank import DEFAULT_RTOL, spectral_norm
-from residua.linear.systems.array_cache import cached_by_contents, copied
+from residua.linear.subspaces.rank import spectral_norm
 from residua.tolerances import POLE
 from residua.words import counted, unit_of_rates
 
@@ -152,7 +151,6 @@ def place_observer_poles(
     poles: ArrayLike,
     *,
     dt: float = 0,
-    rtol: float = DEFAULT_RTOL,
     tolerance: float = POLE,
 ) -> Placement:
     r"""Find a gain that puts the observable poles of ``A - K C`` where they are asked for.
@@ -173,8 +171,6 @@ def place_observer_poles(
         One for each observable state, or ``n`` that include the unobservable modes; closed under conjugation, stable.
     dt : float
         0 for continuous time, otherwise the sample step in seconds.
-    rtol : float
-        For the rank decisions of the staircase.
     tolerance : float
         Largest error of a pole, relative (continuous) or absolute (sampled). A pole may miss it by what rounding of
         ``A - K C`` does to it, up to a thousandth; the members of an m-fold pole may scatter by about
@@ -204,7 +200,7 @@ def place_observer_poles(
     array([[5.],
            [6.]])
     """
-    problem = observable_part(A, C, dt, rtol)
+    problem = observable_part(A, C, dt)
     wanted = _movable(_checked_poles(poles, problem.dt), problem, tolerance)
     n = problem.A.shape[0]
     if problem.order == 0:
@@ -296,7 +292,6 @@ def place_observer_margin(
     margin: float | None = None,
     *,
     dt: float = 0,
-    rtol: float = DEFAULT_RTOL,
 ) -> Placement:
     r"""Find a gain of moderate size that brings every observable pole beyond a decay rate.
 
@@ -316,8 +311,6 @@ def place_observer_margin(
         In 1/s, not negative. `default_margin` when omitted.
     dt : float
         0 for continuous time, otherwise the sample step in seconds.
-    rtol : float
-        For the rank decisions of the staircase.
 
     Returns
     -------
@@ -340,7 +333,7 @@ def place_observer_margin(
     >>> bool(placed.achieved.real.max() < -2)
     True
     """
-    problem = observable_part(A, C, dt, rtol)
+    problem = observable_part(A, C, dt)
     margin = default_margin(A, dt) if margin is None else float(margin)
     if not np.isfinite(margin) or margin < 0:
         raise DesignError(f"the margin must be a finite rate of at least 0 per second, got {margin * unit_of_rates()}")
@@ -367,14 +360,6 @@ def place_observer_margin(
         f"({problem.order} observable states, {problem.H.shape[0]} independent outputs); "
         "ask for a smaller margin or add a sensor"
     )
-
-
-_kept_margin = cached_by_contents(place_observer_margin)
-
-
-def kept_observer_margin(A: ArrayLike, C: ArrayLike, margin: float | None, *, dt: float, rtol: float) -> Placement:
-    """Return the same as `place_observer_margin` for designs, which ask for the gain of one pair many times."""
-    return copied(_kept_margin(A, C, margin, dt=dt, rtol=rtol))
 
 
 def _shifted_riccati(problem: ObservablePart, margin: float, weight: float) -> Matrix | None:

@@ -16,7 +16,7 @@ from residua.linear.poles.spectrum import describe_modes
 from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.observability import detectability, observability_form
 from residua.linear.subspaces.parts import part_of_each
-from residua.linear.subspaces.rank import DEFAULT_RTOL, decide_rank, without_rounded_gains
+from residua.linear.subspaces.rank import decide_rank, without_rounded_gains
 from residua.linear.systems.balancing import balance_system, power_of_two
 from residua.tolerances import RESIDUE
 
@@ -202,7 +202,7 @@ def _check_solvable(A: Matrix, C: Matrix, Q: Matrix, R: Matrix, S: Matrix, dt: f
     rest, scale = _correlation(Q - gain @ S.T)
     values, vectors = np.linalg.eigh(rest)
     root = np.sqrt(np.where(values > 1e-12, values, 0.0)) * vectors * scale[:, None]
-    form = observability_form((A - gain @ C).T, root.T, rtol=DEFAULT_RTOL)
+    form = observability_form((A - gain @ C).T, root.T)
     modes, near = form.unobservable_modes, form.mode_uncertainty
     boundary = modes[np.abs(np.abs(modes) - 1 if dt else modes.real) <= near]
     if boundary.size:

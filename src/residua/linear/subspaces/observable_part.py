@@ -118,7 +118,7 @@ def _left_to_others(K: Matrix, C: Matrix, small: NDArray[np.bool_], known: NDArr
 
 
 @cached_by_contents
-def observable_part(A: ArrayLike, C: ArrayLike, dt: float, rtol: float) -> ObservablePart:
+def observable_part(A: ArrayLike, C: ArrayLike, dt: float) -> ObservablePart:
     """Split off the unobservable part of a pair, or say which of its modes is not stable.
 
     A hidden mode counts as stable only when it is inside the stability region by more than its uncertainty and 1e-10 on
@@ -129,7 +129,6 @@ def observable_part(A: ArrayLike, C: ArrayLike, dt: float, rtol: float) -> Obser
     A : array_like, shape (n, n)
     C : array_like, shape (p, n)
     dt : float
-    rtol : float
 
     Returns
     -------
@@ -146,7 +145,7 @@ def observable_part(A: ArrayLike, C: ArrayLike, dt: float, rtol: float) -> Obser
     """
     dt = arrays.sample_step(dt)
     A, C = pair(A, C)
-    form = staircase(A, C, rtol=rtol)
+    form = staircase(A, C)
     k, r = form.n_observable, form.n_seen
     Q1 = form.Q[:, :k]
     # The first step of the staircase is C = U S [I 0] Q'; with S^-1 U' the seen states become the outputs.

@@ -16,7 +16,7 @@ from residua.tolerances import BALANCED_RANK, above_rounding
 
 Matrix = NDArray[np.float64]
 #: Balanced numbers below this are rounding: nothing is coupled by them.
-_ROUNDING = 8 * float(np.finfo(float).eps)
+_NEGLIGIBLE = 8 * float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,9 +156,9 @@ def observable_split(A: Matrix, C: Matrix) -> ObservableSplit:
     return ObservableSplit(seen, hidden, decisions)
 
 
-def without_rounding(M: Matrix) -> Matrix:
+def without_rounding(M: NDArray) -> Matrix:
     """Return a matrix of balanced numbers with zeros where rounding may be all that there is."""
-    return above_rounding(M, 1.0, _ROUNDING)
+    return above_rounding(M, 1.0, _NEGLIGIBLE)
 
 
 def _decided(s: Matrix) -> RankDecision:

@@ -28,14 +28,14 @@ def reachable_basis(A: NDArray, B: NDArray, *, rtol: float = DEFAULT_RTOL) -> ND
     return V
 
 
-def without_unobservable(system: StateSpace, *, rtol: float = DEFAULT_RTOL) -> StateSpace:
+def without_unobservable(system: StateSpace) -> StateSpace:
     """Return the system without the states that no output sees; its transfer matrix is unchanged.
 
     The kept states are an orthonormal basis, in balanced units, of the observable quotient, so that hidden
     unstable modes go away without being cancelled numerically.
     """
     system = system.explicit()
-    form = staircase(system.A, system.C, rtol=rtol)
+    form = staircase(system.A, system.C)
     k = form.n_observable
     if k == system.n_states:
         return system
