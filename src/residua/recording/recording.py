@@ -228,7 +228,7 @@ def _from_csv(path: Path, options: ReadOptions) -> Recording:
     found, tally = options.matched(table.names, path.name), Tally()
     clock = found.clock
     together = clock is not None and not options.gets_round_times and _has_numbers(table, clock, options)
-    wanted = list(dict.fromkeys([*found.columns.values(), *([clock] if clock and together else [])]))
+    wanted: list[str] = list(dict.fromkeys([*found.columns.values(), *([clock] if clock and together else [])]))
     data = table.numbers(wanted, options.marks, tally, optional=options.takes_all)
 
     def times() -> Times:
