@@ -112,6 +112,17 @@ def test_large_tables_and_streams_count_the_same(monkeypatch: pytest.MonkeyPatch
     np.testing.assert_array_equal(slow.y, np.vstack([one.values for one in pieces])[:, 2:])
 
 
+def test_a_file_that_is_run_piece_by_piece_has_the_same_notes(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow")
+    path = written(tmp_path / "data.csv", text("time,q1,Q2,h1 [cm],h2,h3", last={3: "Bad", 4: "No Data"}))
+    monitor = rs.Monitor(rs.design.kalman_filter(PLANT.with_noise(process=1e-3, measurement=1e-2)))
+    pieces, whole = monitor.run_file(path), monitor.run(path)
+    assert isinstance(whole, rs.Diagnosis)
+    assert pieces.notes == whole.notes
+    assert any("'h1' is 'h1 [cm]'" in note for note in pieces.notes)
+    assert any("'Bad' once in 'h3'" in note for note in pieces.notes)
+
+
 # ------------------------------------------------------------------------ names
 
 
