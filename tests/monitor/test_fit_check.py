@@ -327,7 +327,7 @@ def drive(seed: int, time: int = 3_000) -> tuple[rs.Plant, np.ndarray, np.ndarra
     u, x, y = rng.standard_normal((time, 2)), np.zeros(2), np.empty((time, 2))
     for k in range(time):
         y[k] = x + 0.01 * rng.standard_normal(2)
-        x = plant.A @ x + plant.Bu @ u[k] + 0.01 * rng.standard_normal(2)
+        x = plant.A @ x + plant.B @ u[k] + 0.01 * rng.standard_normal(2)
     return plant, u, y
 
 

@@ -11,9 +11,10 @@ from residua.decide.false_alarms import within_tolerance
 from residua.decide.held_out import HeldOut
 from residua.decide.stationarity import Change
 from residua.errors import DataError
-from residua.monitor.visible_sizes import DETECTABLE, SOON, VisibleSize
+from residua.monitor.visible_sizes import DETECTABLE, HEADER, SOON, VisibleSize
 from residua.number_kinds import COUNT, FINITE, INDEX, PROBABILITY, SHARE, NumberKind
 from residua.records import Record
+from residua.shown import Shown, notes, table
 from residua.words import counted, number, one_in
 
 
@@ -27,8 +28,8 @@ class Explained(Record):
     share: float
 
 
-@dataclass(frozen=True)
-class FitCheck(Record):
+@dataclass(frozen=True, repr=False)
+class FitCheck(Shown, Record):
     """The check of a fit on its own recordings. Prints as one line on false alarms, and what speaks against the fit.
 
     Attributes
@@ -195,6 +196,13 @@ class FitCheck(Record):
             'misses some of the plant\'s dynamics, or a drift, and names are "too early" or a "poor match" more often; '
             "identify the plant anew, estimate its noise from data, or add a disturbance",
         )
+
+    def _headline(self) -> str:
+        return self.false_alarms or "no threshold is from data"
+
+    def _parts(self) -> list[str]:
+        facts = [self.explains] if self.explains else []
+        return [table(HEADER, [one.cells for one in self.visible]), notes([*facts, *self.notes])]
 
     def __str__(self) -> str:
         return "\n".join(filter(None, (self.false_alarms, *self.notes)))

@@ -29,6 +29,7 @@ from residua.monitor.monitor import Monitor
 from residua.monitor.running import initial_state
 from residua.plant import Plant
 from residua.progress import Progress
+from residua.shown import Shown
 from residua.visible import echo
 from residua.words import listing, number
 
@@ -85,8 +86,8 @@ class Tried:
     failed: str = ""
 
 
-@dataclass(frozen=True, eq=False)
-class Learnt:
+@dataclass(frozen=True, eq=False, repr=False)
+class Learnt(Shown):
     """A monitor that was learnt from fault-free recordings, and what its check says. Prints as a summary.
 
     Attributes

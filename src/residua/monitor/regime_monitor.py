@@ -23,6 +23,7 @@ from residua.monitor.monitor import Monitor
 from residua.monitor.regime_diagnosis import RegimeDiagnosis
 from residua.plant import Plant
 from residua.recording.time_axis import REGULAR
+from residua.shown import Shown, notes, table
 from residua.visible import echo, listed
 
 #: What is said of a mode that no recording showed.
@@ -31,7 +32,7 @@ NEVER_SEEN = "a mode never seen"
 SAME_STEP = REGULAR / 10
 
 
-class RegimeMonitor:
+class RegimeMonitor(Shown):
     """Watches recorded data for faults by one monitor for each operating mode.
 
     A sample is judged by the monitor of its own mode. Nothing is decided in a mode without a model, where a signal
@@ -414,9 +415,13 @@ class RegimeMonitor:
             return NEVER_SEEN
         return self.unfitted.get(name, "")
 
-    def __repr__(self) -> str:
+    def _headline(self) -> str:
         state = "fitted" if self.is_fitted else "not fitted"
-        return f"RegimeMonitor({len(self.monitors)} modes by {listed(self.regimes.signals.names)}, {state})"
+        return f"{len(self.monitors)} modes by {listed(self.regimes.signals.names)}, {state}"
+
+    def _parts(self) -> list[str]:
+        rows = [(name, one._headline()) for name, one in self.monitors.items()]
+        return [table(["mode", "monitor"], rows), notes(f"{name}: {why}" for name, why in self.unfitted.items())]
 
 
 def _any(own: NDArray[np.bool_], span: NDArray[np.bool_] | None) -> bool:
