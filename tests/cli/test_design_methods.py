@@ -300,7 +300,7 @@ def test_what_is_chosen_from_the_plant_is_chosen_once(
         chosen.append(options)
         return real(*given, **options)
 
-    monkeypatch.setattr("residua.design.core.needs.choose", choose)
+    monkeypatch.setattr("residua.design.banks.structured_bank.choose", choose)
     status, _, err = residua("design", made / "plant.toml", "-o", tmp_path / "m.json", "--method", "perfect-observer")
     assert status == 2
     assert "--method structured-bank" in err
