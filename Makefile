@@ -21,7 +21,7 @@ TABLES ?=
 .PHONY: help demo quick test test-cluster test-cluster-here docs bench campaign exact-campaign mutants dist clean
 
 help:
-	@echo "make demo      diagnose a simulated jet engine and leave a report page"
+	@echo "make demo      diagnose three simulated tanks and leave a report page"
 	@echo "make quick     style, types, and the tests of what changed, in a minute and a half"
 	@echo "make test      style, types, and all tests with coverage; without it: make test COVERAGE=0"
 	@echo "make test-cluster  monitors on Spark, Ray and Dask, real processes in an environment of their own; needs Java 17"
@@ -42,7 +42,7 @@ $(BIN)/python:
 	@$(PYTHON) -m venv $(VENV) || { \
 	  rm -rf $(VENV); echo "$(PYTHON) cannot make environments: install its venv module (Debian: python3-venv)."; exit 1; }
 
-$(VENV)/.made-demo: EXTRAS := cli,plot
+$(VENV)/.made-demo: EXTRAS := cli
 $(VENV)/.made-test: EXTRAS := test
 $(VENV)/.made-test-cluster: EXTRAS := test,test-cluster
 $(VENV)/.made-docs: EXTRAS := docs
@@ -50,11 +50,12 @@ $(VENV)/.made-bench: EXTRAS := test,bench
 $(VENV)/.made-mutants: EXTRAS := test,mutants
 $(VENV)/.made-dist: EXTRAS := dist
 $(VENV)/.made-%: $(BIN)/python $(DEFINITION)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[$(EXTRAS)]'
+	@# Only modules that are used are compiled, when they are first imported.
+	$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check --editable '.[$(EXTRAS)]'
 	@touch $@
 
 demo: $(VENV)/.made-demo
-	$(BIN)/residua demo jet-engine
+	$(BIN)/residua demo three-tank
 
 quick: $(VENV)/.made-test
 	$(BIN)/python tests/quick.py $(if $(SINCE),--since $(SINCE))
@@ -76,8 +77,9 @@ test-cluster-here: $(VENV)/.made-test-cluster
 	$(BIN)/pytest -n 0 tests/cluster
 
 docs: $(VENV)/.made-docs
+	$(BIN)/python docs/make_picture.py
 	rm -rf docs/api/generated  # pages of names that are gone would fail the build
-	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
+	$(BIN)/python -m sphinx -E -W --keep-going -q -b html docs docs/_build/html  # without -E the search loses index entries
 	@echo "docs/_build/html/index.html"
 
 bench: $(VENV)/.made-bench

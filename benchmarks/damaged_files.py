@@ -116,7 +116,7 @@ def signals(steps: int, seed: int, fault: float = 0.0) -> tuple[np.ndarray, np.n
     x, y = np.zeros(2), np.zeros((steps, 2))
     for k in range(steps):
         y[k] = x + 0.03 * rng.standard_normal(2)
-        x = model.A @ x + model.Bu @ u[k] + 0.01 * rng.standard_normal(2)
+        x = model.A @ x + model.B @ u[k] + 0.01 * rng.standard_normal(2)
     y[steps // 2 :, 0] += fault
     return u + 2.0, y + [10.0, 5.0]
 
@@ -375,7 +375,7 @@ def snapshots() -> tuple[bytes, ...]:
     for monitor in monitors():
         fleet = rs.Fleet(monitor, plants=["north", "south", "east"])
         u, y = FAULTY
-        fleet.run(np.stack([u] * 3), np.stack([y, y[::-1], y[:, ::-1]]))
+        fleet.update(np.stack([u] * 3), np.stack([y, y[::-1], y[:, ::-1]]))
         _FLEETS[fleet.snapshot()] = monitor
     return tuple(_FLEETS)
 

@@ -104,11 +104,11 @@ def _with_noise(plant: rs.Plant) -> rs.Plant:
     """Return a plant with the noise that ``suggest`` assumes where none is given."""
     if plant.noises:
         return plant
-    gain = np.abs(plant.C @ np.linalg.pinv(np.eye(plant.n_states) - plant.A) @ plant.Bu).sum(axis=1) + np.abs(
-        plant.Du
+    gain = np.abs(plant.C @ np.linalg.pinv(np.eye(plant.n_states) - plant.A) @ plant.B).sum(axis=1) + np.abs(
+        plant.D
     ).sum(axis=1)
     size = np.where(gain > 1e-9, gain, 1.0)
-    state = np.abs(np.linalg.pinv(np.eye(plant.n_states) - plant.A) @ plant.Bu).sum(axis=1)
+    state = np.abs(np.linalg.pinv(np.eye(plant.n_states) - plant.A) @ plant.B).sum(axis=1)
     return plant.with_noise(
         process=np.diag((0.003 * np.where(state > 1e-9, state, 1.0)) ** 2), measurement=np.diag((0.1 * size) ** 2)
     )
@@ -162,18 +162,18 @@ class Simulated:
         ``A`` is there instead of the plant's, for each recording.
         """
         plant, K = self.plant, self.gain()
-        closed = (plant.A if A is None else A) - plant.Bu @ K
-        moved = r @ plant.Bu.T + w @ plant.Bw.T + f @ plant.Bf.T
+        closed = (plant.A if A is None else A) - plant.B @ K
+        moved = r @ plant.B.T + w @ plant.Bw.T + f @ plant.Bf.T
         x = np.zeros_like(moved)
         for t in range(1, x.shape[1]):
             x[:, t] = (closed @ x[:, t - 1, :, None])[..., 0] + moved[:, t - 1]
         u = r - x @ K.T
-        return u, x @ plant.C.T + u @ plant.Du.T + w @ plant.Dw.T + f @ plant.Df.T
+        return u, x @ plant.C.T + u @ plant.D.T + w @ plant.Dw.T + f @ plant.Df.T
 
     def gain(self) -> NDArray[np.float64]:
         """Return the gain of the inner loop; zero for a stable plant."""
         plant = self.plant
-        A, B = np.asarray(plant.A), np.asarray(plant.Bu)
+        A, B = np.asarray(plant.A), np.asarray(plant.B)
         if np.abs(np.linalg.eigvals(A)).max() < 1 - 1e-6:
             return np.zeros((len(plant.inputs), plant.n_states))
         X = solve_discrete_are(A, B, np.eye(len(A)), np.eye(B.shape[1]))
@@ -186,8 +186,8 @@ class Simulated:
         if plant.fault_list[column].kind == "sensor":
             reach = np.abs(plant.Df[:, column])
         else:
-            A = plant.A - plant.Bu @ self.gain()
-            C = plant.C - plant.Du @ self.gain()
+            A = plant.A - plant.B @ self.gain()
+            C = plant.C - plant.D @ self.gain()
             reach = np.abs(C @ np.linalg.solve(np.eye(len(A)) - A, plant.Bf[:, column]) + plant.Df[:, column])
         ratio = (reach / noise).max(initial=0.0)
         return 1 / float(ratio) if ratio > 1e-9 else 0.0

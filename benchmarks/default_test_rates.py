@@ -61,7 +61,7 @@ def recording(plant: rs.Plant, rng: np.random.Generator, rows: int) -> tuple[NDA
     u = np.repeat(rng.uniform(-1, 1, (rows // 50 + 1, len(plant.inputs))), 50, axis=0)[:rows]
     x, y = np.zeros(plant.n_states), np.empty((rows, plant.n_outputs))
     w = rng.standard_normal((len(u), plant.Bw.shape[1]))
-    forced, read = u @ plant.Bu.T + w @ plant.Bw.T, u @ plant.Du.T + w @ plant.Dw.T
+    forced, read = u @ plant.B.T + w @ plant.Bw.T, u @ plant.D.T + w @ plant.Dw.T
     for t in range(rows):
         y[t] = plant.C @ x + read[t]
         x = plant.A @ x + forced[t]

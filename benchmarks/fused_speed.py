@@ -203,7 +203,7 @@ def settled(generator: rs.design.ResidualGenerator, **settings: object) -> State
 
 def missing(rounds: Rounds, plants: int) -> list[tuple[str, str, float, str]]:
     made = plant()
-    bare = rs.Plant(made.A, made.Bu, made.C, dt=1).with_sensor_faults()
+    bare = rs.Plant(made.A, made.B, made.C, dt=1).with_sensor_faults()
     observer = rs.design.unknown_input_observer(bare).residual_generator()
     u, y = recorded(made, plants)
     holes = y.copy()
@@ -229,7 +229,7 @@ def missing(rounds: Rounds, plants: int) -> list[tuple[str, str, float, str]]:
 def eight_sensors() -> rs.Plant:
     rng = np.random.default_rng(4)
     made = plant()
-    return rs.Plant(made.A, made.Bu, rng.standard_normal((8, 4)), dt=1).with_sensor_faults()
+    return rs.Plant(made.A, made.B, rng.standard_normal((8, 4)), dt=1).with_sensor_faults()
 
 
 def in_numpy(call: Callable[[], object]) -> Callable[[], None]:

@@ -80,7 +80,7 @@ def plant_for(kind: str, folder: Path, name: str) -> rs.Plant:
     """
     plant = system(folder, name)
     if kind == "disturbed" and len(plant.inputs) > 1 and plant.n_outputs > 1:
-        B, D = plant.Bu, plant.Du
+        B, D = plant.B, plant.D
         direction = {"u1": (B[:, 0], D[:, 0])}
         plant = rs.Plant(
             plant.A, B[:, 1:], plant.C, D[:, 1:], E=plant.E, dt=plant.dt, name=name, inputs=plant.inputs[1:]
@@ -90,7 +90,7 @@ def plant_for(kind: str, folder: Path, name: str) -> rs.Plant:
     if kind == "plain":
         return plant
     most = 3 if kind == "few" else MOST_FAULTS
-    used = [i for i in range(len(plant.inputs)) if plant.Bu[:, i].any() or plant.Du[:, i].any()]
+    used = [i for i in range(len(plant.inputs)) if plant.B[:, i].any() or plant.D[:, i].any()]
     return plant.with_actuator_faults(used[:most]).with_sensor_faults(range(min(most, plant.n_outputs)))
 
 

@@ -53,7 +53,7 @@ def by_lfilter(system: Any, data: np.ndarray) -> np.ndarray:
 def by_filterpy(made: rs.Plant, u: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Return the innovations of filterpy's Kalman filter, which goes on with its covariance at every sample."""
     kalman = KalmanFilter(dim_x=made.n_states, dim_z=made.n_outputs, dim_u=len(made.inputs))
-    kalman.F, kalman.B, kalman.H, kalman.Q, kalman.R = made.A, made.Bu, made.C, made.Bw @ made.Bw.T, made.Dw @ made.Dw.T
+    kalman.F, kalman.B, kalman.H, kalman.Q, kalman.R = made.A, made.B, made.C, made.Bw @ made.Bw.T, made.Dw @ made.Dw.T
     kalman.x = np.zeros((made.n_states, 1))
     out = np.empty((len(y), made.n_outputs))
     for k, (now, measured) in enumerate(zip(u, y, strict=True)):
@@ -69,7 +69,7 @@ def by_statsmodels(made: rs.Plant, u: np.ndarray, y: np.ndarray) -> np.ndarray:
     model.bind(np.ascontiguousarray(y))
     model["design"], model["transition"], model["selection"] = made.C, made.A, np.eye(made.n_states)
     model["state_cov"], model["obs_cov"] = made.Bw @ made.Bw.T, made.Dw @ made.Dw.T
-    model["state_intercept"] = np.ascontiguousarray(made.Bu @ u.T)
+    model["state_intercept"] = np.ascontiguousarray(made.B @ u.T)
     model.initialize_known(np.zeros(made.n_states), np.eye(made.n_states))
     return model.filter().forecasts_error.T
 

@@ -53,7 +53,7 @@ def pole_bounds(case: Case) -> NDArray[np.float64]:
     of real ones. The largest output entry of each mode is held, since a mode has no scale of its own.
     """
     values, V = np.linalg.eig(case.plant.A)
-    B, C = np.linalg.solve(V, case.plant.Bu), case.plant.C @ V
+    B, C = np.linalg.solve(V, case.plant.B), case.plant.C @ V
     u, y = case.few
     x = np.column_stack([_filtered(u @ row, pole) for row, pole in zip(B, values, strict=True)])
     e = y - (x @ C.T).real

@@ -230,7 +230,7 @@ class Subject:
         plant, changed = self.simulated.plant, []
         while len(changed) < count:
             A = off(plant.A, rng.choice([0.1, 0.3]), rng, 1)[0]
-            if np.abs(np.linalg.eigvals(A - plant.Bu @ self.simulated.gain())).max() < 1:
+            if np.abs(np.linalg.eigvals(A - plant.B @ self.simulated.gain())).max() < 1:
                 changed.append(A)
         return np.array(changed)
 

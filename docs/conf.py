@@ -56,29 +56,11 @@ html_show_sourcelink = False
 html_theme_options = {
     "navigation_depth": 3,
     "show_toc_level": 2,
+    "header_links_before_dropdown": 9,
     "navbar_end": ["theme-switcher"],
     "footer_start": ["copyright"],
     "footer_end": [],
 }
 html_css_files = ["wide.css"]
-# Only the reference has enough pages for a navigation of its own.
-html_sidebars = {
-    name: []
-    for name in (
-        "install",
-        "getting-started",
-        "identification",
-        "choose-a-method",
-        "plant-file",
-        "command-line",
-        "limits",
-        "thresholds",
-        "campaign",
-        "damaged-files",
-        "observers-on-benchmarks",
-        "coding-sets",
-        "parity-and-conditioning",
-        "robust-bounds",
-        "gallery/**",
-    )
-}
+# The doors are pages of their own; the others stand in a section, whose pages are listed beside them.
+html_sidebars = {name: [] for name in ("install", "i-have-a-log", "getting-started", "i-have-a-paper", "gallery/**")}

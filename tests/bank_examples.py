@@ -44,7 +44,7 @@ def observer_on(plant: rs.Plant, used: Sequence[int]) -> tuple[StateSpace, np.nd
     pick = np.eye(n_y)[list(used)]
     system = StateSpace(
         A - K @ C,
-        np.hstack([plant.Bu, K @ pick]),
+        np.hstack([plant.B, K @ pick]),
         -C,
         np.hstack([np.zeros((len(used), len(plant.inputs))), pick]),
         dt=plant.dt,

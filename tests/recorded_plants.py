@@ -38,7 +38,7 @@ def hankel_singular_values(plant: rs.Plant) -> NDArray[np.float64]:
 
 def markov_parameters(plant: rs.Plant, count: int) -> list[NDArray[np.float64]]:
     """Return ``C B, C A B, ...``."""
-    out, x = [], np.array(plant.Bu)
+    out, x = [], np.array(plant.B)
     for _ in range(count):
         out.append(plant.C @ x)
         x = plant.A @ x
@@ -68,18 +68,18 @@ def in_closed_loop(
     """Return inputs and outputs while a filtered proportional controller moves the first input by the first output."""
     n, m = plant.n_states, len(plant.inputs)
     open_size = recorded(plant, np.random.default_rng(0), 2000, 1e9)[1].std(axis=0)
-    gain = 0.5 / max(float(np.abs(plant.C[0] @ np.linalg.solve(np.eye(n) - plant.A, plant.Bu[:, 0]))), 1.0)
+    gain = 0.5 / max(float(np.abs(plant.C[0] @ np.linalg.solve(np.eye(n) - plant.A, plant.B[:, 0]))), 1.0)
     whole = np.block(
-        [[plant.A, plant.Bu[:, :1]], [-gain * (plant.C[:1] @ plant.A), 0.5 - gain * plant.C[:1] @ plant.Bu[:, :1]]]
+        [[plant.A, plant.B[:, :1]], [-gain * (plant.C[:1] @ plant.A), 0.5 - gain * plant.C[:1] @ plant.B[:, :1]]]
     )
     while np.abs(np.linalg.eigvals(whole)).max() > 0.97:
         gain /= 2
-        whole[-1] = np.concatenate([-gain * (plant.C[0] @ plant.A), [0.5 - gain * plant.C[0] @ plant.Bu[:, 0]]])
+        whole[-1] = np.concatenate([-gain * (plant.C[0] @ plant.A), [0.5 - gain * plant.C[0] @ plant.B[:, 0]]])
     x, held, u, y = np.zeros(n), 0.0, np.zeros((rows, m)), np.zeros((rows, plant.n_outputs))
     for k in range(rows):
         y[k] = plant.C @ x + open_size / ratio * rng.standard_normal(plant.n_outputs)
         held = 0.5 * held - gain * y[k, 0]
         u[k] = dither * rng.standard_normal(m)
         u[k, 0] += held
-        x = plant.A @ x + plant.Bu @ u[k]
+        x = plant.A @ x + plant.B @ u[k]
     return u, y

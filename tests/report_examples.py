@@ -38,7 +38,7 @@ def generator(n: int = 3, *, names: list[str] | None = None, noise: bool = False
     K = A - 0.4 * np.eye(n)
     system = StateSpace(
         A - K,
-        np.hstack([plant.Bu, K]),
+        np.hstack([plant.B, K]),
         -np.eye(n),
         np.hstack([np.zeros((n, 1)), np.eye(n)]),
         dt=dt,

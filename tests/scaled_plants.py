@@ -28,7 +28,7 @@ class Numbers:
     """The matrices of a plant with disturbances and faults, all of small whole numbers but for the kind ``real``."""
 
     A: NDArray[np.float64]
-    Bu: NDArray[np.float64]
+    B: NDArray[np.float64]
     Bd: NDArray[np.float64]
     Bf: NDArray[np.float64]
     C: NDArray[np.float64]
@@ -38,7 +38,7 @@ class Numbers:
 
     def plant(self) -> rs.Plant:
         """Return the plant; columns that do nothing are left out."""
-        plant = rs.Plant(self.A, self.Bu, self.C, dt=self.dt)
+        plant = rs.Plant(self.A, self.B, self.C, dt=self.dt)
         for letter, role in (("d", "disturbances"), ("f", "faults")):
             B, D = getattr(self, "B" + letter), getattr(self, "D" + letter)
             alive = [i for i in range(B.shape[1]) if B[:, i].any() or D[:, i].any()]
@@ -48,7 +48,7 @@ class Numbers:
 
     def units(self, rng: np.random.Generator, most: int = 20) -> Units:
         """Return powers of two from ``2^-most`` to ``2^most`` for each signal."""
-        counts = (len(self.A), len(self.C), self.Bu.shape[1], self.Bd.shape[1], self.Bf.shape[1])
+        counts = (len(self.A), len(self.C), self.B.shape[1], self.Bd.shape[1], self.Bf.shape[1])
         return Units(*(2.0 ** rng.integers(-most, most + 1, count) for count in counts))
 
     def in_units(self, u: Units) -> Numbers:
@@ -57,7 +57,7 @@ class Numbers:
         return replace(
             self,
             A=T * self.A / u.states,
-            Bu=T * self.Bu * u.controls,
+            B=T * self.B * u.controls,
             Bd=T * self.Bd * u.disturbances,
             Bf=T * self.Bf * u.faults,
             C=Y * self.C / u.states,

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import re
 import shutil
 import subprocess
 from pathlib import Path
 from types import ModuleType
+from urllib.parse import quote
 
 import pytest
 
@@ -64,12 +66,11 @@ def test_no_built_page_loads_from_another_host(offline: ModuleType) -> None:
     assert list(offline.elsewhere(BUILT)) == []
 
 
-@built
-@pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
-def test_equations_are_drawn_without_a_network(tmp_path: Path) -> None:
-    formulas = {page: len(FORMULA.findall(page.read_text(encoding="utf-8"))) for page in BUILT.rglob("*.html")}
-    assert sum(formulas.values()) > 100
-    page = max(formulas, key=formulas.__getitem__)
+browser = pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
+
+
+def drawn(address: str, profile: Path) -> str:
+    """Return the elements of a page after its scripts have run, without a network."""
     assert BROWSER is not None
     command = [
         BROWSER,
@@ -79,12 +80,121 @@ def test_equations_are_drawn_without_a_network(tmp_path: Path) -> None:
         "--disable-dev-shm-usage",
         "--disable-background-networking",
         "--host-resolver-rules=MAP * ~NOTFOUND",
-        f"--user-data-dir={tmp_path / 'browser'}",
+        f"--user-data-dir={profile}",
         "--virtual-time-budget=20000",
         "--dump-dom",
-        page.as_uri(),
+        address,
     ]
-    dom = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True).stdout
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=True).stdout
+
+
+@built
+@browser
+def test_equations_are_drawn_without_a_network(tmp_path: Path) -> None:
+    formulas = {page: len(FORMULA.findall(page.read_text(encoding="utf-8"))) for page in BUILT.rglob("*.html")}
+    assert sum(formulas.values()) > 100
+    page = max(formulas, key=formulas.__getitem__)
+    dom = drawn(page.as_uri(), tmp_path)
     assert len(re.findall(r"<mjx-container[^>]*>\s*<svg", dom)) == formulas[page]
     assert "data-mjx-error" not in dom
     assert "merror" not in re.sub(r"<style.*?</style>", "", dom, flags=re.DOTALL)
+
+
+#: What newcomers search for, and the page that answers.
+QUESTIONS = {
+    "plant without a model": "i-have-a-log",
+    "too many alarms": "how-to/too-many-alarms",
+    "missing rows": "how-to/missing-rows",
+    "decimal comma": "how-to/missing-rows",
+    "UIO": "i-have-a-paper",
+    "choose Q and R": "how-to/choose-q-and-r",
+    "Chow-Willsky": "i-have-a-paper",
+    "PLC": "export",
+    "e-mail": "how-to/e-mail",
+    "which sensor": "how-to/which-sensor",
+    "stuck sensor": "how-to/stuck-sensor",
+    "EKF": "how-to/nonlinear",
+    "Simulink": "how-to/simulink",
+    "python-control": "how-to/simulink",
+    "Jupyter": "how-to/notebooks",
+    "Windows": "how-to/windows",
+    "cite": "how-to/cite",
+    "score": "glossary",
+    "CSV out": "how-to/results",
+    "fault from the first sample": "how-to/first-sample",
+}
+#: The same in other words.
+REWORDED = {
+    "no model": "i-have-a-log",
+    "false alarms": "how-to/too-many-alarms",
+    "gaps in the data": "how-to/missing-rows",
+    "comma instead of point": "how-to/missing-rows",
+    "unknown input observer": "i-have-a-paper",
+    "tune the Kalman filter": "how-to/choose-q-and-r",
+    "parity space": "i-have-a-paper",
+    "Structured Text": "export",
+    "send mail": "how-to/e-mail",
+    "add a sensor": "how-to/which-sensor",
+    "frozen sensor": "how-to/stuck-sensor",
+    "nonlinear plant": "how-to/nonlinear",
+    "MATLAB": "how-to/simulink",
+    "transfer function": "how-to/simulink",
+    "notebook": "how-to/notebooks",
+    "install on Windows": "how-to/windows",
+    "bibtex": "how-to/cite",
+    "how sure": "how-sure",
+    "export residuals to pandas": "how-to/results",
+    "fault at start": "how-to/first-sample",
+    "Excel": "how-to/historians",
+    "No Data": "how-to/historians",
+    "anomaly detection": "learnt-monitors",
+    "getting started": "getting-started",
+}
+ASK = """
+const found = {};
+for (const question of QUESTIONS)
+  found[question] = Search._performSearch(...Search._parseQuery(question)).reverse().map((result) => result[0]);
+document.body.textContent = JSON.stringify(found);
+"""
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[str]]:
+    """Return the pages that the search of the built documentation lists for each question, best first."""
+    folder = tmp_path_factory.mktemp("search")
+    page = (BUILT / "search.html").read_text(encoding="utf-8")
+    own = re.findall(r'<script src="((?:_static/|searchindex)[^?"]*)', page)
+    scripts = [f'<script src="{(BUILT / script).as_uri()}"></script>' for script in own]
+    ask = f"<script>{ASK.replace('QUESTIONS', json.dumps([*QUESTIONS, *REWORDED]))}</script>"
+    page = f'<html data-content_root="./"><head></head><body>{"".join(scripts)}{ask}</body></html>'
+    (folder / "page.html").write_text(page, encoding="utf-8")
+    dom = drawn((folder / "page.html").as_uri(), folder / "browser")
+    body = re.findall(r"<body>(.*?)</body>", dom, flags=re.DOTALL)
+    answers: dict[str, list[str]] = json.loads(body[0])
+    return {question: list(dict.fromkeys(pages)) for question, pages in answers.items()}
+
+
+@built
+@browser
+def test_the_search_answers_newcomers(found: dict[str, list[str]]) -> None:
+    missed = {
+        question: found[question][:10] for question, page in QUESTIONS.items() if page not in found[question][:10]
+    }
+    assert not missed
+    later = [question for question, page in QUESTIONS.items() if found[question][0] != page]
+    assert len(later) <= 2, later
+
+
+@built
+@browser
+def test_the_search_answers_other_words(found: dict[str, list[str]]) -> None:
+    assert not [question for question, page in REWORDED.items() if page not in found[question][:10]]
+
+
+@built
+@browser
+def test_the_page_of_the_search_shows_the_same(found: dict[str, list[str]], tmp_path: Path) -> None:
+    dom = drawn(f"{(BUILT / 'search.html').as_uri()}?q={quote('stuck sensor')}", tmp_path)
+    (results,) = re.findall(r'<ul[^>]*class="search".*?</ul>', dom, flags=re.DOTALL)
+    addresses = re.findall(r'<a href="([^"#?]*)\.html', results)
+    assert list(dict.fromkeys(addresses))[:5] == found["stuck sensor"][:5]

@@ -39,6 +39,8 @@ ROOMS = (
         "kernels",
         "facade",
         "forks",
+        "shown",
+        "wrong_guesses",
         "progress",
         "files",
         "partial_files",

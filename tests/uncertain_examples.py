@@ -11,7 +11,7 @@ from residua.library import degrading_jet_engine, degrading_jet_engine_controlle
 from residua.linear import UncertainSystem
 from residua.plant import UncertainPlant
 
-A, B, C = (getattr(degrading_jet_engine().nominal, name) for name in ("A", "Bu", "C"))
+A, B, C = (getattr(degrading_jet_engine().nominal, name) for name in ("A", "B", "C"))
 D1, D2 = np.diag([0.1, 0.1, 0.01]), 0.1 * np.eye(3)
 H_A = -np.array([[1.0, 1, 1, 0, 0, 0], [0, 0, 0, 1, 1, 1], [0, 0, 0, 0, 0, 0]])
 G_A = np.vstack([np.eye(3), np.eye(3)])

@@ -126,9 +126,9 @@ def in_other_units(plant: rs.Plant, seed: int, widest: int = 20) -> rs.Plant:
     E = None if plant.E is None else R[:, None] * plant.E * T
     out = rs.Plant(
         R[:, None] * plant.A * T,
-        R[:, None] * plant.Bu * U,
+        R[:, None] * plant.B * U,
         Y[:, None] * plant.C * T,
-        Y[:, None] * plant.Du * U,
+        Y[:, None] * plant.D * U,
         E=E,
         dt=plant.dt,
         inputs=plant.inputs,

@@ -13,7 +13,7 @@ import scipy.linalg
 import residua as rs
 
 aircraft = rs.library.vtol()
-A, B = aircraft.A, aircraft.Bu
+A, B = aircraft.A, aircraft.B
 X = scipy.linalg.solve_continuous_are(A, B, np.diag([1.0, 1.0, 0.1, 1.0]), np.eye(2))
 feedback = B.T @ X  # a linear-quadratic regulator of the state
 print("poles under exact state feedback:", np.sort(np.linalg.eigvals(A - B @ feedback).real).round(2))
@@ -109,8 +109,8 @@ assert np.abs(runs["virtual sensor"]["state v_horizontal"]).max() < 1e-9
 # A controller runs on samples. Everything above is there for the sampled aircraft too; the estimate of the actuator's fault
 # is then exact, one sample late.
 sampled = aircraft.discretize(0.02)
-K = scipy.linalg.solve_discrete_are(sampled.A, sampled.Bu, np.diag([1.0, 1.0, 0.1, 1.0]), np.eye(2))
-K = np.linalg.solve(np.eye(2) + sampled.Bu.T @ K @ sampled.Bu, sampled.Bu.T @ K @ sampled.A)
+K = scipy.linalg.solve_discrete_are(sampled.A, sampled.B, np.diag([1.0, 1.0, 0.1, 1.0]), np.eye(2))
+K = np.linalg.solve(np.eye(2) + sampled.B.T @ K @ sampled.B, sampled.B.T @ K @ sampled.A)
 digital = rs.design.fault_estimator(sampled, faults=actuators, margin=10)
 steps = np.arange(500)
 for label, compensate in (("without", False), ("with compensation", True)):

@@ -27,12 +27,12 @@ print(aircraft)
 
 def regulator(plant):
     """Return the LQG controller from the sensors to the actuators, for equal weights."""
-    cost = solve_discrete_are(plant.A, plant.Bu, np.eye(plant.n_states), np.eye(len(plant.inputs)))
-    K = np.linalg.solve(np.eye(len(plant.inputs)) + plant.Bu.T @ cost @ plant.Bu, plant.Bu.T @ cost @ plant.A)
+    cost = solve_discrete_are(plant.A, plant.B, np.eye(plant.n_states), np.eye(len(plant.inputs)))
+    K = np.linalg.solve(np.eye(len(plant.inputs)) + plant.B.T @ cost @ plant.B, plant.B.T @ cost @ plant.A)
     error = solve_discrete_are(plant.A.T, plant.C.T, plant.process_noise, plant.measurement_noise)
     L = np.linalg.solve(plant.C @ error @ plant.C.T + plant.measurement_noise, plant.C @ error @ plant.A.T).T
     return rs.StateSpace(
-        plant.A - plant.Bu @ K - L @ plant.C, L, -K, dt=plant.dt, inputs=plant.outputs, outputs=plant.inputs
+        plant.A - plant.B @ K - L @ plant.C, L, -K, dt=plant.dt, inputs=plant.outputs, outputs=plant.inputs
     )
 
 

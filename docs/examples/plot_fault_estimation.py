@@ -99,7 +99,7 @@ for corrected in (True, False):
     late = times > 1.5
     assert np.abs(again[late] - estimate[late]).max() < 1e-9
     print(
-        f"B(3,1) = {other.Bu[2, 0]:+.2f}: estimate at 3 s {again[round(3 / h), 0]:.6f}, the same time course within 1e-9"
+        f"B(3,1) = {other.B[2, 0]:+.2f}: estimate at 3 s {again[round(3 / h), 0]:.6f}, the same time course within 1e-9"
     )
 
 # %%

@@ -28,7 +28,7 @@ np.set_printoptions(precision=4, suppress=True, linewidth=110)
 # operating point. The first three of six measurements are the states, then come two pressures and a temperature.
 engine = jet_engine(disturbances=False).without_faults("fuel actuator")
 print(engine)
-print("A =", engine.A, "B =", engine.Bu, "C =", engine.C, sep="\n")
+print("A =", engine.A, "B =", engine.B, "C =", engine.C, sep="\n")
 
 # %%
 # **A misprint.** The paper prints C(6,3) = 0.61299. With that number its own matrices T and K do not come out; of all
@@ -41,7 +41,7 @@ print("A =", engine.A, "B =", engine.Bu, "C =", engine.C, sep="\n")
 # side is zero, so many steady states of the real engine give E by least squares. From 200 of them:
 commands = np.linspace(-0.3, 0.3, 200)
 states = np.array([jet_engine_steady_state(u) for u in commands])
-E = disturbance_from_steady_states(engine.A, engine.Bu, states, commands)
+E = disturbance_from_steady_states(engine.A, engine.B, states, commands)
 print("E estimated =", E, sep="\n")
 print(f"largest difference from the paper's matrix: {np.abs(E - np.array(E_HAT)).max():.1e}")
 

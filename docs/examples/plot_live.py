@@ -2,7 +2,7 @@
 Live and recorded data give the same answers
 ============================================
 
-A monitor that is fed one sample at a time decides the same, to the last bit, as one run over the whole recording. So a
+A monitor that is fed one sample at a time gives the same decisions as a run over the whole recording. So a
 threshold that was set on recordings means the same in operation, and a monitor that was stopped, saved and loaded again
 goes on as if nothing had happened. Missing values are bridged, counted, and never decided on.
 """

@@ -46,7 +46,7 @@ def record(models, u, seed, bias=0.0):
     x, y = np.zeros(2), np.zeros((len(u), 2))
     for k, plant in enumerate(models):
         y[k] = x
-        x = plant.A @ x + plant.Bu @ u[k]
+        x = plant.A @ x + plant.B @ u[k]
     return y + 0.01 * np.random.default_rng(seed).standard_normal(y.shape) + bias
 
 
@@ -139,7 +139,7 @@ plt.show()
 # and sees both sensors. Frank and Wuennenberg's relations are exact without disturbances, and of all exact relations of
 # their order they see most of the fault for what they see of the disturbances. ``indices`` ranks them all.
 plant = motor()
-disturbed = plant.with_disturbances({"torque": [0.0, 0.2], "supply": 0.2 * plant.Bu[:, 0]})
+disturbed = plant.with_disturbances({"torque": [0.0, 0.2], "supply": 0.2 * plant.B[:, 0]})
 best = rs.design.optimal_parity(disturbed, order=3, faults="speed sensor")
 print(best)
 

@@ -66,3 +66,21 @@ def missing_extra(package: str, extra: str) -> MissingExtraError:
     MissingExtraError
     """
     return MissingExtraError(f"this needs the package {package!r}: pip install 'residua[{extra}]'")
+
+
+def __dir__() -> list[str]:
+    return __all__
+
+
+__all__ = [
+    "AccuracyError",
+    "DataError",
+    "DesignError",
+    "FileFormatError",
+    "MissingExtraError",
+    "ModelError",
+    "NoCertificateError",
+    "NotFittedError",
+    "ResiduaError",
+    "SettingError",
+]

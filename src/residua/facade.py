@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable, Mapping
 from importlib import import_module
+from importlib.machinery import PathFinder
 from types import ModuleType
 from typing import Any
 
@@ -21,7 +22,7 @@ class _Facade(ModuleType):
         elif name in self._places:
             value = getattr(import_module(self._places[name]), name)
         else:
-            raise AttributeError(f"module {self.__name__!r} has no attribute {name!r}")
+            raise AttributeError(f"module {self.__name__!r} has no attribute {name!r}{self._instead_of(name)}")
         self.__dict__[name] = value
         return value
 
@@ -30,8 +31,15 @@ class _Facade(ModuleType):
             return  # Python's import puts a file here by its name, which is that of a function in it
         super().__setattr__(name, value)
 
+    def _instead_of(self, name: str) -> str:
+        place = f"{self.__name__}.{name}"
+        if name.startswith("_") or PathFinder.find_spec(place, getattr(self, "__path__", None)) is not None:
+            return ""  # tools look for such names, and an import looks for a file's name here first
+        guesses = import_module("residua.wrong_guesses")
+        return guesses.instead_of_name(self.__name__, name, sorted(self._modules.values()))
+
     def __dir__(self) -> list[str]:
-        return sorted({*super().__dir__(), *self._places, *self._modules})
+        return sorted({*self._places, *self._modules})
 
 
 def hand_on(facade: str, names: Mapping[str, tuple[str, ...]], modules: Iterable[str] = ()) -> None:

@@ -72,12 +72,16 @@ SHARE = NumberKind("a number over 0 and up to 1", "f", lambda x: (x > 0) & (x <=
 PART = NumberKind("a number from 0 to 1", "f", lambda x: (x >= 0) & (x <= 1))
 COMPLEX = NumberKind("a finite complex number", "c", np.isfinite)
 INDEX = NumberKind("a whole number, 0 or more", "i", lambda n: n >= 0)
+WHOLE = NumberKind("a whole number", "i", _all)
 COUNT = NumberKind("a whole number, 1 or more", "i", lambda n: n >= 1)
 WINDOW = NumberKind(f"a whole number from 1 to {MAX_WINDOW}", "i", lambda n: (n >= 1) & (n <= MAX_WINDOW))
 FLAG = NumberKind("true or false", "b", _all)
 
 #: What a number is where nothing else is said, by its type; products of what runs stay numbers.
 USUAL = {"f": ENTRY, "c": COMPLEX, "i": INDEX, "b": FLAG}
+
+#: The same of results, of which nothing runs: they may be infinite or not known.
+REPORTED = USUAL | {"f": ANY, "i": WHOLE}
 
 #: Texts that stand for what JSON has no numbers for.
 SPECIAL = ("nan", "inf", "-inf")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import fields, is_dataclass
 from functools import lru_cache
 from types import NoneType, UnionType
@@ -96,7 +96,7 @@ def array_out(value: NDArray) -> dict[str, Any]:
     kind = _KINDS[value.dtype.kind]
     if kind == "complex":
         flat: list[Any] = [[float_out(z.real), float_out(z.imag)] for z in value.ravel()]
-    elif kind == "float":
+    elif kind == "float" and not np.isfinite(value).all():
         flat = [float_out(x) for x in value.ravel()]
     else:
         flat = value.ravel().tolist()
@@ -137,9 +137,12 @@ _SCALARS: dict[Any, str] = {float: "f", int: "i", bool: "b"}
 _DTYPES: dict[Any, str] = {NDArray[np.float64]: "f", NDArray[np.int64]: "i", NDArray[np.bool_]: "b"}
 
 
-def values_out(values: Any) -> dict[str, Any]:
-    """Return a dataclass as a record: of numbers, texts, arrays, tuples of these, and dataclasses of the same."""
-    return {name: _value_out(getattr(values, name)) for name in field_names(values)}
+def values_out(values: Any, but: Collection[str] = ()) -> dict[str, Any]:
+    """Return a dataclass as a record: of numbers, texts, arrays, tuples and tables of these, and such dataclasses.
+
+    Fields that are named in ``but`` are left out.
+    """
+    return {name: _value_out(getattr(values, name)) for name in field_names(values) if name not in but}
 
 
 def _value_out(value: Any) -> Any:
@@ -151,21 +154,29 @@ def _value_out(value: Any) -> Any:
         return int(value)
     if isinstance(value, tuple):
         return [_value_out(item) for item in value]
+    if isinstance(value, Mapping):
+        return {str(name): _value_out(item) for name, item in value.items()}
     return values_out(value) if is_dataclass(value) else value
 
 
-def values_in(value: Any, where: str, cls: type[Any], known: Mapping[str, Any] | None = None) -> Any:
+def values_in(
+    value: Any,
+    where: str,
+    cls: type[Any],
+    known: Mapping[str, Any] | None = None,
+    usual: Mapping[str, NumberKind] = USUAL,
+) -> Any:
     """Return the dataclass that a record describes.
 
     Each entry is of the type that its field declares, and its numbers are of the kind that the class names
-    (:class:`Record`), else of the usual kind of that type. Fields that are ``known`` already are no entries of the
+    (:class:`Record`), else of the ``usual`` kind of that type. Fields that are ``known`` already are no entries of the
     record.
     """
     out = dict(known or {})
     content = record(value, where, [name for name in field_names(cls) if name not in out])
     kinds, types = _number_kinds(cls), _declared(cls)
     for name, entry in content.items():
-        out[name] = _value_in(entry, joined(where, name), types[name], kinds.get(name))
+        out[name] = _value_in(entry, joined(where, name), types[name], kinds.get(name), usual)
     return cls(**out)
 
 
@@ -178,21 +189,26 @@ def _number_kinds(cls: type[Any]) -> Mapping[str, NumberKind]:
     return cls.NUMBER_KINDS if issubclass(cls, Record) else {}
 
 
-def _value_in(entry: Any, where: str, declared: Any, kind: NumberKind | None) -> Any:
+def _value_in(entry: Any, where: str, declared: Any, kind: NumberKind | None, usual: Mapping[str, NumberKind]) -> Any:
     if get_origin(declared) is UnionType:
         plain = [one for one in get_args(declared) if one is not NoneType]
-        return None if entry is None else _value_in(entry, where, plain[0], kind)
+        return None if entry is None else _value_in(entry, where, plain[0], kind, usual)
     if declared in _DTYPES:
-        return array_in(entry, where, kind or USUAL[_DTYPES[declared]])
+        return array_in(entry, where, kind or usual[_DTYPES[declared]])
     if declared in _SCALARS:
-        return number_in(entry, where, kind or USUAL[_SCALARS[declared]])
+        return number_in(entry, where, kind or usual[_SCALARS[declared]])
     if get_origin(declared) is tuple:
         inner = get_args(declared)[0]
         if inner is str:
             return texts_in(entry, where)
-        return tuple(_value_in(one, joined(where, k), inner, kind) for k, one in enumerate(list_in(entry, where)))
+        parts = enumerate(list_in(entry, where))
+        return tuple(_value_in(one, joined(where, k), inner, kind, usual) for k, one in parts)
+    if get_origin(declared) is Mapping:
+        inner = get_args(declared)[1]
+        parts = table_in(entry, where).items()
+        return {name: _value_in(one, joined(where, name), inner, kind, usual) for name, one in parts}
     if is_dataclass(declared) and isinstance(declared, type):
-        return values_in(entry, where, declared)
+        return values_in(entry, where, declared, usual=usual)
     return text_in(entry, where)
 
 

@@ -188,9 +188,9 @@ def test_a_relation_that_exists_and_is_lost_to_rounding_is_no_missing_one(shared
     """With the feedback of the wrong sign: attainable, and refused for accuracy instead of denied."""
     plant = aircraft(shared_data)
     K = np.load(shared_data / "varga_case_studies" / "cs1data.npz")["K"]
-    M = np.linalg.inv(np.eye(10) + plant.Du @ K)
-    left = -plant.Bu @ K @ M
-    closed = rs.Plant(plant.A + left @ plant.C, plant.Bu + left @ plant.Du, M @ plant.C, M @ plant.Du)
+    M = np.linalg.inv(np.eye(10) + plant.D @ K)
+    left = -plant.B @ K @ M
+    closed = rs.Plant(plant.A + left @ plant.C, plant.B + left @ plant.D, M @ plant.C, M @ plant.D)
     for role in ("disturbances", "faults"):
         B, D = (plant.Bd, plant.Dd) if role == "disturbances" else (plant.Bf, plant.Df)
         columns = {name: ((B + left @ D)[:, i], (M @ D)[:, i]) for i, name in enumerate(getattr(plant, role))}

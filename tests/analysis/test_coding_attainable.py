@@ -160,8 +160,8 @@ def test_units_make_no_difference(seed: int) -> None:
     scaled = plant._with(
         A=plant.A / x[:, None] * x,
         C=plant.C * y[:, None] * x,
-        **{f"B{role}": getattr(plant, f"B{role}") / x[:, None] for role in "udw"},
-        **{f"D{role}": getattr(plant, f"D{role}") * y[:, None] for role in "udw"},
+        **{f"B{role}": getattr(plant, f"B{role}") / x[:, None] for role in ("", "d", "w")},
+        **{f"D{role}": getattr(plant, f"D{role}") * y[:, None] for role in ("", "d", "w")},
         Bf=plant.Bf / x[:, None] * f,
         Df=plant.Df * y[:, None] * f,
     )

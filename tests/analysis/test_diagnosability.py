@@ -161,7 +161,7 @@ def test_units_do_not_matter(units: float) -> None:
     plant = random_plant(rng, n=4, disturbances=1, faults=3, sensors=True, outputs=3)
     T = np.array([1, units, 1, 1 / units])
     other = (
-        rs.Plant(plant.A * T[:, None] / T, plant.Bu * T[:, None], plant.C / T, dt=plant.dt)
+        rs.Plant(plant.A * T[:, None] / T, plant.B * T[:, None], plant.C / T, dt=plant.dt)
         .with_disturbances(plant.Bd * T[:, None])
         .with_faults({name: plant.Bf[:, i] * T for i, name in enumerate(plant.faults) if name.startswith("f")})
         .with_sensor_faults()

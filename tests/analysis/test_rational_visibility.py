@@ -20,7 +20,7 @@ def with_far_rates(case: Case) -> Plant:
     """Return a plant whose states move at rates 2^-20 to 2^20 times those of a case."""
     plant, rng = plant_of(case), np.random.default_rng([7, case.seed])
     rates = 2.0 ** rng.integers(-20, 21, plant.n_states)
-    made = rs.Plant(rates[:, None] * plant.A, plant.Bu, plant.C, plant.Du, dt=plant.dt)
+    made = rs.Plant(rates[:, None] * plant.A, plant.B, plant.C, plant.D, dt=plant.dt)
     for role, B, D in (("disturbances", plant.Bd, plant.Dd), ("faults", plant.Bf, plant.Df)):
         columns = {name: (B[:, i], D[:, i]) for i, name in enumerate(getattr(plant, role))}
         made = getattr(made, f"with_{role}")(columns)

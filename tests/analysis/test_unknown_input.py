@@ -55,7 +55,7 @@ def test_units_do_not_decide_existence(scale: float) -> None:
     for _ in range(20):
         plant = random_plant(rng, n=4, outputs=3, disturbances=2, faults=1)
         T = scale ** rng.uniform(-1, 1, 4)
-        other = rs.Plant(plant.A * T[:, None] / T, plant.Bu * T[:, None], plant.C / T, dt=plant.dt)
+        other = rs.Plant(plant.A * T[:, None] / T, plant.B * T[:, None], plant.C / T, dt=plant.dt)
         other = other.with_disturbances(plant.Bd * T[:, None])
         assert rs.analysis.unknown_input_observer_existence(other).rank_CE.rank == 2
 
@@ -182,7 +182,7 @@ def slow_hidden(rates: list[float], *, equation: bool = False) -> rs.Plant:
 def test_slow_states_that_nothing_sees_have_their_own_rates(rates: list[float], equation: bool, unit: float) -> None:
     """Three rates near one another are scattered by as much in the matrices that the plant is cut into."""
     plant = slow_hidden(rates, equation=equation)
-    scaled = rs.Plant(plant.A, plant.Bu, unit * plant.C, E=plant.E).with_disturbances(plant.Bd)
+    scaled = rs.Plant(plant.A, plant.B, unit * plant.C, E=plant.E).with_disturbances(plant.Bd)
     found = rs.analysis.unknown_input_observer_existence(scaled)
     assert found.exists == (min(rates) > 0)
     np.testing.assert_allclose(np.sort(found.fixed_poles.real), np.sort(-np.array(rates)), rtol=1e-12)
@@ -193,7 +193,7 @@ def test_a_turned_block_of_hidden_states_has_its_modes_beside_an_equation() -> N
     plant, rate = slow_hidden([1.0] * 3, equation=True), 2.0**-14
     A = plant.A.copy()
     A[2:5, 2:5] = np.array([[-8, 16, 4], [-4, 8, 4], [0, 0, 0]]) - rate * np.eye(3)
-    turned = rs.Plant(A, plant.Bu, plant.C, E=plant.E).with_disturbances(plant.Bd)
+    turned = rs.Plant(A, plant.B, plant.C, E=plant.E).with_disturbances(plant.Bd)
     found = rs.analysis.unknown_input_observer_existence(turned)
     assert found.exists
     np.testing.assert_allclose(found.fixed_poles, -rate, rtol=1e-12)
@@ -216,6 +216,6 @@ def test_an_observer_with_slow_hidden_states_has_their_rates() -> None:
 def test_modes_that_only_ranks_put_at_zero_are_no_reason_for_no() -> None:
     """Rounding scatters zeros round the boundary, and no part of the pencil tells where they are."""
     plant = slow_hidden([1e-5, 2e-5, 4e-5])
-    one = rs.Plant(plant.A, plant.Bu, plant.C[:1]).with_disturbances(plant.Bd)
+    one = rs.Plant(plant.A, plant.B, plant.C[:1]).with_disturbances(plant.Bd)
     found = rs.analysis.unknown_input_observer_existence(one)
     assert "cannot be told" in found.reasons[0]

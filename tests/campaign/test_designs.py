@@ -92,7 +92,7 @@ def singular_plants(seed: int, decades: float, largest: int) -> list[rs.Plant]:
         T, R = 10 ** rng.uniform(-decades, decades, p.n_states), 10 ** rng.uniform(-decades, decades, p.n_states)
         Y = 10 ** rng.uniform(-decades, decades, p.n_outputs)
         assert p.E is not None
-        plant = rs.Plant(R[:, None] * p.A * T, R[:, None] * p.Bu, Y[:, None] * p.C * T, E=R[:, None] * p.E * T, dt=p.dt)
+        plant = rs.Plant(R[:, None] * p.A * T, R[:, None] * p.B, Y[:, None] * p.C * T, E=R[:, None] * p.E * T, dt=p.dt)
         if p.disturbances:
             plant = plant.with_disturbances({"d1": R * p.Bd[:, 0]})
         out.append(plant.with_faults({"f0": R * p.Bf[:, 0]}).with_sensor_faults())

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from cli_examples import Residua, assert_error
+from page_reader import read, words
 from residua.library import three_tank
 from residua.plant import load_plant
 from residua.plant.plant_writer import differences
@@ -19,7 +20,17 @@ def test_demo_jet_engine(tmp_path: Path, residua: Residua) -> None:
     assert f"report page: {tmp_path / 'new' / 'jet-engine.html'}" in out
     assert "names 3 of 3 sensors right" in out
     assert "names 1 of 3 sensors right" in out
-    assert (tmp_path / "new" / "jet-engine.html").stat().st_size < 4e6
+    page = (tmp_path / "new" / "jet-engine.html").read_text(encoding="utf-8")
+    assert len(page) < 4e6
+    text = words(page)
+    assert text.startswith(f"{2 * 'Jet engine: which sensor failed? '}⚠ Fault found: either n_low sensor")
+    folded = [one for tag, one in read(page).tags if tag == "details" and one.get("class") == "case"]
+    assert [one.get("open", "closed") for one in folded] == 7 * ["closed"]
+    assert text.count("What to look at") == 7  # of the open case, and of six folded ones
+    for shown in (text, out):
+        assert "NPD" not in shown
+        assert "Normalised projection distance" in shown
+        assert shown.count("Beard") == shown.count("lain detection filter (Beard)") > 0
 
 
 def test_jet_engine_distances_are_the_ideal_ones() -> None:
@@ -45,10 +56,15 @@ def test_demo_says_when_it_fails(tmp_path: Path, residua: Residua, monkeypatch: 
 def test_demo_three_tank_and_the_same_by_hand(tmp_path: Path, residua: Residua) -> None:
     status, out, err = residua("demo", "three-tank", "-o", tmp_path)
     assert (status, err) == (0, "")
-    assert "the monitor names leak 3" in out
+    assert "Diagnosis:          leak 3 (good match); alarm at " in out
+    assert len(out.splitlines()) <= 10
+    page = (tmp_path / "three-tank.html").read_text(encoding="utf-8")
+    assert len(page.encode()) < 1e6
+    title, first = words(page).split(" ⚠ ")[:2]
+    assert first.startswith("Fault found: leak 3, a good match")
+    assert "." not in title  # no sentence before it
     plant, monitor = tmp_path / "three_tank.toml", tmp_path / "by_hand.json"
-    (by_hand,) = [line for line in out.splitlines() if line.startswith("The same by hand")]
-    assert "residua design three_tank.toml -o tank.json;" in by_hand
+    assert "  residua design three_tank.toml -o tank.json\n" in out
     residua("design", plant, "-o", monitor)
     status, _, err = residua("fit", monitor, tmp_path / "normal.csv", "-o", monitor)
     assert (status, err) == (0, "")  # no warning that its own data are too few

@@ -46,7 +46,7 @@ def test_identify_writes_a_plant_that_a_design_takes(logs: Path, tmp_path: Path,
     assert "faults: level 1 sensor, level 2 sensor and pump actuator" in out
     plant = rs.load_plant(tmp_path / "plant.toml")
     assert (plant.inputs, plant.outputs, plant.dt) == (("pump",), ("level 1", "level 2"), 1.0)
-    gain = plant.C @ np.linalg.solve(np.eye(plant.n_states) - plant.A, plant.Bu)
+    gain = plant.C @ np.linalg.solve(np.eye(plant.n_states) - plant.A, plant.B)
     assert np.abs(gain[:, 0] - GAINS).max() < 0.05  # seven standard errors
     status, out, _ = residua("design", tmp_path / "plant.toml", "-o", tmp_path / "m.json")
     assert status == 0
@@ -65,7 +65,7 @@ def test_the_plant_file_keeps_everything_to_the_last_bit(logs: Path, tmp_path: P
     made = made.with_sensor_faults().with_actuator_faults()
     made.to_toml(tmp_path / "made.toml")
     again, plant = rs.load_plant(tmp_path / "made.toml"), rs.load_plant(tmp_path / "plant.toml")
-    for key in ("A", "Bu", "C", "Du", "Bf", "Df", "Bw", "Dw"):
+    for key in ("A", "B", "C", "D", "Bf", "Df", "Bw", "Dw"):
         assert getattr(again, key).tobytes() == getattr(made, key).tobytes(), key
         assert np.allclose(getattr(plant, key), getattr(made, key), rtol=ROUNDING, atol=ROUNDING), key
     assert (plant.Bw @ plant.Dw.T).any()  # the noise of states and outputs goes together

@@ -313,7 +313,7 @@ def test_what_cannot_be_done_is_said() -> None:
     with pytest.raises(DataError, match="residuals alone"):
         test.run(test.start(1), Block(np.zeros((1, 3, 2)), np.ones((1, 3), dtype=bool)))
     slow = rs.decide.Adaptive(relative=UncertainPlant.from_plants([plant_of(0.9), plant_of(0.91)]))
-    fast = rs.Plant(plant_of().A, plant_of().Bu, np.eye(2), dt=2, inputs=["valve", "pump"], outputs=["level", "flow"])
+    fast = rs.Plant(plant_of().A, plant_of().B, np.eye(2), dt=2, inputs=["valve", "pump"], outputs=["level", "flow"])
     with pytest.raises(ModelError, match="dt=1"):
         rs.Monitor(rs.design.kalman_filter(fast.with_sensor_faults().with_noise(measurement=1e-4)), test=slow)
 

@@ -115,7 +115,7 @@ def test_the_unit_of_a_channel_changes_nothing(form: str, gains: tuple[float, ..
     """A gain and an offset for each channel, and the plant in the same units. Filters agree to fewer digits."""
     gain, offset = np.array(gains), np.array([-50.0, 7.0, 3e4])
     p = plant()
-    own = rs.Plant(p.A, p.Bu / gain[:M], gain[M:, None] * p.C, dt=1.0, inputs=list(p.inputs), outputs=list(p.outputs))
+    own = rs.Plant(p.A, p.B / gain[:M], gain[M:, None] * p.C, dt=1.0, inputs=list(p.inputs), outputs=list(p.outputs))
     own = own.with_noise(process=0.04, measurement=gain[M:] ** 2 * [0.01, 0.04]).with_sensor_faults()
     point = gain * [3.0, 1.0, 20.0] + offset
     own = own.with_actuator_faults().with_operating_point(inputs=point[:M], outputs=point[M:])
@@ -235,7 +235,7 @@ def test_a_horizon_is_an_output_less_its_prediction_fifty_rows_before() -> None:
         ahead = x[k - 49]  # by the outputs up to 50 rows before
         for row in (rows - point)[k - 49 : k]:
             ahead = A @ ahead + B @ row[:M]
-        off = (rows - point)[k, M:] - C @ ahead - (generator.plant.Du @ (rows - point)[k, :M])
+        off = (rows - point)[k, M:] - C @ ahead - (generator.plant.D @ (rows - point)[k, :M])
         assert np.allclose(known[k, M:], off, atol=1e-9)
     assert np.isnan(known[:, :M]).all()
 

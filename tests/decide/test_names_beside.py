@@ -132,7 +132,7 @@ def test_the_same_bits_however_time_is_cut_and_after_a_file(tmp_path: Path) -> N
     assert named[-1] == whole.main_alarm.candidates[0].faults  # type: ignore[union-attr]
     fleet = rs.Fleet(again, plants=[1, 2])
     rows = np.array([u, u]), np.array([y, y])
-    ran = fleet.run(*rows)
+    ran = fleet.update(*rows)
     assert isinstance(ran, Decisions)
     assert np.array_equal(ran.scores[0], whole.scores, equal_nan=True)
 

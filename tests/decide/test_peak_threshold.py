@@ -7,9 +7,11 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 import residua as rs
-from residua.decide import BankTest, NormTest, PeakThreshold, peak_over_window
+from residua.decide import PeakThreshold, peak_over_window
+from residua.decide.member_thresholds import BankTest
 from residua.decide.peak_threshold import CERTIFIED, GIVEN, checked_peak_test, fit_peak_test, peak_test
 from residua.decide.persistence import alarm_logic
+from residua.decide.whitened_norm import NormTest
 from residua.errors import DataError, SettingError
 from robust_loops import random_loop
 

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 import residua as rs
-from residua.decide import GroupTest, NormTest, NormThreshold
-from residua.decide.member_thresholds import rows_of_groups
+from residua.decide import NormThreshold
+from residua.decide.member_thresholds import GroupTest, rows_of_groups
+from residua.decide.whitened_norm import NormTest
 from residua.errors import FileFormatError, SettingError
 from residua.monitor import Alarm
 
@@ -29,7 +30,7 @@ def recording(plant: rs.Plant, samples: int, seed: int) -> tuple[np.ndarray, np.
     x, y = np.zeros(1), np.empty((samples, plant.n_outputs))
     for t in range(samples):
         y[t] = plant.C @ x + 0.1 * rng.standard_normal(plant.n_outputs)
-        x = plant.A @ x + plant.Bu @ u[t] + 0.01 * rng.standard_normal(1)
+        x = plant.A @ x + plant.B @ u[t] + 0.01 * rng.standard_normal(1)
     return u, y
 
 

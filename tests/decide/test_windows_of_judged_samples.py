@@ -89,7 +89,7 @@ def recorded(seed: int, time: int, fault: float) -> tuple[NDArray[np.float64], N
     u, x, y = rng.standard_normal((time, 1)), np.zeros(2), np.empty((time, 2))
     for k in range(time):
         y[k] = x + 0.1 * rng.standard_normal(2)
-        x = plant.A @ x + plant.Bu @ u[k] + 0.01 * rng.standard_normal(2)
+        x = plant.A @ x + plant.B @ u[k] + 0.01 * rng.standard_normal(2)
     y[300:500, 0] += fault
     return u, y
 

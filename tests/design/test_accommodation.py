@@ -15,7 +15,7 @@ from residua.linear.poles.spectrum import match_poles
 
 def regulator(plant: rs.Plant) -> np.ndarray:
     """Return the gain of a linear-quadratic regulator with unit weights."""
-    A, B = plant.A, plant.Bu
+    A, B = plant.A, plant.B
     solve = scipy.linalg.solve_discrete_are if plant.dt else scipy.linalg.solve_continuous_are
     X = solve(A, B, np.eye(len(A)), np.eye(B.shape[1]))
     return np.linalg.solve(np.eye(B.shape[1]) + B.T @ X @ B, B.T @ X @ A) if plant.dt else B.T @ X
@@ -34,7 +34,7 @@ def test_estimation_and_feedback_keep_their_poles(seed: int) -> None:
     estimator = fault_estimator(plant, faults=["u1 actuator"])
     K = regulator(plant)
     loop = closed_loop(plant, estimator, K)
-    wanted = np.concatenate([np.linalg.eigvals(plant.A - plant.Bu @ K), estimator.system.poles()])
+    wanted = np.concatenate([np.linalg.eigvals(plant.A - plant.B @ K), estimator.system.poles()])
     found = loop.poles()
     scale = np.abs(wanted).max()
     # as polynomials: poles may be multiple
@@ -137,7 +137,7 @@ def test_a_feedback_with_dynamics() -> None:
 
 
 def test_what_no_input_can_undo_is_reported() -> None:
-    plant = rs.library.vtol().with_faults({"mixed": [0, 0, 0, 1.0], "half": rs.library.vtol().Bu @ [0.3, -2]})
+    plant = rs.library.vtol().with_faults({"mixed": [0, 0, 0, 1.0], "half": rs.library.vtol().B @ [0.3, -2]})
     found = compensation_gain(plant, ["mixed", "half", "pitch sensor"])
     assert found.left["mixed"] > 0.9
     assert found.left["half"] == 0
@@ -180,6 +180,6 @@ def test_poles_of_both_are_those_of_the_parts_on_the_aircraft() -> None:
     plant = aircraft(0.0)
     estimator = fault_estimator(plant, faults=["collective actuator"], poles=[-10, -12, -14, -16], bandwidth=30)
     K = regulator(plant)
-    wanted = np.concatenate([np.linalg.eigvals(plant.A - plant.Bu @ K), [-10, -12, -14, -16, -30]])
+    wanted = np.concatenate([np.linalg.eigvals(plant.A - plant.B @ K), [-10, -12, -14, -16, -30]])
     found = closed_loop(plant, estimator, K).poles()
     assert np.abs(found[match_poles(wanted, found)] - wanted).max() < 1e-6

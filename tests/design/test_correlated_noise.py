@@ -43,7 +43,7 @@ def test_the_gain_against_other_solutions(seed: int) -> None:
     np.testing.assert_allclose(kalman.observer.K, K, atol=1e-8 * np.abs(K).max())
     np.testing.assert_allclose(kalman.covariance, C @ P @ C.T + R, rtol=1e-8)
     J = np.linalg.solve(R, S.T).T
-    rest = rs.Plant(A - J @ C, plant.Bu, C, plant.Du, dt=plant.dt)
+    rest = rs.Plant(A - J @ C, plant.B, C, plant.D, dt=plant.dt)
     rest = rest.with_noise(process=Q - J @ S.T, measurement=R)
     apart = rs.design.kalman_filter(rest)
     np.testing.assert_allclose(kalman.observer.K, apart.observer.K + J, atol=1e-7 * np.abs(K).max())

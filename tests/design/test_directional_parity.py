@@ -48,8 +48,8 @@ def in_other_units(case: Case, rng: np.random.Generator) -> Case:
     p = case.plant
     T, Y = 10 ** rng.uniform(-3, 3, p.n_states), 10 ** rng.uniform(-3, 3, p.n_outputs)
     U, time = 10 ** rng.uniform(-3, 3), 1.0 if p.dt else 10 ** rng.uniform(-3, 3)
-    A, B, C = time * p.A / T[:, None] * T, p.Bu / T[:, None] * U, p.C * T * Y[:, None]
-    plant = rs.Plant(A, B, C, p.Du * Y[:, None] * U, dt=p.dt)
+    A, B, C = time * p.A / T[:, None] * T, p.B / T[:, None] * U, p.C * T * Y[:, None]
+    plant = rs.Plant(A, B, C, p.D * Y[:, None] * U, dt=p.dt)
     if p.disturbances:
         plant = plant.with_disturbances(p.Bd / T[:, None])
     plant = plant.with_faults({f"f{i}": p.Bf[:, i] / T * 10 ** rng.uniform(-3, 3) for i in range(2)})

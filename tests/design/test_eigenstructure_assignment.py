@@ -34,7 +34,7 @@ def varied_plant(rng: np.random.Generator) -> rs.Plant:
         A[:half, half:], A[half:, :half] = 0, 0
         C[: p // 2, half:], C[p // 2 :, :half] = 0, 0
         C = np.linalg.qr(rng.standard_normal((p, p)))[0] @ C
-    plant = rs.Plant(A, base.Bu, C, dt=base.dt)
+    plant = rs.Plant(A, base.B, C, dt=base.dt)
 
     def direction() -> np.ndarray:
         v = rng.standard_normal(n)
@@ -56,7 +56,7 @@ def in_other_units(plant: rs.Plant, rng: np.random.Generator, decades: float) ->
     """Return the plant with the units of its states, inputs and outputs changed by random factors."""
     x, u, y = (10.0 ** rng.uniform(-decades, decades, k) for k in (plant.n_states, len(plant.inputs), plant.n_outputs))
     column, row = x[:, None], y[:, None]
-    other = rs.Plant(column * plant.A / x, column * plant.Bu * u, row * plant.C / x, row * plant.Du * u, dt=plant.dt)
+    other = rs.Plant(column * plant.A / x, column * plant.B * u, row * plant.C / x, row * plant.D * u, dt=plant.dt)
     if plant.disturbances:
         other = other.with_disturbances(
             {name: (x * plant.Bd[:, i], y * plant.Dd[:, i]) for i, name in enumerate(plant.disturbances)}

@@ -82,7 +82,7 @@ def sampled(seed: int) -> Case | None:
     if plant.dt:
         found = as_generated(seed)
     else:
-        plant = rs.Plant(plant.A / np.abs(np.linalg.eigvals(plant.A)).max(), plant.Bu, plant.C, plant.Du, dt=0.1)
+        plant = rs.Plant(plant.A / np.abs(np.linalg.eigvals(plant.A)).max(), plant.B, plant.C, plant.D, dt=0.1)
         plant = plant.with_faults({"f0": np.random.default_rng(seed).standard_normal(plant.n_states)})
         found = case(seed, plant, ["f0"])
     return found if found is not None and np.abs(found.estimator.observer.poles).max() <= 0.9 else None
@@ -97,7 +97,7 @@ def continuous(seed: int) -> Case | None:
     growth = plant.system(()).poles().real.max()
     if growth * 30 / -found.estimator.system.poles().real.max() <= 12:
         return found
-    slower = rs.Plant(plant.A - (growth + 0.1) * np.eye(plant.n_states), plant.Bu, plant.C, plant.Du)
+    slower = rs.Plant(plant.A - (growth + 0.1) * np.eye(plant.n_states), plant.B, plant.C, plant.D)
     slower = slower.with_disturbances(
         {name: (plant.Bd[:, i], plant.Dd[:, i]) for i, name in enumerate(plant.disturbances)}
     ).with_faults({name: (plant.Bf[:, i], plant.Df[:, i]) for i, name in enumerate(plant.faults)})

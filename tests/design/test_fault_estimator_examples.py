@@ -157,7 +157,7 @@ def test_the_bank_reports_the_sensors_that_cannot_be_estimated() -> None:
 def test_refusals_say_why() -> None:
     aircraft = rs.library.vtol()
     with pytest.raises(DesignError, match=r"cannot be told .*rank"):
-        fault_estimator(aircraft.with_faults({"copy": aircraft.Bu[:, 0]}), faults=["copy", "collective actuator"])
+        fault_estimator(aircraft.with_faults({"copy": aircraft.B[:, 0]}), faults=["copy", "collective actuator"])
     with pytest.raises(DesignError, match="no observer of the state ignores"):
         fault_estimator(aircraft)
     with pytest.raises(DesignError, match="no fault"):

@@ -56,7 +56,7 @@ def test_equations_of_gertler_for_the_two_kinds_of_fault() -> None:
 
 def test_the_units_of_the_plant_do_not_matter() -> None:
     plant = gertler()
-    scaled = rs.Plant(plant.A, plant.Bu, np.diag([1e6, 1e-5]) @ plant.C, dt=1.0, outputs=["y1", "y2"])
+    scaled = rs.Plant(plant.A, plant.B, np.diag([1e6, 1e-5]) @ plant.C, dt=1.0, outputs=["y1", "y2"])
     scaled = scaled.with_faults({"p1": [1e-3, 1e-3, 0], "p2": [0, 1e4, 1e4]}).with_sensor_faults()
     scaled = scaled.with_noise(process=0.01 * np.eye(3), measurement=0.1 * np.diag([1e12, 1e-10]))
     reference = rs.library.gertler(sensor_faults=True).with_noise(process=0.01 * np.eye(3), measurement=0.1 * np.eye(2))

@@ -106,7 +106,7 @@ def test_the_estimate_becomes_the_state(name: str, seed: int) -> None:
     )
     v = rng.standard_normal((120, system.n_inputs))
     x = system.simulate(v, rng.standard_normal(4))
-    y = x @ plant.C.T + v[:, : len(plant.inputs)] @ plant.Du.T
+    y = x @ plant.C.T + v[:, : len(plant.inputs)] @ plant.D.T
     error = np.abs(observer.estimate(v[:, : len(plant.inputs)], y) - x).max(axis=1)
     assert error[80:].max() < 1e-6 * max(1.0, np.abs(x).max())
     assert error[0] > 1e-3  # it began elsewhere
@@ -180,7 +180,7 @@ def test_units_do_not_matter(exponents: tuple[int, ...]) -> None:
     plant = random_plant(rng, n=3, outputs=2, disturbances=1, faults=0, dt=0.0)
     T = np.diag(10.0 ** np.array(exponents))
     inverse = np.diag(1 / np.diag(T))
-    scaled = rs.Plant(T @ plant.A @ inverse, T @ plant.Bu, plant.C @ inverse).with_disturbances(
+    scaled = rs.Plant(T @ plant.A @ inverse, T @ plant.B, plant.C @ inverse).with_disturbances(
         {"d1": T @ plant.Bd[:, 0]}
     )
     for design in (rs.design.unknown_input_observer, rs.design.reduced_order_observer):

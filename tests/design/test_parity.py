@@ -434,7 +434,7 @@ def test_a_bank_is_equal_to_itself_with_more_residuals_than_outputs() -> None:
 @pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
 def test_equivalence_does_not_depend_on_the_unit_of_time(unit: float) -> None:
     plant = random_plant(np.random.default_rng(6), n=3, outputs=2, dt=0.0)
-    plant = plant._with(A=plant.A * unit, Bu=plant.Bu * unit, Bf=plant.Bf * unit)
+    plant = plant._with(A=plant.A * unit, B=plant.B * unit, Bf=plant.Bf * unit)
     a = rs.design.decoupled_residual(plant, insensitive_to="f0", poles=[-1 * unit, -2 * unit])
     b = rs.design.parity_relations(plant, insensitive_to="f0", poles=[-3 * unit, -2 * unit])
     found = a.equivalent_to(b)

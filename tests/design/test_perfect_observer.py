@@ -149,7 +149,7 @@ def test_sampled_estimates_and_residuals_in_the_time_domain(seed: int) -> None:
     n = int(rng.integers(3, 7))
     plant = singular_plant(rng, n, n - 1 - seed % 2, 3, dt=0.1)
     A = plant.A / max(1.0, np.abs(weierstrass_form(plant.A, plant.E).poles).max())
-    plant = rs.Plant(A, plant.Bu, plant.C, plant.Du, E=plant.E, dt=0.1).with_disturbances({"d": rng.standard_normal(n)})
+    plant = rs.Plant(A, plant.B, plant.C, plant.D, E=plant.E, dt=0.1).with_disturbances({"d": rng.standard_normal(n)})
     plant = plant.with_faults({"f": rng.standard_normal(n)}).with_sensor_faults()
     observer = perfect_observer(plant)
     v = rng.standard_normal((40, 3))

@@ -37,7 +37,7 @@ def controlled_loop(seed: int = 0, units: np.ndarray | None = None, *, size: flo
     loop = UncertainPlant(plant, deltas).in_closed_loop(controller)
     u = np.ones(4) if units is None else units
     p = loop.nominal
-    scaled = {name: getattr(p, name) * u[:, None] for name in ("Bu", "Bd", "Bf", "Bw")}
+    scaled = {name: getattr(p, name) * u[:, None] for name in ("B", "Bd", "Bf", "Bw")}
     p = p._with(A=p.A * u[:, None] / u, C=p.C / u, **scaled)
     return make_uncertain_plant(
         p, loop.parameters, loop.channels, [(loop.Hx * u[:, None], loop.Hy, loop.Gx / u, loop.Gu)]

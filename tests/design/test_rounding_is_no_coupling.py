@@ -138,7 +138,7 @@ def test_a_gain_that_far_poles_take_is_not_refused() -> None:
 def in_units(plant: rs.Plant, x: list[int], y: list[int], f: list[int]) -> rs.Plant:
     """Return a plant in other units, by powers of two; its faults of sensors are in those of the outputs."""
     X, Y = 2.0 ** np.array(x), 2.0 ** np.array(y)
-    other = rs.Plant(plant.A / X[:, None] * X, plant.Bu / X[:, None], plant.C * X / Y[:, None], dt=plant.dt)
+    other = rs.Plant(plant.A / X[:, None] * X, plant.B / X[:, None], plant.C * X / Y[:, None], dt=plant.dt)
     other = other.with_disturbances(
         {name: plant.Bd[:, i] / X for i, name in enumerate(plant.disturbances)},
     )
@@ -223,5 +223,5 @@ def test_an_output_is_not_mixed_with_others_because_a_disturbance_enters_these(u
 
 def with_output_units(plant: rs.Plant, units: np.ndarray) -> rs.Plant:
     """Return a plant with its outputs in other units, so that the faults of its sensors are in these too."""
-    scaled = {name: units[:, None] * getattr(plant, name) for name in ("C", "Du", "Dd", "Df")}
+    scaled = {name: units[:, None] * getattr(plant, name) for name in ("C", "D", "Dd", "Df")}
     return plant._with(**scaled)

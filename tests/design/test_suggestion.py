@@ -185,7 +185,7 @@ def test_a_monitor_is_in_alarm_at_the_size_that_it_prints() -> None:
 @pytest.mark.parametrize("scale", [1e-3, 1e4])
 def test_sizes_are_in_the_units_of_the_fault(scale: float) -> None:
     plant = noisy_motor()
-    other = rs.Plant(plant.A, plant.Bu, scale * plant.C, dt=plant.dt, inputs=["V"], outputs=["speed", "current"])
+    other = rs.Plant(plant.A, plant.B, scale * plant.C, dt=plant.dt, inputs=["V"], outputs=["speed", "current"])
     other = other.with_sensor_faults().with_actuator_faults().with_noise(process=1e-5, measurement=scale**2 * 1e-3)
     first, second = rs.suggest(plant).best, rs.suggest(other).best
     assert first is not None

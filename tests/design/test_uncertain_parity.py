@@ -40,12 +40,12 @@ def recording(
     """Simulate a plant by hand, with inputs and disturbances of size one that stay alike for some time."""
     rng = np.random.default_rng(seed)
     rho = np.exp(-plant.dt / time) if time else 0.0
-    e = rng.standard_normal((steps, plant.Bu.shape[1] + plant.Bd.shape[1]))
+    e = rng.standard_normal((steps, plant.B.shape[1] + plant.Bd.shape[1]))
     v = scipy.signal.lfilter([np.sqrt(1 - rho**2)], [1, -rho], e, axis=0)
     w = rng.standard_normal((steps, plant.Bw.shape[1])) * noise
     system = plant.system(("control", "disturbance", "noise"))
     y = system.simulate(np.hstack([v, w]))
-    return v[:, : plant.Bu.shape[1]], y
+    return v[:, : plant.B.shape[1]], y
 
 
 @pytest.mark.parametrize(
@@ -72,7 +72,7 @@ def test_weights_of_models_and_given_states_enter_the_mean_square() -> None:
     for share, plant in zip(weights, models, strict=True):
         x = rng.standard_normal((100_000, len(X))) @ np.sqrt(X)
         u = rng.standard_normal((100_000, 2, 2)) * [1.0, 2.0]
-        y = np.stack([x @ plant.C.T, (x @ plant.A.T + u[:, 0] @ plant.Bu.T) @ plant.C.T], axis=1)
+        y = np.stack([x @ plant.C.T, (x @ plant.A.T + u[:, 0] @ plant.B.T) @ plant.C.T], axis=1)
         r = np.einsum("rkm,tkm->tr", found.output_weights, y) + np.einsum("rkp,tkp->tr", found.input_weights, u)
         total = total + share * (r**2).mean(axis=0)
     np.testing.assert_allclose(np.sqrt(total), found.singular_values[::-1][:3], rtol=0.02)
@@ -88,11 +88,11 @@ def test_no_direction_leaks_less(seed: int) -> None:
     for plant in models:
         X = np.zeros((plant.n_states,) * 2)
         for _ in range(600):
-            X = plant.A @ X @ plant.A.T + plant.Bu @ plant.Bu.T
+            X = plant.A @ X @ plant.A.T + plant.B @ plant.B.T
         m, p = plant.n_outputs, 2
         R = np.vstack([plant.C, np.zeros((p, len(X))), plant.C @ plant.A, np.zeros((p, len(X)))])
         Q = np.zeros((2 * (m + p), 2 * p))
-        Q[m : m + p, :p], Q[m + p : 2 * m + p, :p], Q[2 * m + p :, p:] = np.eye(p), plant.C @ plant.Bu, np.eye(p)
+        Q[m : m + p, :p], Q[m + p : 2 * m + p, :p], Q[2 * m + p :, p:] = np.eye(p), plant.C @ plant.B, np.eye(p)
         mean += (R @ X @ R.T + Q @ Q.T) / 2
     scale = np.tile(found.units, 2)
     S = mean / scale[:, None] / scale
@@ -146,7 +146,7 @@ def test_units_do_not_matter(criterion: str) -> None:
     f = 10 ** rng.uniform(-4, 4)
 
     def in_units(p: rs.Plant) -> rs.Plant:
-        plant = rs.Plant(p.A / T[:, None] * T, p.Bu / T[:, None] * U, p.C * T * Y[:, None], dt=p.dt)
+        plant = rs.Plant(p.A / T[:, None] * T, p.B / T[:, None] * U, p.C * T * Y[:, None], dt=p.dt)
         return plant.with_faults({"leak": p.Bf[:, 0] / T, "y1 sensor": (np.zeros(len(T)), p.Df[:, 1] * Y)})
 
     a = multi_model_parity(models, order=2, relations=2, criterion=criterion)
@@ -179,12 +179,12 @@ def _covariances(models: list[rs.Plant]) -> list[np.ndarray]:
     for p in models:
         X = np.zeros((p.n_states,) * 2)
         for _ in range(600):
-            X = p.A @ X @ p.A.T + p.Bu @ p.Bu.T
+            X = p.A @ X @ p.A.T + p.B @ p.B.T
         Z = np.zeros((2, p.n_states))
         R = np.vstack([p.C, Z, p.C @ p.A, Z])
         m = p.n_outputs
         Q = np.zeros((len(R), 4))
-        Q[m : m + 2, :2], Q[m + 2 : 2 * m + 2, :2], Q[2 * m + 2 :, 2:] = np.eye(2), p.C @ p.Bu, np.eye(2)
+        Q[m : m + 2, :2], Q[m + 2 : 2 * m + 2, :2], Q[2 * m + 2 :, 2:] = np.eye(2), p.C @ p.B, np.eye(2)
         out.append(R @ X @ R.T + Q @ Q.T)
     return out
 
@@ -236,7 +236,7 @@ def test_requests_that_make_no_sense() -> None:
     with pytest.raises(DesignError, match="sample the plants first"):
         multi_model_parity([random_plant(np.random.default_rng(0), dt=0.0)], order=1)
     with pytest.raises(ModelError, match="other outputs"):
-        multi_model_parity([models[0], rs.Plant([[0.5]], models[0].Bu[:1], [[1.0]], dt=0.5)], order=1)
+        multi_model_parity([models[0], rs.Plant([[0.5]], models[0].B[:1], [[1.0]], dt=0.5)], order=1)
     with pytest.raises(DesignError, match="not both"):
         multi_model_parity(models, order=1, rank=3, relations=2)
     with pytest.raises(DesignError, match="rank goes by the leak alone"):
@@ -351,7 +351,7 @@ def test_the_index_does_not_depend_on_the_units_of_the_states(dt: float) -> None
         {"d1": [1, 0, 0], "d2": [0, 1, 1]}
     ).with_faults({"f": [0, 1, 0]})
     T, Y = 10 ** rng.uniform(-4, 4, p.n_states), 10 ** rng.uniform(-4, 4, 2)
-    other = rs.Plant(p.A / T[:, None] * T, p.Bu / T[:, None], p.C * T * Y[:, None], dt=p.dt)
+    other = rs.Plant(p.A / T[:, None] * T, p.B / T[:, None], p.C * T * Y[:, None], dt=p.dt)
     other = other.with_disturbances({f"d{i}": d / T for i, d in enumerate(p.Bd.T)})
     other = other.with_faults({f"f{i}": d / T for i, d in enumerate(p.Bf.T)})
     a, b = optimal_parity(p, order=3), optimal_parity(other, order=3)
@@ -421,7 +421,7 @@ def test_models_of_other_kinds() -> None:
     one, other = multi_model_parity([plant], order=2, relations=3), multi_model_parity([io], order=2, relations=3)
     np.testing.assert_allclose(one.singular_values, other.singular_values, atol=1e-9)
     E = np.diag([2.0, 1.0, 4.0])
-    implicit = rs.Plant(E @ plant.A, E @ plant.Bu, plant.C, E=E, dt=1.0).with_faults(
+    implicit = rs.Plant(E @ plant.A, E @ plant.B, plant.C, E=E, dt=1.0).with_faults(
         {"p1": E @ plant.Bf[:, 0], "p2": E @ plant.Bf[:, 1]}
     )
     np.testing.assert_allclose(

@@ -42,7 +42,7 @@ def drifting(u: np.ndarray, resistance: np.ndarray, *, noise: float, seed: int, 
         plant = motor(float(resistance[start]), k)
         for i in range(start, min(start + 25, len(u))):
             out[i] = x
-            x = plant.A @ x + plant.Bu @ u[i]
+            x = plant.A @ x + plant.B @ u[i]
     return out + noise * np.random.default_rng(seed).standard_normal(out.shape)
 
 
@@ -316,7 +316,7 @@ def test_units_of_signals_do_not_matter(seed: int) -> None:
 
     def in_units(R: float, k: float) -> rs.Plant:
         p = motor(R, k)
-        return rs.Plant(p.A, p.Bu / U, Y[:, None] * p.C, dt=p.dt)
+        return rs.Plant(p.A, p.B / U, Y[:, None] * p.C, dt=p.dt)
 
     u = voltage(1500)
     y = simulated(u, 0.01, 4, k=0.51)

@@ -18,7 +18,7 @@ def in_units(plant: rs.Plant, T: np.ndarray) -> rs.Plant:
     return plant._with(
         A=plant.A * T[:, None] / T,
         C=plant.C / T,
-        Bu=plant.Bu * T[:, None],
+        B=plant.B * T[:, None],
         Bd=plant.Bd * T[:, None],
         Bf=plant.Bf * T[:, None],
         Bw=plant.Bw * T[:, None],
@@ -187,7 +187,7 @@ def test_evidence_is_the_same_to_the_last_bit_in_units_of_powers_of_two(seed: in
     plant = random_plant(rng, n=4, outputs=4, faults=3, dt=0.1 * (seed % 2))
     T, Y = (2.0 ** np.round(rng.uniform(-20, 20, 4)) for _ in range(2))
     other = in_units(plant, T)._with(
-        C=Y[:, None] * plant.C / T, Du=Y[:, None] * plant.Du, Dd=Y[:, None] * plant.Dd, Df=Y[:, None] * plant.Df
+        C=Y[:, None] * plant.C / T, D=Y[:, None] * plant.D, Dd=Y[:, None] * plant.Dd, Df=Y[:, None] * plant.Df
     )
     for design in (rs.design.luenberger_observer, rs.design.unknown_input_observer):
         first, second = (design(p).residual_generator() for p in (plant, other))

@@ -13,13 +13,13 @@ from exact.matrices import block, exact, identity, part, rank, zeros
 
 @dataclass(frozen=True, eq=False)
 class ExactPlant:
-    """``E x' = A x + Bu u + Bd d + Bf f``, ``y = C x + Du u + Dd d + Df f``, in fractions."""
+    """``E x' = A x + B u + Bd d + Bf f``, ``y = C x + D u + Dd d + Df f``, in fractions."""
 
     E: fmpq_mat
     A: fmpq_mat
-    Bu: fmpq_mat
+    B: fmpq_mat
     C: fmpq_mat
-    Du: fmpq_mat
+    D: fmpq_mat
     Bd: fmpq_mat
     Dd: fmpq_mat
     Bf: fmpq_mat
@@ -51,8 +51,8 @@ class ExactPlant:
     def reading(self, outputs: Sequence[int]) -> ExactPlant:
         """Return the plant with some of its outputs."""
         rows = list(outputs)
-        C, Du, Dd, Df = (part(M, rows=rows) for M in (self.C, self.Du, self.Dd, self.Df))
-        return ExactPlant(self.E, self.A, self.Bu, C, Du, self.Bd, Dd, self.Bf, Df, self.sampled, self.plain)
+        C, Du, Dd, Df = (part(M, rows=rows) for M in (self.C, self.D, self.Dd, self.Df))
+        return ExactPlant(self.E, self.A, self.B, C, Du, self.Bd, Dd, self.Bf, Df, self.sampled, self.plain)
 
     def pencil(self, B: fmpq_mat, D: fmpq_mat) -> tuple[fmpq_mat, fmpq_mat]:
         """Return ``P0, P1`` of ``P(s) = P0 + s P1 = [A - sE, B; C, D]``."""
@@ -65,7 +65,7 @@ class ExactPlant:
 def exact_plant(plant: Any) -> ExactPlant:
     """Return a plant of floats as the rational one that it is; only its matrices are read."""
     n = plant.A.shape[0]
-    M = {name: exact(getattr(plant, name)) for name in ("A", "Bu", "C", "Du", "Bd", "Dd", "Bf", "Df")}
+    M = {name: exact(getattr(plant, name)) for name in ("A", "B", "C", "D", "Bd", "Dd", "Bf", "Df")}
     E = identity(n) if plant.E is None else exact(plant.E)
     return ExactPlant(E=E, sampled=plant.dt > 0, plain=plant.E is None, **M)
 
@@ -77,11 +77,11 @@ def with_answers_of(plant: ExactPlant, other: ExactPlant, by: Any) -> ExactPlant
     """
     left = by.r if not plant.plain else 1 / by.x
     rows, outputs = _factors(left), _factors(1 / by.y)
-    columns = {"A": by.x, "E": by.x, "C": by.x, "Bu": by.u, "Du": by.u, "Bd": by.d, "Dd": by.d}
+    columns = {"A": by.x, "E": by.x, "C": by.x, "B": by.u, "D": by.u, "Bd": by.d, "Dd": by.d}
     for name, factors in columns.items():
         if name == "E" and plant.plain:
             continue
-        above = outputs if name in ("C", "Du", "Dd") else rows
+        above = outputs if name in ("C", "D", "Dd") else rows
         if not _is_scaled(getattr(plant, name), getattr(other, name), above, _factors(factors)):
             return plant
     through, wanted = (block([[X.Bf], [X.Df]]) for X in (plant, other))

@@ -50,7 +50,7 @@ def _generic_values(plant: ExactPlant) -> list[list[list[int]]]:
 def zeros_from(plant: ExactPlant, inputs: str) -> tuple[fmpq_poly, int]:
     """Return the zero polynomial and the normal rank from controls, disturbances, these with faults, or no inputs."""
     columns = {
-        "u": (plant.Bu, plant.Du),
+        "u": (plant.B, plant.D),
         "d": (plant.Bd, plant.Dd),
         "f": plant.ignoring(range(plant.faults)),
         "none": (zeros(plant.n, 0), zeros(plant.p, 0)),

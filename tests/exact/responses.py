@@ -209,7 +209,7 @@ def paths(filter: Any, plant: Any, y: NDArray[np.float64], w: list[float], scale
 
     What is the same filter of the same plant in base units is evaluated once: powers of two change no digit.
     """
-    B, D = np.hstack([plant.Bu, plant.Bd, plant.Bf]), np.hstack([plant.Du, plant.Dd, plant.Df])
+    B, D = np.hstack([plant.B, plant.Bd, plant.Bf]), np.hstack([plant.D, plant.Dd, plant.Df])
     if scales is None:
         scales = Scales(*(np.ones(count) for count in (len(plant.A), len(plant.A), len(D), D.shape[1])), 1.0)
     of_plant = scales.of_plant(plant.E, plant.A, B, plant.C, D)

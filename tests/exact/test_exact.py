@@ -27,7 +27,7 @@ def plants(kind: str, count: int = 6) -> list[ExactPlant]:
 
 def columns(plant: ExactPlant) -> list[tuple[fmpq_mat, fmpq_mat]]:
     none = zeros(plant.n, 0), zeros(plant.p, 0)
-    return [(plant.Bu, plant.Du), (plant.Bd, plant.Dd), none, plant.ignoring([0])]
+    return [(plant.B, plant.D), (plant.Bd, plant.Dd), none, plant.ignoring([0])]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -100,7 +100,7 @@ def test_answers_are_shared_with_the_same_plant_in_other_units_and_with_no_other
         by = units(case, seed, powers_of_two=True)
         base, scaled = exact_plant(plant_of(case)), exact_plant(plant_of(case, by))
         assert with_answers_of(scaled, base, by).answers is base.answers
-        for name in ("A", "Bu", "C", "Du", "Bd", "Dd"):
+        for name in ("A", "B", "C", "D", "Bd", "Dd"):
             if any(getattr(scaled, name).entries()):
                 bent = replace(scaled, **{name: getattr(scaled, name) * 3}, answers={})
                 assert with_answers_of(bent, base, by).answers is not base.answers

@@ -48,10 +48,10 @@ def zeros_missed(found: np.ndarray, exact: fmpq_poly, rates: float) -> float:
 def _zeros(subject: Subject, which: str) -> None:
     plant, X = subject.plant, subject.exact
     B, D = {
-        "u": (plant.Bu, plant.Du),
+        "u": (plant.B, plant.D),
         "d": (plant.Bd, plant.Dd),
         "f": (np.hstack([plant.Bd, plant.Bf]), np.hstack([plant.Dd, plant.Df])),
-        "none": (plant.Bu[:, :0], plant.Du[:, :0]),
+        "none": (plant.B[:, :0], plant.D[:, :0]),
     }[which]
     record = subject.ask(
         f"invariant_zeros ({which})", lambda: rs.linear.invariant_zeros(plant.A, B, plant.C, D, plant.E)

@@ -22,9 +22,9 @@ class Case:
     kind: str
     seed: int
     A: Rows
-    Bu: Rows
+    B: Rows
     C: Rows
-    Du: Rows
+    D: Rows
     Bd: Rows
     Dd: Rows
     Bf: Rows
@@ -37,7 +37,7 @@ class Case:
     @property
     def sizes(self) -> tuple[int, int, int, int, int]:
         """Numbers of states, inputs, outputs, disturbances and faults with directions of their own."""
-        return len(self.A), len(self.Du[0]), len(self.C), len(self.Dd[0]), len(self.Df[0])
+        return len(self.A), len(self.D[0]), len(self.C), len(self.Dd[0]), len(self.Df[0])
 
 
 @dataclass(frozen=True)
@@ -107,9 +107,9 @@ def plant_of(case: Case, by: Units | None = None, *, noise: bool = False) -> rs.
 
     plant = rs.Plant(
         scaled(case.A, rates, by.x),
-        scaled(case.Bu, rates, by.u),
+        scaled(case.B, rates, by.u),
         scaled(case.C, 1 / by.y, by.x),
-        scaled(case.Du, 1 / by.y, by.u),
+        scaled(case.D, 1 / by.y, by.u),
         E=None if case.E is None else scaled(case.E, left, by.x),
         dt=case.dt,
         name=f"{case.kind} {case.seed}",
@@ -154,8 +154,8 @@ def literal(plant: rs.Plant) -> str:
             return f"np.zeros({M.shape})"
         return "[" + ", ".join("[" + ", ".join(_number(x) for x in row) + "]" for row in M) + "]"
 
-    out = f"rs.Plant({text(plant.A)}, {text(plant.Bu)}, {text(plant.C)}"
-    out += f", {text(plant.Du)}" if np.any(plant.Du) else ""
+    out = f"rs.Plant({text(plant.A)}, {text(plant.B)}, {text(plant.C)}"
+    out += f", {text(plant.D)}" if np.any(plant.D) else ""
     out += f", E={text(plant.E)}" if plant.E is not None else ""
     out += f", dt={plant.dt}" if plant.dt else ""
     out += ")"
@@ -204,7 +204,7 @@ def smaller(case: Case) -> list[Case]:
     for i in range(m):
         if m > 1:
             kept = tuple(j - (j > i) for j in case.actuators if j != i)
-            out.append(replace(case, Bu=_less(case.Bu, i), Du=_less(case.Du, i), actuators=kept))
+            out.append(replace(case, B=_less(case.B, i), D=_less(case.D, i), actuators=kept))
     return out
 
 

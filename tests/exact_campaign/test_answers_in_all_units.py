@@ -60,7 +60,7 @@ def test_channels_of_a_nilpotent_plant_are_not_scaled_to_rounding(seed: int) -> 
 def test_zeros_of_a_stiff_plant_do_not_depend_on_units_nor_on_that_of_time(unit_of_time: float) -> None:
     """Rates of 2^10 made a coupling of 2^-13 nothing beside the outputs, which had no share in the unit of ``s``."""
     for p in in_all_units("stiff", 47):
-        none = p.Bu[:, :0]
+        none = p.B[:, :0]
         assert not rs.linear.invariant_zeros(p.A * unit_of_time, none, p.C).zeros.size
         seen = rs.linear.pencil_rank_at(p.A * unit_of_time, none, p.C, s=0.375 * unit_of_time)
         assert seen.rank == p.n_states
@@ -349,7 +349,7 @@ def test_the_doors_of_the_designs_show_the_same_plant_in_all_units(kind: str, do
     for seed in (1, 4001, 4009, 4016):
         first, *others = [door(p) for p in in_all_units(kind, seed)]
         for other in others:
-            for name in ("A", "Bu", "Bd", "Bf", "C", "Du", "Dd", "Df"):
+            for name in ("A", "B", "Bd", "Bf", "C", "D", "Dd", "Df"):
                 assert np.array_equal(getattr(first, name), getattr(other, name)), (seed, name)
 
 

@@ -94,7 +94,7 @@ ANALYSES: Mapping[str, Callable[[Plant, float], Any]] = {
     "attainable": lambda p, t: rs.coding.attainable(p).digits,
     "attainable, constant": lambda p, t: rs.coding.attainable(p, constant=True).digits,
     "parity orders": lambda p, t: D.parity_orders(p),
-    "zeros": lambda p, t: _zeros(p, p.Bu, p.Du),
+    "zeros": lambda p, t: _zeros(p, p.B, p.D),
     "zeros of disturbances": lambda p, t: _zeros(p, p.Bd, p.Dd),
     "rank": lambda p, t: rs.linear.pencil_rank_at(p.A, p.Bd, p.C, p.Dd, p.E, 0.375 * t).rank,
     "detectability": lambda p, t: _detectability(p),

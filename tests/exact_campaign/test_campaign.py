@@ -49,7 +49,7 @@ def test_the_text_of_a_plant_makes_it_again_to_the_bit(kind: str) -> None:
     for by in (None, units(case, 5, powers_of_two=True), units(case, 5, powers_of_two=False)):
         plant = plant_of(case, by)
         again = eval(literal(plant), {"rs": rs, "np": np})
-        for name in ("A", "Bu", "C", "Du", "Bd", "Dd"):
+        for name in ("A", "B", "C", "D", "Bd", "Dd"):
             assert np.array_equal(getattr(plant, name), getattr(again, name))
         columns = [again.faults.index(fault) for fault in plant.faults]
         assert np.array_equal(again.Bf[:, columns], plant.Bf)

@@ -83,8 +83,8 @@ def _equations(plant: Plant, t: float, *, common: bool = False) -> list[NDArray]
 def _realized(plant: Plant, t: float) -> list[NDArray]:
     found = InputOutputModel.from_plant(plant).realization()
     p = found.plant
-    rates = [M / t for M in (p.A, p.Bu, p.Bd, p.Bf, found.removed_modes)]
-    return [*rates, p.C, p.Du, p.Dd, p.Df, np.array([found.error])]
+    rates = [M / t for M in (p.A, p.B, p.Bd, p.Bf, found.removed_modes)]
+    return [*rates, p.C, p.D, p.Dd, p.Df, np.array([found.error])]
 
 
 #: By name; each takes a plant and the unit of its rates, and returns numbers without rates.

@@ -140,7 +140,7 @@ def in_other_units(plant: Plant, rng: Rng) -> Plant:
 
     x, y, time = powers(plant.n_states), powers(plant.n_outputs)[:, None], 1.0 if plant.dt else float(powers(1)[0])
     changes = {"A": time * plant.A / x[:, None] * x, "C": y * plant.C * x}
-    for role in "udf":
+    for role in ("", "d", "f"):
         B, D = getattr(plant, f"B{role}"), getattr(plant, f"D{role}")
         units = powers(B.shape[1])
         changes |= {f"B{role}": time * B / x[:, None] * units, f"D{role}": y * D * units}
@@ -153,7 +153,7 @@ def answered(plant: Plant) -> dict[str, Any]:
     seen = rs.linear.detectability(plant.A, plant.C, dt=plant.dt)
     zeros = {
         role: rs.linear.invariant_zeros(plant.A, B, plant.C, D)
-        for role, B, D in (("u", plant.Bu, plant.Du), ("d", plant.Bd, plant.Dd))
+        for role, B, D in (("u", plant.B, plant.D), ("d", plant.Bd, plant.Dd))
     }
     return {
         "detectable faults": found.detectable.tolist(),

@@ -205,7 +205,7 @@ def test_the_uncertain_plant_varies_as_the_coefficients_do() -> None:
     uncertain = made.uncertain_plant(made.plant.with_sensor_faults().with_actuator_faults(), directions=4)
     sizes, directions = made.basis.directions(4)
     A = sum(size**2 * one["A"][:, 0] ** 2 for size, one in zip(sizes, directions, strict=True))
-    B = sum(size**2 * one["Bu"][:, 0] ** 2 for size, one in zip(sizes, directions, strict=True))
+    B = sum(size**2 * one["B"][:, 0] ** 2 for size, one in zip(sizes, directions, strict=True))
     errors = made.report.equations[0].standard_errors  # of u[k-1], y[k-1], u[k-2], y[k-2]
     assert np.allclose(np.sqrt(A), errors[[1, 3]], rtol=1e-6)
     assert np.allclose(np.sqrt(B) * made.plant.C[0, 0], errors[[0, 2]], rtol=1e-6)
@@ -429,6 +429,6 @@ def test_the_report_says_it_all() -> None:
         "'pump' takes only",
     ):
         assert part in text
-    assert repr(made.report).startswith("EquationReport(orders ")
+    assert repr(made.report).startswith("EquationReport(1 equation by ARX: ")
     assert repr(made).startswith("ArxModel(orders ")
     assert repr(made.report.equations[0]).startswith("Equation('level', order ")

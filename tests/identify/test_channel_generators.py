@@ -126,7 +126,7 @@ def test_the_page_shows_what_reconstruction_of_each_channel_takes_away(tmp_path:
     assert name == "y4 sensor"
     assert np.isclose(share, taken.mean())
     out.to_html(tmp_path / "page.html")
-    assert "Which channel explains it" in (tmp_path / "page.html").read_text()
+    assert "Which channel explains the alarm" in (tmp_path / "page.html").read_text()
 
 
 def test_channels_of_one_direction_are_one_group() -> None:

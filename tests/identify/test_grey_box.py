@@ -138,9 +138,9 @@ def test_units_change_nothing_but_units(seed: int) -> None:
         p = spring(stiffness / P[0], damping / P[1])
         plant = rs.Plant(
             p.A * X[:, None] / X,
-            p.Bu * X[:, None] / U,
+            p.B * X[:, None] / U,
             p.C * Y[:, None] / X,
-            p.Du * Y[:, None] / U,
+            p.D * Y[:, None] / U,
             dt=DT,
             inputs=p.inputs,
             outputs=p.outputs,

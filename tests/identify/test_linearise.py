@@ -56,7 +56,7 @@ def test_the_three_tanks_own_equations_give_the_librarys_matrices() -> None:
     )
     wanted = three_tank(dt=0)
     assert made.faults == wanted.faults[5:]
-    for name, columns in {"A": slice(None), "Bu": slice(None), "C": slice(None), "Bf": slice(5, None)}.items():
+    for name, columns in {"A": slice(None), "B": slice(None), "C": slice(None), "Bf": slice(5, None)}.items():
         reference = getattr(wanted, name)[:, columns]
         np.testing.assert_allclose(getattr(made, name), reference, rtol=DIGITS, atol=DIGITS * abs(reference).max())
     assert made.operating_point == wanted.operating_point
@@ -101,7 +101,7 @@ def test_slopes_are_those_by_hand_at_the_steady_state(seed: int, dt: float, comp
     upper, lower = derivatives(x, u)
     if dt:
         upper = 0.3 * upper + np.eye(n, n + 2)
-    made = np.block([[model.plant.A, model.plant.Bu], [model.plant.C, model.plant.Du]])
+    made = np.block([[model.plant.A, model.plant.B], [model.plant.C, model.plant.D]])
     wanted = np.vstack([upper, lower])
     off = abs(made - wanted)
     assert off.max() < (1e-13 if complex_too else DIGITS)
@@ -147,9 +147,9 @@ def test_units_change_nothing_but_units(seed: int, complex_too: bool) -> None:
     back = other.plant
     for made, wanted in (
         (back.A / X[:, None] * X, plain.plant.A),
-        (back.Bu / X[:, None] * U, plain.plant.Bu),
+        (back.B / X[:, None] * U, plain.plant.B),
         (back.C / Y[:, None] * X, plain.plant.C),
-        (back.Du / Y[:, None] * U, plain.plant.Du),
+        (back.D / Y[:, None] * U, plain.plant.D),
     ):
         np.testing.assert_allclose(made, wanted, rtol=DIGITS, atol=DIGITS)
     assert other.jacobian_error == pytest.approx(plain.jacobian_error, rel=10, abs=1e-12)

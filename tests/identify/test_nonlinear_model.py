@@ -42,7 +42,7 @@ def linear(decay: float, *, sampled: bool = False) -> NonlinearModel:
     plant = rs.Plant([[-decay, 0.1], [0.0, -0.3]], [[1.0], [0.5]], [[1.0, 1.0]], inputs="push", outputs="pull")
     plant = plant.with_noise(process=0.02, measurement=0.1).with_operating_point(inputs=[2.0], outputs=[3.0])
     discrete = plant.discretize(0.2)
-    A, B = (discrete.A, discrete.Bu) if sampled else (plant.A, plant.Bu)
+    A, B = (discrete.A, discrete.B) if sampled else (plant.A, plant.B)
     x0 = np.array([1.0, 2.0])
 
     def rate(x: np.ndarray, u: np.ndarray) -> np.ndarray:

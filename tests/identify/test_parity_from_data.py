@@ -14,7 +14,7 @@ from residua.errors import DataError, SettingError
 
 def of_the_model(one: Recorded, order: int, spread: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the parity space of the plant, by its observability matrix: columns, newest sample first, u before y."""
-    A, B, C, D = one.plant.A, one.plant.Bu, one.plant.C, one.plant.Du
+    A, B, C, D = one.plant.A, one.plant.B, one.plant.C, one.plant.D
     p, m = D.shape
     markov = [D, *(C @ np.linalg.matrix_power(A, i) @ B for i in range(order))]
     seen = np.vstack([C @ np.linalg.matrix_power(A, i) for i in range(order + 1)])

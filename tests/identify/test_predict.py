@@ -19,7 +19,7 @@ def log(rows: int, seed: int, delay: int = 0) -> tuple[np.ndarray, np.ndarray]:
     u = np.repeat(rng.standard_normal((rows // 5 + 1, 1)), 5, axis=0)[:rows]
     late = np.vstack([np.zeros((delay, 1)), u[: rows - delay]])
     states = rs.StateSpace(plant.A, np.eye(2), np.eye(2), np.zeros((2, 2)), dt=1.0)
-    y = states.simulate(late @ plant.Bu.T + 0.1 * rng.standard_normal((rows, 2)))
+    y = states.simulate(late @ plant.B.T + 0.1 * rng.standard_normal((rows, 2)))
     return u + 5.0, y + [20.0, -3.0] + 0.2 * rng.standard_normal((rows, 2))
 
 
@@ -40,7 +40,7 @@ def test_predictions_obey_the_recursion(model: rs.identify.IdentifiedModel) -> N
     for k in range(past, 300):
         expected = plant.C @ x + plant.operating_point.outputs
         assert np.abs(seen.predicted[k] - expected).max() < ROUNDING * np.abs(y).max()
-        x = plant.A @ x + plant.Bu @ du[k] + K @ (dy[k] - plant.C @ x)
+        x = plant.A @ x + plant.B @ du[k] + K @ (dy[k] - plant.C @ x)
 
 
 def test_errors_are_those_of_the_report(model: rs.identify.IdentifiedModel) -> None:

@@ -67,9 +67,9 @@ def test_start_and_offsets_are_taken_out_as_a_fit_of_them_does(seed: int, simula
     def errors(unknown: np.ndarray) -> np.ndarray:
         x, out = unknown[:3], []
         for row in data - [1.0, 2.0, 3.0]:
-            e = row[1:] - unknown[3] * np.array([0.0, 1.0]) - plant.C @ x - plant.Du @ row[:1]
+            e = row[1:] - unknown[3] * np.array([0.0, 1.0]) - plant.C @ x - plant.D @ row[:1]
             out.append(W @ e)
-            x = plant.A @ x + plant.Bu @ row[:1] + K @ e
+            x = plant.A @ x + plant.B @ row[:1] + K @ e
         return np.array(out).ravel()
 
     zero = errors(np.zeros(4))

@@ -125,7 +125,7 @@ def test_units_change_nothing() -> None:
         assert other.report.order == one.report.order
         np.testing.assert_array_equal(other.report.criterion, one.report.criterion)
         np.testing.assert_array_equal(other.plant.A, one.plant.A)
-        np.testing.assert_array_equal(other.plant.Bu * [a, 1.0], one.plant.Bu)
+        np.testing.assert_array_equal(other.plant.B * [a, 1.0], one.plant.B)
         np.testing.assert_array_equal(other.plant.C, one.plant.C * [[1.0], [b]])
 
 
@@ -174,7 +174,7 @@ def test_feedthrough_is_asked_for_not_guessed() -> None:
     assert any("feedthrough=True" in note for note in rs.identify.subspace(u, y, dt=1.0).report.notes)
     model = rs.identify.subspace(u, y, dt=1.0, feedthrough=True)
     assert model.report.order == 1
-    np.testing.assert_allclose(model.plant.Du, [[2.0]], atol=0.02)
+    np.testing.assert_allclose(model.plant.D, [[2.0]], atol=0.02)
 
 
 def test_held_out_fit_is_on_rows_that_the_model_has_not_seen() -> None:
@@ -213,9 +213,9 @@ def test_the_uncertain_plant_holds_the_estimates_of_the_parts() -> None:
     uncertain = model.uncertain_plant(model.plant.with_actuator_faults().with_sensor_faults())
     assert uncertain.nominal.faults == ("u1 actuator", "y1 sensor", "y2 sensor")
     member = uncertain.member(uncertain.high)
-    np.testing.assert_allclose(member.Bf[:, 0], member.Bu[:, 0], rtol=1e-9)
-    gains = [(m.C @ np.linalg.solve(np.eye(m.n_states) - m.A, m.Bu)).ravel() for m in uncertain.sample(0, 100)]
-    truth = (plant.C @ np.linalg.solve(np.eye(2) - plant.A, plant.Bu)).ravel()
+    np.testing.assert_allclose(member.Bf[:, 0], member.B[:, 0], rtol=1e-9)
+    gains = [(m.C @ np.linalg.solve(np.eye(m.n_states) - m.A, m.B)).ravel() for m in uncertain.sample(0, 100)]
+    truth = (plant.C @ np.linalg.solve(np.eye(2) - plant.A, plant.B)).ravel()
     assert (np.min(gains, axis=0) < truth).all()
     assert (truth < np.max(gains, axis=0)).all()
 

@@ -68,7 +68,7 @@ def test_matrices_and_bounds_are_the_papers():
     engine = degrading_jet_engine()
     plant = engine.nominal
     for found, known in (
-        (plant.A, AP), (plant.Bu, BP), (plant.C, CP), (plant.Bd, DP1), (plant.Dd, DP2), (plant.Df, np.eye(3)),
+        (plant.A, AP), (plant.B, BP), (plant.C, CP), (plant.Bd, DP1), (plant.Dd, DP2), (plant.Df, np.eye(3)),
     ):  # fmt: skip
         np.testing.assert_array_equal(found, known)
     assert not plant.Bf.any()
@@ -80,7 +80,7 @@ def test_matrices_and_bounds_are_the_papers():
     assert {p.name: (p.low, p.high) for p in engine.parameters} == BOUNDS
     assert plant.units["TMPC"] == "degC"
     # The first row of dB widens A8 by a tenth: the sign of the perturbation is plus.
-    assert engine.member({"dB2": 0.0115}).Bu[0, 1] == pytest.approx(0.1119 + 0.0115, abs=1e-16)
+    assert engine.member({"dB2": 0.0115}).B[0, 1] == pytest.approx(0.1119 + 0.0115, abs=1e-16)
     assert engine.member({"dA4": -0.0001}).A[1, 0] == pytest.approx(-0.0002, abs=1e-16)
     assert engine.member({"dC3": 0.0004}).C[0, 2] == pytest.approx(0.0048, abs=1e-16)
 
@@ -187,7 +187,7 @@ def test_a_fault_of_one_sensor_moves_all_of_the_engine():
     run = simulate_degrading_jet_engine(10.0, faults=bias, values={}, disturbance=0.0)
     plant, c = degrading_jet_engine().nominal, degrading_jet_engine_controller()
     # At rest: x = A x + B u, u = Cc xc, xc = Ac xc + Bc (C x + f).
-    gain = plant.Bu @ c.C @ np.linalg.solve(np.eye(3) - c.A, c.B)
+    gain = plant.B @ c.C @ np.linalg.solve(np.eye(3) - c.A, c.B)
     x = np.linalg.solve(np.eye(3) - plant.A - gain @ plant.C, gain[:, 0])
     np.testing.assert_allclose(run.x[-1], x, atol=1e-10)
     np.testing.assert_allclose(run.y[-1], plant.C @ x + [1, 0, 0], atol=1e-10)

@@ -16,7 +16,7 @@ from residua.library import E_HAT, jet_engine, jet_engine_rate, jet_engine_stead
 def test_matrices_are_the_papers(shared_data: Path) -> None:
     paper = json.loads((shared_data / "jet_engine_uio" / "jet_engine_chen1996.json").read_text())
     engine = jet_engine(corrected=False)
-    for mine, key in ((engine.A, "A"), (engine.Bu, "B"), (engine.C, "C"), (np.array(E_HAT), "E_star")):
+    for mine, key in ((engine.A, "A"), (engine.B, "B"), (engine.C, "C"), (np.array(E_HAT), "E_star")):
         np.testing.assert_array_equal(mine, paper[key])
     corrected = jet_engine()
     assert corrected.C[5, 2] == 0.61199
@@ -37,7 +37,7 @@ def test_linear_model_is_the_derivative_of_the_second_order_one() -> None:
         slope = (jet_engine_rate(step, [0.0]) - jet_engine_rate(-step, [0.0])) / (2 * h)
         np.testing.assert_allclose(slope, engine.A[:, i], atol=1e-9)
     slope = (jet_engine_rate(np.zeros(3), [h]) - jet_engine_rate(np.zeros(3), [-h])) / (2 * h)
-    np.testing.assert_allclose(slope, engine.Bu[:, 0], atol=1e-9)
+    np.testing.assert_allclose(slope, engine.B[:, 0], atol=1e-9)
 
 
 @pytest.mark.parametrize("u", [-0.2, 0.0, 0.1, 0.2])

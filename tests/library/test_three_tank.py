@@ -26,8 +26,8 @@ def test_linear_model_is_the_derivative_of_the_nonlinear_one() -> None:
     directions = {name: plant.Bf[:, i] for i, name in enumerate(plant.faults)}
     for i in range(2):
         found = slope(lambda s, i=i: three_tank_rate(h, q + s * np.eye(2)[i]), 1e-3)
-        np.testing.assert_allclose(found, plant.Bu[:, i], atol=1e-9)
-        np.testing.assert_array_equal(directions[f"Q{i + 1} actuator"], plant.Bu[:, i])
+        np.testing.assert_allclose(found, plant.B[:, i], atol=1e-9)
+        np.testing.assert_array_equal(directions[f"Q{i + 1} actuator"], plant.B[:, i])
     for i, pipe in enumerate(("13", "20", "32")):
         found = slope(lambda s, i=i: three_tank_rate(h, q, clogs=s * eye[i]), 1e-4)
         np.testing.assert_allclose(found, directions[f"clog {pipe}"], atol=1e-9)

@@ -47,7 +47,7 @@ def test_rows_and_columns_of_ordinary_plants_match_in_norm(seed: int) -> None:
     rng = np.random.default_rng(seed)
     p = random_plant(rng, n=4, outputs=3, inputs=2, faults=0, feedthrough=True, dt=0.0)
     t, y, u = (10.0 ** rng.uniform(-4, 4, k) for k in (4, 3, 2))
-    found = balance_system(t[:, None] * p.A / t, t[:, None] * p.Bu * u, y[:, None] * p.C / t, y[:, None] * p.Du * u)
+    found = balance_system(t[:, None] * p.A / t, t[:, None] * p.B * u, y[:, None] * p.C / t, y[:, None] * p.D * u)
     W = np.block([[found.A, found.B], [found.C, found.D]])
     np.fill_diagonal(W[:4, :4], 0.0)
     ratio = np.linalg.norm(W[:4], axis=1) / np.linalg.norm(W[:, :4], axis=0)

@@ -390,9 +390,9 @@ def test_rows_of_rounding_are_no_failed_elimination() -> None:
     small = without_algebraic_equations(plant)
     assert small.n_states == np.linalg.matrix_rank(E)
     s = 0.3 + 0.7j
-    wanted = plant.C @ np.linalg.solve(s * np.array(E) - plant.A, plant.Bu)
+    wanted = plant.C @ np.linalg.solve(s * np.array(E) - plant.A, plant.B)
     np.testing.assert_allclose(
-        small.C @ np.linalg.solve(s * np.eye(small.n_states) - small.A, small.Bu) + small.Du, wanted, rtol=1e-9
+        small.C @ np.linalg.solve(s * np.eye(small.n_states) - small.A, small.B) + small.D, wanted, rtol=1e-9
     )
 
 

@@ -27,7 +27,7 @@ LIVE = "document.body.dataset.state === 'live'"
 def test_the_page_is_whole_without_a_server():
     page = live_page(NASTY)
     reader = read(page)
-    assert [tag for tag, _ in reader.tags].count("script") == 6
+    assert [tag for tag, _ in reader.tags].count("script") == 7
     assert not any("src" in dict(attributes) for tag, attributes in reader.tags if tag in ("script", "img", "iframe"))
     assert "three tanks" not in words(page)
     assert words(live_page("three <tanks>")).startswith("three <tanks>")
@@ -42,7 +42,7 @@ def test_no_data_is_ever_taken_as_html():
     """The scripts of the page put text, and nothing else, into it."""
     from importlib import resources
 
-    for name in ("live.js", "live_charts.js", "axes.js"):
+    for name in ("live.js", "live_charts.js", "axes.js", "reading.js"):
         text = resources.files("residua.report").joinpath("static", name).read_text()
         for word in ("innerHTML", "outerHTML", "insertAdjacentHTML", "document.write", "eval(", "new Function"):
             assert word not in text, name
@@ -273,6 +273,34 @@ def test_it_fits_its_window(page, view, width, hash):
         page.wait(LIVE)
         page.wait("document.body.dataset.drawnCharts > 0" if hash else "document.querySelector('tr[data-plant=north]')")
         assert page.ask("document.documentElement.scrollWidth") <= width
+
+
+def test_the_ratio_reads_as_such_on_a_phone(page, view):
+    view.play(900)
+    page.size(390, 844, phone=True)
+    with Server(view) as running:
+        page.open(running.address)
+        page.wait("document.querySelector('tr[data-plant=north]')")
+        cell = "document.querySelector('tr[data-plant=north] td.num')"
+        assert float(page.ask(f"{cell}.textContent")) > 1
+        assert page.ask(f"getComputedStyle({cell}, '::after').content") == '" × the threshold"'
+
+
+def test_a_live_chart_is_read_by_keyboard_and_as_a_table(page, view):
+    view.play(400)
+    with Server(view) as running:
+        page.open(running.address + "#/north")
+        page.wait("document.body.dataset.drawnCharts > 0")
+        page.ask("document.querySelector('#statistic .plot').focus()")
+        heard = "document.activeElement.getAttribute('aria-valuetext')"
+        last = view.plants["north"].diagnosis.statistic[399]
+        assert float(page.ask(heard).split(": ")[1]) == pytest.approx(last, rel=1e-3)
+        page.call("Input.dispatchKeyEvent", type="keyDown", key="ArrowLeft")
+        before = view.plants["north"].diagnosis.statistic[398]
+        assert float(page.ask(heard).split(": ")[1]) == pytest.approx(before, rel=1e-3)
+        page.ask("document.querySelector('#statistic summary').click()")
+        page.wait("document.querySelectorAll('#statistic tbody tr').length === 24")
+        assert "alarm" in page.ask("document.querySelector('#statistic tbody').lastChild.textContent")
 
 
 @pytest.mark.parametrize("dark", [False, True])

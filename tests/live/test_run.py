@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import threading
 import time
 from collections.abc import Sequence
@@ -225,3 +226,37 @@ def test_what_is_committed_together_is_bounded_in_bytes_too() -> None:
     assert [one.arrived for one in inbox.take(10, 0.0, 2000)] == [0.0, 1.0]
     assert [one.arrived for one in inbox.take(10, 0.0, 1)] == [2.0]  # one alone, however large
     assert len(inbox.take(10, 0.0)) == 2
+
+
+BROKEN = {
+    "json": ('{"plant": "north", "t": 3.0, "u": [', r"json \(line 2: not JSON: .*; got "),
+    "shape": ('{"plant": "north", "t": 3.0, "y": [1, 2]}', r"shape \(line 2: u must have as many rows as y"),
+    "keys": ('{"plant": "north", "time": 3.0}', r"shape \(line 2: keys must be plant, t, u, y"),
+    "number": ('{"plant": "north", "t": 3.0, "values": {"h1": "Bad"}}', r"number \(line 2: values must be numbers"),
+    "channel": (
+        '{"plant": "north", "t": 3.0, "values": {"H1": 2}}',
+        r"channel \(line 2: no channel 'H1' \(did you mean 'h1'\?\); the plant has Q1, Q2, h1, h2, h3; got ",
+    ),
+    "plant": ('{"plant": "south", "t": 3.0, "u": [1, 2], "y": [1]}', r"plant \(line 2: plant 'south' is not watched"),
+    "time": ('{"plant": "north", "t": "noon", "u": [1, 2], "y": [1, 2, 3]}', r"time \(line 2: t must be seconds"),
+}
+
+
+@pytest.mark.parametrize("kind", BROKEN)
+def test_a_broken_line_is_quoted_with_a_right_one(tmp_path: Path, kind: str, caplog: pytest.LogCaptureFixture) -> None:
+    text, message = BROKEN[kind]
+    rows = recording(2000)
+    run = made(tmp_path, [line("north", 0.0, rows[0]), text, *(line("north", float(k), rows[k]) for k in range(1, 40))])
+    run.work()
+    (warning,) = [record.getMessage() for record in caplog.records if record.name == "residua.live"]
+    assert re.search(message, warning)
+    assert repr(text) in warning
+    assert run.watch.plants["north"].count == 40
+    run.close()
+    sample = warning[warning.index("expected such as ") + len("expected such as ") : -1]
+    (tmp_path / "again").mkdir()
+    again = made(tmp_path / "again", [sample])
+    again.work()
+    assert again.numbers.rows
+    assert not again.numbers.dropped
+    again.close()

@@ -13,7 +13,8 @@ import pytest
 import residua as rs
 from bank_examples import hand_made_bank, recording, sampled_plant, with_gaps
 from effort import cases
-from residua.decide import BankTest, Directional, NormThreshold, Structured, read_codes
+from residua.decide import Directional, NormThreshold, Structured, read_codes
+from residua.decide.member_thresholds import BankTest
 from residua.decide.norm_threshold import fit_norm_test
 from residua.errors import FileFormatError, ModelError, SettingError
 from residua.monitor.fused import run_block

@@ -93,9 +93,9 @@ def test_where_it_cannot_be_told() -> None:
     rows = np.random.default_rng(0).standard_normal((300 * len(many) + 100, 20))
     assert all(a.began is None for a in dated(rows, *many)), "noise has no direction and no change"
     clock = Clock("", 1.0)
-    assert began_text(many[0], clock) == "when it began cannot be told: at or before 520 s"
+    assert began_text(many[0], clock) == "began at an unknown time, at or before 520 s"
     edge = replace(many[0], began=Beginning(None, 400.0, 450.0))
-    assert began_text(edge, clock).startswith("began at or before 450 s: what was recorded before")
+    assert began_text(edge, clock).startswith("began at or before 450 s; the earlier data")
 
 
 def test_missing_samples_do_not_move_it() -> None:
@@ -165,7 +165,7 @@ def test_filters_that_predict_no_output_say_so() -> None:
     assert isinstance(found, rs.Diagnosis)
     found = replace(found, compared=())
     assert found.predictions == {}
-    assert "without predicting an output" in signal_text(found)
+    assert "predicts no output" in signal_text(found)
 
 
 def test_a_band_holds_the_share_that_is_said(leak: rs.Diagnosis) -> None:

@@ -150,7 +150,7 @@ def test_a_bank_with_its_estimator_is_saved(tmp_path: Path) -> None:
 
 def test_units_are_those_of_the_component() -> None:
     p = sampled_plant(0, actuators=True)
-    p = rs.Plant(p.A, p.Bu, p.C, dt=0.5, units={"y1": "m", "u1": "V", "x1": "kg"}).with_sensor_faults()
+    p = rs.Plant(p.A, p.B, p.C, dt=0.5, units={"y1": "m", "u1": "V", "x1": "kg"}).with_sensor_faults()
     p = p.with_actuator_faults().with_faults({"leak": np.ones(4)})
     assert fault_unit(p, "y1 sensor") == "m"
     assert fault_unit(p, p.faults[4]) == "V"
@@ -184,7 +184,7 @@ def test_what_cannot_run_beside_is_refused() -> None:
 
 
 def replace_matrices(p: rs.Plant) -> rs.Plant:
-    other = rs.Plant(0.9 * p.A, p.Bu, 2 * p.C, dt=p.dt)
+    other = rs.Plant(0.9 * p.A, p.B, 2 * p.C, dt=p.dt)
     return other.with_sensor_faults()
 
 

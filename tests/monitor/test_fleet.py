@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -104,7 +105,7 @@ def test_an_alarm_says_when_and_what(kind: str) -> None:
     whole, ticked = rs.Fleet(monitor(kind), plants=[10, 20, 30]), []
     for k in range(70):
         fleet.tick(None, u[:, k], y[:, k])
-    decisions = whole.run(u[:, :70], y[:, :70])
+    decisions = whole.update(u[:, :70], y[:, :70])
     assert isinstance(decisions, rs.monitor.Decisions)
     diagnosis = monitor(kind).run(u[0, :70], y[0, :70])
     assert isinstance(diagnosis, rs.Diagnosis)
@@ -120,7 +121,7 @@ def test_an_alarm_says_when_and_what(kind: str) -> None:
     assert ticked[0] == ticked[1] == decisions.statistic[0, -1]
     for k in range(70, 80):
         fleet.tick(None, u[:, k], y[:, k])
-        whole.run(u[:, k : k + 1], y[:, k : k + 1])
+        whole.update(u[:, k : k + 1], y[:, k : k + 1])
     assert fleet.alarms == whole.alarms
 
 
@@ -130,12 +131,12 @@ def test_splits_threads_and_snapshots_change_no_bit(kind: str, seed: int) -> Non
     rng = np.random.default_rng(seed)
     u, y = data(6, 60, 5)
     ids = [f"plant {k}" for k in range(6)]
-    expected = rs.Fleet(monitor(kind), plants=ids).run(u, y)
+    expected = rs.Fleet(monitor(kind), plants=ids).update(u, y)
     assert isinstance(expected, rs.monitor.Decisions)
     fleet, statistic, start = rs.Fleet(monitor(kind), plants=ids, threads=int(rng.integers(1, 4))), [], 0
     for stop in [*np.sort(rng.integers(0, 61, 4)).tolist(), 60]:
         where = [ids.index(plant) for plant in fleet.plants]  # pyright: ignore[reportArgumentType]
-        part = fleet.run(u[where, start:stop], y[where, start:stop])
+        part = fleet.update(u[where, start:stop], y[where, start:stop])
         assert isinstance(part, rs.monitor.Decisions)
         statistic.append(part.statistic[np.argsort(where)])
         start, change = stop, rng.integers(4)
@@ -155,7 +156,7 @@ def test_splits_threads_and_snapshots_change_no_bit(kind: str, seed: int) -> Non
 def test_a_snapshot_keeps_alarms_and_last_decisions(kind: str) -> None:
     u, y = data(3, 60, 2)
     fleet = rs.Fleet(monitor(kind), plants=[1, 2, 3])
-    fleet.run(u[:, :50], y[:, :50])
+    fleet.update(u[:, :50], y[:, :50])
     again = rs.Fleet.restore(fleet.snapshot(), monitor(kind))
     assert again.alarms == fleet.alarms != []
     assert again.decision(1).named == fleet.decision(1).named != ()
@@ -173,7 +174,7 @@ def test_a_snapshot_has_the_same_bytes_without_the_kernel(kind: str, monkeypatch
         monkeypatch.setattr(fused, "_kernel", kernel)
         fleet = rs.Fleet(monitor(kind), plants=range(6))
         for k in range(0, 60, 4):
-            fleet.run(u[:, k : k + 3], y[:, k : k + 3])
+            fleet.update(u[:, k : k + 3], y[:, k : k + 3])
             fleet.tick(None, u[:, k + 3], y[:, k + 3])
         made.append(fleet.snapshot())
     assert made[0] == made[1]
@@ -227,12 +228,12 @@ def test_several_models() -> None:
     for k in range(20):
         tick = fleet.tick(["v2", "p1", "v1", "p2"], u[:, k], y[:, k])
     pumps, valves = (rs.Fleet(monitor(kind), plants=[0, 1]) for kind in ("norm", "CUSUM"))
-    one, other = pumps.run(u[[1, 3], :20], y[[1, 3], :20]), valves.run(u[[2, 0], :20], y[[2, 0], :20])
+    one, other = pumps.update(u[[1, 3], :20], y[[1, 3], :20]), valves.update(u[[2, 0], :20], y[[2, 0], :20])
     assert isinstance(one, rs.monitor.Decisions)
     assert isinstance(other, rs.monitor.Decisions)
     own = [other.statistic[1, -1], one.statistic[0, -1], other.statistic[0, -1], one.statistic[1, -1]]
     assert np.array_equal(tick.statistic, own, equal_nan=True)
-    blocks = fleet.run({"pumps": u[[1, 3], 20:]}, {"pumps": y[[1, 3], 20:]})
+    blocks = fleet.update({"pumps": u[[1, 3], 20:]}, {"pumps": y[[1, 3], 20:]})
     assert list(blocks) == ["pumps"]
     again = rs.Fleet.restore(fleet.snapshot(), {"pumps": monitor("norm"), "valves": monitor("CUSUM")})
     assert again.plants == fleet.plants
@@ -248,7 +249,7 @@ def test_several_models() -> None:
         (lambda f, u, y: f.tick([1, 2], u[:2], y[:3]), r"y must have shape \(2, 2\).*got \(3, 2\)"),
         (lambda f, u, y: f.tick([1, 2], None, y[:2]), r"u must have shape \(2, 1\)"),
         (lambda f, u, y: f.tick([1], u[:1], [["high", 1.0]]), "y must be an array of numbers"),
-        (lambda f, u, y: f.run(u[:, None], y[:2, None]), r"y must be \(3 plants, time, 2\), got shape"),
+        (lambda f, u, y: f.update(u[:, None], y[:2, None]), r"y must be \(3 plants, time, 2\), got shape"),
         (lambda f, u, y: f.add([2]), "2 is in the fleet already"),
         (lambda f, u, y: f.remove([7]), "no plant 7"),
         (lambda f, u, y: f.decision(3), "3 has had no sample yet"),
@@ -290,7 +291,7 @@ def test_settings_that_do_not_fit_are_refused() -> None:
 
 def taken() -> bytes:
     fleet = rs.Fleet(monitor("norm"), plants=[1, 2, 3])
-    fleet.run(*data(3, 30, 7))
+    fleet.update(*data(3, 30, 7))
     return fleet.snapshot()
 
 
@@ -337,7 +338,7 @@ def test_a_snapshot_that_somebody_made_up_runs_or_is_refused() -> None:
             fleet = rs.Fleet.restore(resealed(content, int(rng.integers(len(content) - 32)), int(rng.integers(256))),
                                      monitor("norm"))  # fmt: skip
             with np.errstate(all="ignore"):
-                fleet.run(u, y)
+                fleet.update(u, y)
         except FileFormatError:
             refused += 1
     assert 0 < refused < 300
@@ -384,7 +385,7 @@ def test_samples_without_a_decision_do_not_move_an_onset(kind: str) -> None:
     u, y = data(6, 90, 4)
     y[::2, 20:60, 1] += 8.0
     y[np.random.default_rng(5).random(y.shape[:2]) < 0.4, 0] = np.nan
-    made = rs.Fleet(monitor(kind), plants=range(6)).run(u, y)
+    made = rs.Fleet(monitor(kind), plants=range(6)).update(u, y)
     assert isinstance(made, rs.monitor.Decisions)
     expected, moved = [], 0
     for p in range(6):
@@ -437,3 +438,49 @@ def test_a_tuple_of_ids_that_comes_again_gives_the_bits_of_a_list() -> None:
         assert np.array_equal(one.statistic, same.statistic, equal_nan=True)
         assert np.array_equal(one.alarm, same.alarm)
     assert once.snapshot() == again.snapshot()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_recordings_by_plant_give_the_diagnoses_of_a_monitor(kind: str) -> None:
+    u, y = data(3, 90, 8)
+    ids = ["a", "b", "c"]
+    fleet = rs.Fleet(monitor(kind), plants=ids)
+    fleet.update(u[:, :40], y[:, :40])
+    before = fleet.snapshot()
+    found = fleet.run({plant: (u[p], y[p]) for p, plant in enumerate(ids) if plant != "b"})
+    assert list(found) == ["a", "c"]
+    for plant, one in found.items():
+        alone = monitor(kind).run(u[ids.index(plant)], y[ids.index(plant)])
+        assert isinstance(alone, rs.Diagnosis)
+        assert one.alarms == alone.alarms
+        assert np.array_equal(one.statistic, alone.statistic, equal_nan=True)
+        assert one.source == plant
+    assert found["a"].alarms
+    assert fleet.snapshot() == before
+
+
+def test_recordings_of_several_models_may_be_files_and_frames(tmp_path: Path) -> None:
+    u, y = data(2, 60, 9)
+    path = tmp_path / "rows.csv"
+    np.savetxt(path, np.hstack([2.0 * np.arange(60)[:, None], u[0], y[0]]), delimiter=",", header="time,pump,low,high")
+    path.write_text(path.read_text(encoding="utf-8").lstrip("# "), encoding="utf-8")
+    fleet = rs.Fleet({"pumps": (monitor("norm"), ["p"]), "valves": (monitor("CUSUM"), ["v"])})
+    found = fleet.run({"v": (u[1], y[1]), "p": path})
+    for plant, kind, p in (("v", "CUSUM", 1), ("p", "norm", 0)):
+        alone = monitor(kind).run(u[p], y[p])
+        assert isinstance(alone, rs.Diagnosis)
+        assert found[plant].alarms == alone.alarms
+
+
+@pytest.mark.parametrize(
+    ("recordings", "words"),
+    [
+        (lambda u, y: {"nobody": (u[0], y[0])}, "the fleet has no plant 'nobody'"),
+        (lambda u, y: {"a": (u[0], y[0][:, :1])}, "'a': "),
+        (lambda u, y: {"a": (u, y)}, "'a': give one recording"),
+        (lambda u, y: u, r"update\(u, y\) goes on with a block"),
+    ],
+)
+def test_recordings_that_do_not_fit_are_refused(recordings: Any, words: str) -> None:
+    with pytest.raises(DataError, match=words):
+        rs.Fleet(monitor("norm"), plants=["a"]).run(recordings(*data(2, 30, 1)))

@@ -76,7 +76,7 @@ def several(fleet: rs.Fleet, u: np.ndarray, y: np.ndarray) -> None:
 
 
 def block(fleet: rs.Fleet, u: np.ndarray, y: np.ndarray) -> None:
-    fleet.run(u[:, 55:], y[:, 55:])
+    fleet.update(u[:, 55:], y[:, 55:])
 
 
 def followed(fleet: rs.Fleet, u: np.ndarray, y: np.ndarray) -> None:

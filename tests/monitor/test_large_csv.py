@@ -13,6 +13,7 @@ from hypothesis import HealthCheck, example, given, settings, strategies as st
 from residua.errors import ResiduaError
 from residua.recording import csv_arrow
 from residua.recording.csv_table import open_csv
+from residua.recording.missing import Marks
 from residua.recording.recording import read_recording
 
 pytest.importorskip("pyarrow")
@@ -154,7 +155,7 @@ def test_what_pyarrow_reads(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
     monkeypatch.setattr(csv_arrow, "LARGE", 0)
     body = csv_arrow.served(text, 3, ",", ".")
     assert body is not None
-    numbers = body.numbers([2, 0])
+    numbers = body.numbers([2, 0], Marks())
     assert numbers is not None
     np.testing.assert_array_equal(numbers[1], [0.0, 1.0])
 

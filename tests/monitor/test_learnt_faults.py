@@ -41,7 +41,7 @@ def recording(
     x, y = np.zeros(plant.n_states), []
     for k in range(rows):
         y.append(plant.C @ x + np.sqrt(0.1) * rng.standard_normal(len(plant.C)))
-        x = plant.A @ x + plant.Bu @ u[k] + 0.1 * rng.standard_normal(len(x))
+        x = plant.A @ x + plant.B @ u[k] + 0.1 * rng.standard_normal(len(x))
     out = np.array(y)
     if leak is not None:
         out[onset:] += leak[1] * leak[0]

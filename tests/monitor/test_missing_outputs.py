@@ -55,10 +55,10 @@ def textbook(made: rs.Plant, partial: PartialUpdate, data: np.ndarray) -> tuple[
         rows = np.flatnonzero(np.isfinite(y))
         Ca, innovation = C[rows], C[rows] @ P @ C[rows].T + R[np.ix_(rows, rows)]
         K = (A @ P @ Ca.T + S[:, rows]) @ np.linalg.inv(innovation)
-        r = y[rows] - Ca @ x - made.Du[rows] @ u
+        r = y[rows] - Ca @ x - made.D[rows] @ u
         if len(rows) == len(C):
             out[k] = np.linalg.solve(np.linalg.cholesky(innovation), r)
-        x = A @ x + made.Bu @ u + K @ r
+        x = A @ x + made.B @ u + K @ r
         P = A @ P @ A.T + Q - K @ innovation @ K.T
         P = (P + P.T) / 2  # otherwise rounding may grow in what is not symmetric, without bound
     return out, x

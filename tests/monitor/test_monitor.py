@@ -338,7 +338,7 @@ def test_two_frames_are_matched_by_name_too() -> None:
     assert isinstance(found, rs.Diagnosis)
     assert isinstance(expected, rs.Diagnosis)
     assert np.array_equal(found.statistic, expected.statistic, equal_nan=True)
-    with pytest.raises(DataError, match="no column 'y1'"):
+    with pytest.raises(DataError, match="missing column 'y1'"):
         monitor.run(u, swapped[["y2"]])
 
 

@@ -28,14 +28,14 @@ from dedicated_examples import (
     three_drifts,
 )
 from residua.decide import (
-    BankTest,
     Directional,
     MultiscaleEWMA,
-    NormTest,
     NormThreshold,
     PeakThreshold,
     peak_over_window,
 )
+from residua.decide.member_thresholds import BankTest
+from residua.decide.whitened_norm import NormTest
 from residua.errors import DataError, FileFormatError, ModelError, NotFittedError, SettingError
 from residua.linear import StateSpace, peak_input, peak_norm
 from residua.monitor import PresentFault

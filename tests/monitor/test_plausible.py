@@ -182,7 +182,7 @@ def test_limits_go_with_the_units(power: int) -> None:
     k = 2.0**power
     base = rs.library.gertler(sensor_faults=True).with_noise(process=0.01, measurement=0.1)
     other = rs.Plant(
-        base.A, base.Bu, base.C * k, base.Du * k, dt=base.dt, inputs=base.inputs, outputs=base.outputs
+        base.A, base.B, base.C * k, base.D * k, dt=base.dt, inputs=base.inputs, outputs=base.outputs
     ).with_noise(process=0.01, measurement=0.1 * k * k)
     one = rs.Monitor(rs.design.kalman_filter(base)).fit(u, y)._specification().plausible
     two = rs.Monitor(rs.design.kalman_filter(other)).fit(u, y * k)._specification().plausible

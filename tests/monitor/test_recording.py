@@ -241,7 +241,9 @@ def test_missing_cells_are_counted(tmp_path: Path, cell: str) -> None:
 def test_missing_columns_are_listed_with_what_is_there(tmp_path: Path) -> None:
     path = write_csv(tmp_path / "data.csv", names=("Q1", "q2", "h1", "H_2", "h3"))
     with pytest.raises(
-        DataError, match=r"data.csv: missing columns 'Q2' \(did you mean 'q2'\?\), 'h2'.*there are: 'time'"
+        DataError,
+        match=r"data.csv: missing column 'h2' \(did you mean 'H_2'\?\); there are: 'time'.*; choose by "
+        r"columns=\{'h2': 'H_2'\}$",
     ):
         read_recording(path, PLANT)
     assert_read(read_recording(path, PLANT, columns={"Q2": "q2", "h2": "H_2"}))
@@ -253,7 +255,7 @@ def test_missing_columns_are_listed_with_what_is_there(tmp_path: Path) -> None:
 
 def test_a_column_that_is_matched_is_not_what_was_meant_by_another(tmp_path: Path) -> None:
     path = write_csv(tmp_path / "data.csv", names=("Q1", "Q2", "h1", "x", "h3"))
-    with pytest.raises(DataError, match=r"missing column 'h2'; there are: 'time'"):
+    with pytest.raises(DataError, match=r"missing column 'h2'; there are: 'time'.*give columns=\{'h2': '...'\}"):
         read_recording(path, PLANT)
 
 
@@ -289,7 +291,7 @@ TEXTS = {
         "column 'time', line 2: expected a time, got 'now'",
     ),
     "column twice": ("time,Q1,Q2,h1,h1,h2,h3\n0,1,2,3,4,5,6\n", DataError, "more than one column is called 'h1'"),
-    "binary": ("\x00\x01\x02", FileFormatError, "not a table of text"),
+    "binary": ("\x00\x01\x02", FileFormatError, "not a table of text .* export it as CSV"),
 }
 
 
@@ -312,8 +314,6 @@ def test_files_that_are_not_what_they_say(tmp_path: Path, ending: str, content: 
 
 
 def test_other_endings_and_objects_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(FileFormatError, match=r"unknown format '.xlsx'; known: .csv"):
-        read_recording(tmp_path / "data.xlsx", PLANT)
     path = tmp_path / "data.npz"
     np.savez(path, h1=np.array([{"a": 1}], dtype=object))
     with pytest.raises(FileFormatError, match="Python objects"):

@@ -138,10 +138,9 @@ def test_a_line_that_says_what_separates(tmp_path: Path) -> None:
     recording = read_recording(path, decimal=",")
     assert (recording.dt, list(recording.columns)) == (60.0, ["level, mean"])
     path.write_text("Stamp;level\n2026-11-20 08:00;1.5\n2026-11-20 08:01;2.5\n", encoding="utf-8")
-    with pytest.raises(
-        DataError, match=r"column 'Stamp', line 2: .*; if these are the times, name the column by time="
-    ):
-        read_recording(path, dt=1)
+    with pytest.raises(DataError, match=r"time= with the name of the column \(text is in 'Stamp'\)"):
+        read_recording(path)
+    assert read_recording(path, dt=1).notes == ("columns of text, left out: 'Stamp'",)
     assert read_recording(path, time="Stamp").dt == 60.0
 
 

@@ -56,7 +56,7 @@ def recording(
         f[t >= 5, plant.faults.index(name)] = size
     load = 2 + 1.5 * np.sin(1.3 * t)
     v = np.column_stack([u, f, load])
-    n, G = plant.n_states, np.hstack([plant.Bu, plant.Bf, plant.Bd])
+    n, G = plant.n_states, np.hstack([plant.B, plant.Bf, plant.Bd])
     whole = scipy.linalg.expm(STEP * np.block([[plant.A, G], [np.zeros((G.shape[1], n + G.shape[1]))]]))
     X, x = np.zeros((len(t), n)), np.zeros(n)
     x[:4] = np.linalg.solve(plant.A[:4, :4], -G[:4] @ v[0])

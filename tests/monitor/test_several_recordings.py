@@ -24,11 +24,11 @@ def flight(samples: int, seed: int, level: float = 0.0) -> tuple[np.ndarray, np.
     rng = np.random.default_rng(seed)
     u = level + 0.3 * np.sign(np.sin(0.05 * np.arange(samples)))[:, None]
     u[0] = level
-    x = np.linalg.solve(np.eye(2) - PLANT.A, PLANT.Bu[:, 0] * level)
+    x = np.linalg.solve(np.eye(2) - PLANT.A, PLANT.B[:, 0] * level)
     y = np.empty((samples, 2))
     for k in range(samples):
         y[k] = x + 0.1 * rng.standard_normal(2)
-        x = PLANT.A @ x + PLANT.Bu @ u[k] + 0.01 * rng.standard_normal(2)
+        x = PLANT.A @ x + PLANT.B @ u[k] + 0.01 * rng.standard_normal(2)
     return u, y
 
 

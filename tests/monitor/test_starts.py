@@ -145,7 +145,7 @@ def test_any_cutting_and_any_fleet_gives_the_same_bits(seed: int, kind: str, set
 def test_units_do_not_matter(power: int) -> None:
     k = 2.0**power
     base = tank()
-    scaled = rs.Plant(base.A, base.Bu, base.C * k, base.Du, dt=0.1).with_sensor_faults().with_actuator_faults()
+    scaled = rs.Plant(base.A, base.B, base.C * k, base.D, dt=0.1).with_sensor_faults().with_actuator_faults()
     scaled = scaled.with_noise(process=1e-6, measurement=1e-4 * k * k)
     u, y = under_way(400, 5)
     one = rs.Monitor(rs.design.kalman_filter(base)).run(u, y)

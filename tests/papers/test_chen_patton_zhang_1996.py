@@ -108,9 +108,9 @@ def test_signature_subspaces_lie_in_those_of_definition_6() -> None:
 def quadratic_steady_state(plant: rs.Plant, u: float) -> np.ndarray:
     """Return the rest state of x' = A x + B u + E d(x), by Newton's method from the linear one."""
     E = np.array(E_HAT)
-    x = -np.linalg.solve(plant.A, plant.Bu[:, 0] * u)
+    x = -np.linalg.solve(plant.A, plant.B[:, 0] * u)
     for _ in range(50):
-        f = plant.A @ x + plant.Bu[:, 0] * u + E @ rs.plant.quadratic_terms(x)
+        f = plant.A @ x + plant.B[:, 0] * u + E @ rs.plant.quadratic_terms(x)
         J = np.column_stack(
             [
                 plant.A[:, k]

@@ -20,7 +20,7 @@ LS, LY = np.array([[-2.0, 2]]), np.array([[1.0, -2]])
 def test_v5_d_the_printed_unknown_input_observer() -> None:
     plant = rs.library.gertler()
     np.testing.assert_allclose(T @ plant.A - M @ T - N @ plant.C, 0, atol=1e-12)
-    np.testing.assert_allclose(T @ plant.Bu, J, atol=1e-12)
+    np.testing.assert_allclose(T @ plant.B, J, atol=1e-12)
     np.testing.assert_allclose(LS @ T + LY @ plant.C, 0, atol=1e-12)
     np.testing.assert_allclose(T @ plant.Bf[:, 0], 0, atol=1e-12)
     system = StateSpace(M, np.hstack([J, N]), LS, np.hstack([[[0.0]], LY]), dt=1, outputs=["r"])

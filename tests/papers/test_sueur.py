@@ -47,24 +47,24 @@ def test_poles_of_the_aircraft() -> None:
 @BOTH
 def test_there_is_no_zero_from_the_actuators_and_both_matrices_are_as_printed(corrected: bool) -> None:
     aircraft = rs.library.vtol(corrected=corrected)
-    np.testing.assert_array_equal(aircraft.Bu[2], [-5.52 if corrected else 5.52, 4.49])
-    assert invariant_zeros(aircraft.A, aircraft.Bu, aircraft.C).zeros.size == 0
+    np.testing.assert_array_equal(aircraft.B[2], [-5.52 if corrected else 5.52, 4.49])
+    assert invariant_zeros(aircraft.A, aircraft.B, aircraft.C).zeros.size == 0
     # an independent statement: the pencil has full column rank at every generalised eigenvalue of a square part
     for rows in ([0, 1], [0, 2], [1, 2]):
-        M = np.block([[aircraft.A, aircraft.Bu], [aircraft.C[rows], np.zeros((2, 2))]])
+        M = np.block([[aircraft.A, aircraft.B], [aircraft.C[rows], np.zeros((2, 2))]])
         for s in scipy.linalg.eigvals(M, scipy.linalg.block_diag(np.eye(4), np.zeros((2, 2)))):
             if np.isfinite(s) and abs(s) < 1e6:
-                assert pencil_rank_at(aircraft.A, aircraft.Bu, aircraft.C, s=complex(s)).rank == 6
+                assert pencil_rank_at(aircraft.A, aircraft.B, aircraft.C, s=complex(s)).rank == 6
 
 
 @pytest.mark.parametrize(("corrected", "stable"), [(True, False), (False, True)], ids=["-5.52", "+5.52"])
 def test_with_two_outputs_only_the_sign_decides(corrected: bool, stable: bool) -> None:
     aircraft = rs.library.vtol(corrected=corrected)
-    zeros = invariant_zeros(aircraft.A, aircraft.Bu, aircraft.C[:2]).zeros
+    zeros = invariant_zeros(aircraft.A, aircraft.B, aircraft.C[:2]).zeros
     assert len(zeros) == 2
     assert np.isclose(zeros[0], np.conj(zeros[1]))
     assert bool((zeros.real < 0).all()) is stable
-    two = rs.Plant(aircraft.A, aircraft.Bu, aircraft.C[:2], inputs=aircraft.inputs).with_actuator_faults()
+    two = rs.Plant(aircraft.A, aircraft.B, aircraft.C[:2], inputs=aircraft.inputs).with_actuator_faults()
     if stable:
         found = rs.design.fault_estimator(two)
         assert same_poles(found.observer.evidence.fixed_poles, zeros, 1e-8)
@@ -146,7 +146,7 @@ def implicit_form(
     plant: rs.Plant, found: rs.design.InverseFormObserver, times: np.ndarray, faults: np.ndarray, x0: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Integrate plant and eqs. (5), (8) as they are printed, with the exact derivative; return x, xhat and dhat."""
-    A, B, F, H = plant.A, plant.Bu, found.observer.plant.Bd, plant.C
+    A, B, F, H = plant.A, plant.B, found.observer.plant.Bd, plant.C
     rows = [plant.outputs.index(name) for name in found.first]
     H1, inverse, n = H[rows], np.linalg.inv(A), len(A)
     G = np.linalg.inv(H1 @ inverse @ F)
@@ -200,7 +200,7 @@ def test_the_inverse_form_is_an_unknown_input_observer(corrected: bool) -> None:
     X, XH, DH = implicit_form(aircraft, found, times, faults, x0)
     # the observer as one system with the plant: exact for inputs held over each step; w(0) makes xhat(0) = 0
     A = np.block([[aircraft.A, np.zeros((4, 4))], [o.K @ aircraft.C, o.F]])
-    B = np.vstack([np.hstack([aircraft.Bu, F]), np.hstack([o.G, np.zeros((4, 2))])])
+    B = np.vstack([np.hstack([aircraft.B, F]), np.hstack([o.G, np.zeros((4, 2))])])
     whole = rs.StateSpace(A, B, np.hstack([o.H @ aircraft.C, o.M])).discretize(h)
     start = np.concatenate([x0, -o.H @ aircraft.C @ x0])
     states = whole.simulate(np.hstack([np.ones((len(times), 2)), faults]), start)

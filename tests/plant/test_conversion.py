@@ -24,7 +24,7 @@ MATRICES = (
 
 
 def assert_same(plant: Plant, dt: float) -> None:
-    for mine, given in zip((plant.A, plant.Bu, plant.C, plant.Du), MATRICES, strict=True):
+    for mine, given in zip((plant.A, plant.B, plant.C, plant.D), MATRICES, strict=True):
         np.testing.assert_array_equal(mine, given)
     assert plant.dt == dt
 

@@ -255,7 +255,7 @@ def test_equations_hold_from_any_initial_state(k: int) -> None:
     rest = np.zeros((1, 9))
     whole = rs.Plant(
         A,
-        np.vstack([plant.Bu, rest[:, : plant.Bu.shape[1]]]),
+        np.vstack([plant.B, rest[:, : plant.B.shape[1]]]),
         np.hstack([plant.C, np.ones((plant.n_outputs, 1))]),
         dt=0.1,
     ).with_disturbances({"d": np.append(plant.Bd, 0.0)})
@@ -405,7 +405,7 @@ def test_round_trip_in_other_units(k: int) -> None:
     T, U = 10 ** rng.uniform(-5, 5, plain.n_states), 10 ** rng.uniform(-5, 5, len(plain.inputs))
     Y, time = 10 ** rng.uniform(-5, 5, plain.n_outputs), 1.0 if k % 2 else 10 ** rng.uniform(-6, 6)
     plant = rs.Plant(
-        time * plain.A / T[:, None] * T, plain.Bu / T[:, None] * U, plain.C * T * Y[:, None], dt=plain.dt
+        time * plain.A / T[:, None] * T, plain.B / T[:, None] * U, plain.C * T * Y[:, None], dt=plain.dt
     ).with_sensor_faults()
     back = InputOutputModel.from_plant(plant).to_plant()
     assert back.n_states == plant.n_states

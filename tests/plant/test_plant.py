@@ -16,7 +16,7 @@ from residua.plant import Fault, OperatingPoint, Plant
 def test_actuator_fault_enters_as_its_input() -> None:
     plant = example().with_actuator_faults("valve")
     assert plant.fault_list == (Fault("valve actuator", "actuator", "valve"),)
-    np.testing.assert_array_equal(plant.Bf[:, 0], plant.Bu[:, 1])
+    np.testing.assert_array_equal(plant.Bf[:, 0], plant.B[:, 1])
     assert not plant.Df.any()
 
 
@@ -81,8 +81,8 @@ def test_named_disturbances_keep_their_columns() -> None:
 def test_system_stacks_the_roles(seed: int) -> None:
     plant = random_plant(seed)
     system = plant.system(("fault", "control"))
-    np.testing.assert_array_equal(system.B, np.hstack([plant.Bf, plant.Bu]))
-    np.testing.assert_array_equal(system.D, np.hstack([plant.Df, plant.Du]))
+    np.testing.assert_array_equal(system.B, np.hstack([plant.Bf, plant.B]))
+    np.testing.assert_array_equal(system.D, np.hstack([plant.Df, plant.D]))
     assert system.inputs == plant.faults + plant.inputs
 
 
@@ -100,10 +100,10 @@ def test_noise_covariances_come_back(seed: int) -> None:
 def test_sampling_agrees_with_the_matrix_exponential(seed: int) -> None:
     plant, h = random_plant(seed), 0.07
     sampled = plant.discretize(h)
-    B = np.hstack([plant.Bu, plant.Bd, plant.Bf])
+    B = np.hstack([plant.B, plant.Bd, plant.Bf])
     X = scipy.linalg.expm(np.block([[plant.A, B], [np.zeros((B.shape[1], 4 + B.shape[1]))]]) * h)
     np.testing.assert_allclose(sampled.A, X[:4, :4], atol=1e-12)
-    np.testing.assert_allclose(np.hstack([sampled.Bu, sampled.Bd, sampled.Bf]), X[:4, 4:], atol=1e-12)
+    np.testing.assert_allclose(np.hstack([sampled.B, sampled.Bd, sampled.Bf]), X[:4, 4:], atol=1e-12)
     times = np.linspace(0, h, 401)  # Simpson's rule
     weights = np.full(401, 2.0)
     weights[1::2], weights[[0, -1]] = 4.0, 1.0

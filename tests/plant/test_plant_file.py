@@ -139,18 +139,36 @@ def test_examples_are_what_the_library_has(name: str) -> None:
         np.testing.assert_allclose(getattr(example, key), getattr(plant, key), rtol=1e-11, atol=1e-14)
 
 
-def test_the_example_in_the_documentation_is_the_three_tank_plant() -> None:
+def documented() -> str:
     page = (REPOSITORY / "docs" / "plant-file.rst").read_text(encoding="utf-8")
-    block = re.search(r"\.\. code-block:: toml\n   :name: three-tank\n\n((?:    .*\n|\n)+)", page)
+    block = re.search(r"\.\. code-block:: toml\n   :name: two-tanks\n\n((?:    .*\n|\n)+)", page)
     assert block
-    text = textwrap.dedent(block[1])
-    plant, library = loads_plant(text, source="plant-file.rst"), three_tank()
-    assert plant.faults == library.faults
-    assert plant.fault_components == library.fault_components
-    assert plant.units == library.units
-    assert plant.operating_point == library.operating_point
-    for key in ("A", "C", "Bu", "Bf", "Df", "process_noise", "measurement_noise"):
-        np.testing.assert_allclose(getattr(plant, key), getattr(library, key), rtol=1e-6, atol=1e-9)
+    return textwrap.dedent(block[1])
+
+
+def test_the_example_in_the_documentation_has_the_stated_defaults() -> None:
+    plant = loads_plant(documented(), source="two_tanks.toml")
+    assert plant.faults == ("pump actuator", "lower sensor", "leak")
+    assert plant.fault_components == ("pump", "lower", "upper tank")
+    assert plant.operating_point == OperatingPoint((30.0,), (41.0, 32.0))
+    assert (plant.dt, plant.disturbances) == (1.0, ("rain",))
+    np.testing.assert_array_equal(plant.measurement_noise, 0.02 * np.eye(2))
+    assert differences(plant, loads_plant(dumps_plant(plant))) == []
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("state = {upper = -1.8}", "state = [1, 2, 3]"),
+        ('output = "lower"', 'output = "lower"\ncomponnet = "gauge"'),
+        ('name = "two tanks"', "name = two tanks"),
+    ],
+)
+def test_the_errors_in_the_documentation_are_those_of_the_example(old: str, new: str) -> None:
+    page = (REPOSITORY / "docs" / "plant-file.rst").read_text(encoding="utf-8")
+    with pytest.raises(FileFormatError) as refused:
+        loads_plant(documented().replace(old, new, 1), source="two_tanks.toml")
+    assert str(refused.value).split("known here")[0] in page
 
 
 def edited(old: str, new: str) -> str:

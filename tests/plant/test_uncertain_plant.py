@@ -76,8 +76,8 @@ def test_closed_loop_runs_as_plant_and_controller_do_by_turns():
     x, xc, y = np.zeros(3), np.zeros(3), []
     for k in range(50):
         u = controller.C @ xc
-        y.append(member.C @ x + member.Du @ u + member.Dd @ d[k] + member.Df @ fault[k])
-        x = member.A @ x + member.Bu @ u + member.Bd @ d[k] + member.Bf @ fault[k]
+        y.append(member.C @ x + member.D @ u + member.Dd @ d[k] + member.Df @ fault[k])
+        x = member.A @ x + member.B @ u + member.Bd @ d[k] + member.Bf @ fault[k]
         xc = controller.A @ xc + controller.B @ y[-1]
     found = inside.system(("disturbance", "fault")).simulate(np.hstack([d, fault]))
     assert np.abs(found - np.array(y)).max() < 1e-12
@@ -121,7 +121,7 @@ def test_a_name_in_two_places_is_one_parameter():
     assert (len(unc.parameters), unc.channels) == (1, (0, 0))
     member = unc.member([0.1])
     assert member.A[0, 0] == pytest.approx(0.4)
-    assert member.Bu[:, 0] == pytest.approx([0.8, -0.1])
+    assert member.B[:, 0] == pytest.approx([0.8, -0.1])
     with pytest.raises(ModelError, match=r"'mass' is given bounds \[0, 1\] in dB and \[-0.1, 0.2\] before"):
         UncertainPlant(plant, [mass, Perturbation("B", [[2.0], [1.0]], [[1.0]], 0, 1, "mass")])
 
@@ -138,7 +138,7 @@ def test_affine_in_physical_parameters():
     assert (len(unc.parameters), len(unc.channels)) == (3, 2)  # the stiffness moves A and C by one channel
     assert unc.nominal_values.tolist() == [1.5, 0.1, 1.0]
     v = {"stiffness": 1.1, "damping": 0.25, "mass": 1.0}
-    for name in ("A", "Bu", "C", "Du"):
+    for name in ("A", "B", "C", "D"):
         assert np.abs(getattr(unc.member(v), name) - getattr(spring(v), name)).max() < 1e-13
 
 
@@ -147,7 +147,7 @@ def test_what_a_linearisation_leaves_out():
     left = unc.linearisation
     assert not left.exact
     # 1 / m against its chord through the nominal mass: at the ends 2/3 -+ 1/4 instead of 1 and 1/2.
-    assert left.deviation["Bu"][1, 0] == pytest.approx(1 - 2 / 3 - 0.25)
+    assert left.deviation["B"][1, 0] == pytest.approx(1 - 2 / 3 - 0.25)
     assert left.relative == pytest.approx((1 - 2 / 3 - 0.25) / 0.5)
     assert left.worst["mass"] in (1.0, 2.0)
     assert not left.deviation["C"].any()
@@ -220,7 +220,7 @@ def in_other_units(k: float, seed: int) -> rs.Plant:
 
 def test_rounding_of_zeros_is_neither_uncertain_nor_left_out():
     plants = [in_other_units(k, seed) for seed, k in enumerate((0.1, 0.2, 0.3, 0.15))]
-    assert any(np.any(plant.Du != plants[0].Du) for plant in plants)
+    assert any(np.any(plant.D != plants[0].D) for plant in plants)
     unc = UncertainPlant.from_plants(plants)
     assert (len(unc.parameters), len(unc.channels)) == (1, 1)
     assert unc.linearisation.exact
@@ -264,8 +264,8 @@ def test_a_list_of_plants():
     assert unc.linearisation.exact
     assert unc.plants == tuple(plants)
     # Every mixture of the plants lies in the box: least squares finds its coordinates.
-    stack = np.stack([np.hstack([p.A, p.Bu]) for p in plants])
-    ends = np.stack([np.hstack([unc.member({name: p.high}).A, unc.member({name: p.high}).Bu])
+    stack = np.stack([np.hstack([p.A, p.B]) for p in plants])
+    ends = np.stack([np.hstack([unc.member({name: p.high}).A, unc.member({name: p.high}).B])
                      for name, p in zip(unc.names, unc.parameters, strict=True)])  # fmt: skip
     unit = np.ptp(stack, axis=0) + (np.ptp(stack, axis=0) == 0)
     columns = ((ends - stack[0]) / unit).reshape(3, -1).T / unc.high

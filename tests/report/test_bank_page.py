@@ -78,8 +78,8 @@ def test_two_faults_are_not_a_found_fault() -> None:
     assert verdict(general).confidence == "poor match"
     sections = [Section("two", general, actual=["y1 sensor", "y3 sensor"]), Section("one", general, actual="y1 sensor")]
     text = words(render(sections, "t"))
-    assert "more than one fault, or one not known ✓ right" in text
-    assert "more than one fault, or one not known ✗ missed" in text
+    assert "several faults, or an unknown one ✓ right" in text
+    assert "several faults, or an unknown one ✗ missed" in text
 
 
 ALL, NONE = "something not listed", "no listed fault fires just these members"

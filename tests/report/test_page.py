@@ -45,14 +45,14 @@ def test_pages_need_a_folder_that_exists(tmp_path):
 
 def test_directions_of_a_monitor_that_does_not_isolate():
     page = words(render([Section("", EDGES["no isolation"][0]())], "t"))
-    assert "This monitor does not isolate; these are the signatures that it would judge by." in page
+    assert "This monitor does not isolate; these are the signatures it would judge by." in page
 
 
 def test_the_band_is_said_to_be_of_averaged_residuals():
     d = replace(diagnosis(), averaged=20, band_share=0.999)
     text = words(render([Section("", d)], "t"))
-    assert "(1 in 1,000 of its fault-free average over 20 samples is outside, if its noise is Gaussian)" in text
-    assert "its average over 20 samples, which is what the test judges and its band is for" in text
+    assert "with Gaussian noise, 1 in 1,000 fault-free averages over 20 samples is outside" in text
+    assert "its average over 20 samples; the test and the normal range refer to this average" in text
     charts = [c for c in chart_data(d)["charts"] if c["kind"] == "residual"]
     assert all(c["names"][1:] == ["average of 20"] and len(c["y"]) == 2 for c in charts)
 
@@ -89,7 +89,7 @@ def test_every_text_is_escaped():
     ]
     page = render(sections, NASTY, NASTY)
     reader = read(page)
-    assert [t for t, _ in reader.tags].count("script") == 5
+    assert [t for t, _ in reader.tags].count("script") == 6
     assert "img" not in [t for t, _ in reader.tags]
     assert not any(a.startswith("on") for _, attrs in reader.tags for a in attrs)
     labels = [c["label"] for c in json.loads(reader.data)["diagnoses"][0]["charts"] if c["kind"] == "residual"]
@@ -129,7 +129,7 @@ def test_missing_values_are_counted():
     d = diagnosis(missing=missing, resets=1)
     page = render([Section("", d)], "t")
     assert "12 samples (2 %) have missing values:" in words(page)
-    assert "the filter was restarted once after longer gaps" in words(page)
+    assert "The filter was restarted once after longer gaps." in words(page)
     assert json.loads(read(page).data)["diagnoses"][0]["spans"]["missing"] == [[10.0, 11.2]]
 
 
@@ -164,15 +164,12 @@ def _all_nan(d):
 EDGES = {
     "no alarm": (lambda: diagnosis(fault=False), "No fault found."),
     "no isolation": (
-        lambda: (
-            (d := diagnosis())
-            and replace(
-                d,
-                groups=(),
-                signatures=(),
-                scores=np.zeros((600, 0)),
-                alarms=(replace(d.alarms[0], candidates=()),),
-            )
+        lambda: replace(
+            (d := diagnosis()),
+            groups=(),
+            signatures=(),
+            scores=np.zeros((600, 0)),
+            alarms=(replace(d.alarms[0], candidates=()),),
         ),
         "it was not isolated",
     ),
@@ -191,35 +188,26 @@ EDGES = {
             scores=np.zeros((600, 0)),
             unjudged=generator(2).faults,
         ),
-        "Without a signature in this monitor",
+        "Never named, because this monitor has no signature for it",
     ),
     "scores not judged": (
-        lambda: (
-            (d := diagnosis())
-            and replace(d, alarms=(replace(d.alarms[0], candidates=(Candidate(("a",), np.nan, np.nan),)),))
+        lambda: replace(
+            (d := diagnosis()), alarms=(replace(d.alarms[0], candidates=(Candidate(("a",), np.nan, np.nan),)),)
         ),
         "it was not isolated",
     ),
     "one candidate": (
-        lambda: (d := diagnosis()) and replace(d, alarms=(replace(d.alarms[0], candidates=d.candidates[:1]),)),
+        lambda: replace((d := diagnosis()), alarms=(replace(d.alarms[0], candidates=d.candidates[:1]),)),
         "there is no other candidate",
     ),
     "poor match": (
-        lambda: (
-            (d := diagnosis())
-            and replace(d, alarms=(replace(d.alarms[0], candidates=(Candidate(("a",), 0.5, 0.87),)),))
-        ),
+        lambda: replace((d := diagnosis()), alarms=(replace(d.alarms[0], candidates=(Candidate(("a",), 0.5, 0.87),)),)),
         "a poor match: the best score is 0.500, below 0.90; nearest is a.",
     ),
     "close call": (
-        lambda: (
-            (d := diagnosis())
-            and replace(
-                d,
-                alarms=(
-                    replace(d.alarms[0], candidates=(Candidate(("a", "b"), 0.95, 0.3), Candidate(("c",), 0.94, 0.3))),
-                ),
-            )
+        lambda: replace(
+            (d := diagnosis()),
+            alarms=(replace(d.alarms[0], candidates=(Candidate(("a", "b"), 0.95, 0.3), Candidate(("c",), 0.94, 0.3))),),
         ),
         "This monitor cannot tell a and b apart.",
     ),
@@ -262,7 +250,7 @@ def test_several_diagnoses_share_a_summary_and_their_filters(tmp_path):
     text = words(page)
     assert "level 2 sensor ✓ right" in text
     assert "level 2 sensor ✗ wrong" in text
-    assert text.count("Evidence: what the design proves") == 2
+    assert text.count("Evidence: checks of the design") == 2
     assert "level 2 sensor ✗ false alarm" in text
     assert "No fault found ✓ right" in text
     assert "Used in: Beard, sensor 2, Beard, sensor 1, Beard, healthy and Quiet." in text
@@ -290,7 +278,7 @@ def test_a_settling_transient_does_not_set_the_axis():
     chart = json.loads(read(page).data)["diagnoses"][0]["charts"][0]
     assert chart["limits"] == [residuals[10:, 0].min(), residuals[10:, 0].max()]
     assert max(chart["y"][0]) > 99
-    assert "what a settling filter does may leave them" in words(page)
+    assert "a settling filter may run off them" in words(page)
 
 
 def test_a_fault_that_was_not_found_is_missed_not_wrong():

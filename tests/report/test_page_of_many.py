@@ -71,7 +71,7 @@ def test_ten_of_many_faults_are_shown_and_the_rest_counted(many: rs.Diagnosis) -
     assert scores["names"][0] == many.candidates[0].name
     text = words(page)
     assert f"{len(many.groups) - SHOWN_FAULTS} more candidates, with lower scores" in text
-    assert f"Of {len(many.groups)} groups the 10 with the best scores in the main alarm." in text
+    assert f"The 10 of {len(many.groups)} groups with the best scores in the main alarm." in text
     heat = re.findall(r'<td style="--v:', page)
     assert len(heat) == SHOWN_FAULTS * (SHOWN_FAULTS + 1)
     assert "have signatures that look alike (cosine 0.98 or more, one to the next)" in text
@@ -86,7 +86,7 @@ def test_many_faults_are_told_by_pattern() -> None:
     codes = ~np.eye(6, 12, dtype=bool)
     members = tuple(Member(f"without {k}", (k,), ()) for k in range(6))
     text = words(structure_table(replace(gen, codes=codes, members=members)))
-    assert "Which members answer to which fault, 12 faults in 7 patterns" in text
+    assert "Which members respond to which fault: 12 faults in 7 patterns" in text
     assert f"{gen.faults[0]} all members but without 0" in text
     assert "all 6 members" in text
 
@@ -125,7 +125,7 @@ def test_signals_and_model(many: rs.Diagnosis) -> None:
         np.testing.assert_allclose(chart["y"][0], many.signals[:, 1 + j], rtol=1e-4, atol=1e-4)
         np.testing.assert_allclose(chart["y"][1], many.predictions[chart["label"]], rtol=1e-4, atol=1e-4)
     text = words(render([Section("", many)], "t"))
-    assert "Measured, and what the model expected" in text
+    assert "Measured and predicted" in text
     assert "Drawn first: T107," in text
     assert "22 more outputs" in text
 
@@ -172,8 +172,8 @@ def test_shares_add_to_one_and_a_culprit_inside_its_band_is_explained() -> None:
     inside = inside_band(d, d.main_alarm.start, d.main_alarm.stop)
     assert inside[0] > 0.9
     text = words(render([Section("", d)], "t"))
-    assert "of the statistic although it stayed inside its own band for" in text
-    assert "1 in 1,000 of its fault-free samples is outside" in text
+    assert "of the statistic although it stayed inside its normal range for" in text
+    assert "1 in 1,000 fault-free samples is outside" in text
     assert shares_of_statistic(diagnosis(fault=False)) is None
 
 
@@ -193,8 +193,8 @@ def test_the_interval_is_drawn_and_told() -> None:
     assert (
         "Began between 28 s and 30 s (95 % confidence if the residual began to move by a step or a ramp), most" in text
     )
-    assert "when it began, 95 % confidence" in text
-    assert "begins as a step, a ramp or the square of time" in text
+    assert "when it began (95 % confidence)" in text
+    assert "starts to move as a step, a ramp or the square of time" in text
     assert "28 s to 30 s" in text
 
 

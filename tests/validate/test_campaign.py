@@ -123,11 +123,11 @@ def plain(plant: rs.Plant, u: NDArray, noise: NDArray, change, controller: rs.St
     out = []
     for k in range(len(u)):
         command = u[k] + (0 if controller is None else controller.C @ xc)
-        y = plant.C @ x + plant.Du @ command + plant.Dw @ noise[k]
+        y = plant.C @ x + plant.D @ command + plant.Dw @ noise[k]
         fault = change(k, command, y, out)
         y = y + plant.Df @ fault
         out.append(np.concatenate([command, y]))
-        x = plant.A @ x + plant.Bu @ command + plant.Bw @ noise[k] + plant.Bf @ fault
+        x = plant.A @ x + plant.B @ command + plant.Bw @ noise[k] + plant.Bf @ fault
         xc = xc if controller is None else controller.A @ xc + controller.B @ y
     return np.array(out)
 
@@ -579,16 +579,16 @@ def test_what_does_not_fit_the_monitor(plant: rs.Plant, monitor: rs.Monitor) -> 
         v.campaign(plant, **SMALL)  # pyright: ignore
     with pytest.raises(NotFittedError, match="no threshold"):
         v.campaign(rs.Monitor(rs.design.kalman_filter(plant), test=rs.decide.PeakThreshold()), **SMALL)
-    renamed = rs.Plant(plant.A, plant.Bu, plant.C, dt=0.5, inputs=["valve"], outputs=["a", "c"])
+    renamed = rs.Plant(plant.A, plant.B, plant.C, dt=0.5, inputs=["valve"], outputs=["a", "c"])
     with pytest.raises(SettingError, match="has the outputs a, c, the monitor watches a, b"):
         v.campaign(monitor, plants=renamed, **SMALL)
-    without = rs.Plant(plant.A, plant.Bu, plant.C, dt=0.5, inputs=["valve"], outputs=["a", "b"])
+    without = rs.Plant(plant.A, plant.B, plant.C, dt=0.5, inputs=["valve"], outputs=["a", "b"])
     with pytest.raises(SettingError, match="no noise to simulate"):
         v.campaign(monitor, plants=without, **SMALL)
     with pytest.raises(SettingError, match="simulated plant has no fault 'leak'"):
         v.campaign(monitor, v.Scenario("leak", v.step(at=1)), plants=without.with_noise(measurement=1), **SMALL)
     with pytest.raises(SettingError, match=r"has dt=2 s, the monitor runs at 0\.5 s"):
-        v.campaign(monitor, plants=rs.Plant(plant.A, plant.Bu, plant.C, dt=2, inputs=["valve"], outputs=["a", "b"]))
+        v.campaign(monitor, plants=rs.Plant(plant.A, plant.B, plant.C, dt=2, inputs=["valve"], outputs=["a", "b"]))
     with pytest.raises(SettingError, match="the same disturbances, faults"):
         v.campaign(monitor, plants=[plant, without], **SMALL)
 

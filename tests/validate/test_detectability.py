@@ -8,6 +8,7 @@ from scipy.optimize import brentq
 from scipy.special import chndtr, ndtr
 
 import residua as rs
+from residua.decide.whitened_norm import NormTest
 from residua.errors import NotFittedError, SettingError
 
 #: Intervals of tests: once in so many thousand runs of the suite one of them fails by chance. Seeds are fixed anyway.
@@ -50,7 +51,7 @@ def test_single_samples_are_as_the_noncentral_distribution_says() -> None:
 def test_persistence_of_single_samples_has_its_exact_mean_time() -> None:
     share = 0.25  # of samples over the threshold, one residual
     threshold = float(brentq(lambda h: 2 * ndtr(-h) - share, 0.1, 5.0))
-    test = rs.decide.NormTest(np.zeros(1), np.full((1, 1), 2.0), threshold, 3, 1, 1, "")
+    test = NormTest(np.zeros(1), np.full((1, 1), 2.0), threshold, 3, 1, 1, "")
     rng = np.random.default_rng(0)
     over = rng.random((4000, 2000)) < share
     row = over[:, 2:] & over[:, 1:-1] & over[:, :-2]

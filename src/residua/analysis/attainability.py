@@ -12,14 +12,15 @@ from residua.analysis.diagnosability import group_twins
 from residua.analysis.fault_space import FaultSpace, fault_space
 from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
+from residua.shown import Shown
 from residua.words import counted
 
 #: Attainable rows that are listed, unless the caller says otherwise.
 MOST_ROWS = 5000
 
 
-@dataclass(frozen=True, eq=False)
-class Attainability:
+@dataclass(frozen=True, eq=False, repr=False)
+class Attainability(Shown):
     """Which rows of a structure are attainable: by some residual that answers to the ones and ignores the zeros.
 
     Prints as a table.
@@ -211,8 +212,8 @@ def _listed(space: FaultSpace, faults: list[int] | tuple[int, ...]) -> str:
     return ", ".join(space.faults[j] for j in faults)
 
 
-@dataclass(frozen=True, eq=False)
-class MutualIsolability:
+@dataclass(frozen=True, eq=False, repr=False)
+class MutualIsolability(Shown):
     """Which pairs of faults some residual tells apart, in both directions.
 
     Prints as a table.

@@ -13,14 +13,15 @@ from numpy.typing import ArrayLike, NDArray
 from residua import arrays
 from residua.analysis.codes import equal_codes, strongly_isolating
 from residua.errors import DesignError
+from residua.shown import Shown
 from residua.words import counted
 
 #: Codes that may become others, as a text names them at most.
 NAMED = 6
 
 
-@dataclass(frozen=True, eq=False)
-class CodingSet:
+@dataclass(frozen=True, eq=False, repr=False)
+class CodingSet(Shown):
     """Which residual answers to which fault; the column of a fault is its code.
 
     Prints as a table, with all that keeps the codes from isolating strongly.

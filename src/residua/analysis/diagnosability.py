@@ -26,11 +26,13 @@ from residua.analysis.visibility import (
 from residua.errors import ModelError
 from residua.linear.subspaces.rank import DEFAULT_RTOL, check_rtol
 from residua.plant import Plant
+from residua.shown import Shown, grid, notes, table
 from residua.tolerances import TINY
+from residua.words import counted
 
 
-@dataclass(frozen=True, eq=False)
-class Diagnosability:
+@dataclass(frozen=True, eq=False, repr=False)
+class Diagnosability(Shown):
     """What residuals can show of the faults of a plant, whatever the method.
 
     Prints as a table.
@@ -103,6 +105,26 @@ class Diagnosability:
         if fault_space(self.plant.without_disturbances(), rtol=DEFAULT_RTOL).visible[i]:
             return f"hidden by the disturbances {', '.join(self.plant.disturbances)}, which can imitate it"
         return "no output sees it"
+
+    def _headline(self) -> str:
+        seen, whole = int(self.detectable.sum()), len(self.faults)
+        return (
+            f"{self.plant.name}: {seen} of {whole} faults detectable, {counted(len(self.groups), 'group')} told apart"
+        )
+
+    def _parts(self) -> list[str]:
+        reasons = self.reasons()
+        rows = [
+            (name, self.plant.fault_kinds[i], _yes(self.detectable[i]), _yes(self.strongly_detectable[i]))
+            + (reasons.get(name, ""),)
+            for i, name in enumerate(self.faults)
+        ]
+        label = "Filled: a residual answers to the fault of the row and ignores that of the column"
+        return [
+            table(["fault", "kind", "detectable", "when constant", ""], rows),
+            grid(self.isolable, self.faults, self.faults, label=label),
+            notes([str(self.unknown_input_observer)] if self.plant.disturbances else []),
+        ]
 
     def __str__(self) -> str:
         width = max([len("fault"), *(len(name) for name in self.faults)])

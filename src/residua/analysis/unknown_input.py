@@ -25,8 +25,10 @@ from residua.linear.subspaces.rank import (
 )
 from residua.linear.systems.balancing import descriptor_units, evened, without_rounding
 from residua.plant import OperatingPoint, Plant
+from residua.plant.channels import ROLES
 from residua.plant.comparable_units import EvenPlant, even_plant, in_unit_of_rates
 from residua.plant.disturbances import factor_disturbance
+from residua.shown import Shown
 from residua.tolerances import RANK, RESIDUE, TINY, above_rounding
 from residua.words import rates_in
 
@@ -92,8 +94,8 @@ def _units(F: NDArray, n_states: int) -> tuple[NDArray, NDArray]:
     return rows, np.where(silent, 1.0 / np.maximum(np.abs(F).max(axis=0, initial=0.0), TINY), columns)
 
 
-@dataclass(frozen=True, eq=False)
-class UnknownInputExistence:
+@dataclass(frozen=True, eq=False, repr=False)
+class UnknownInputExistence(Shown):
     r"""Whether an unknown input observer exists, with the numbers behind each condition.
 
     Attributes
@@ -374,7 +376,7 @@ def singular_decoupling(plant: Plant, form: OutputFreeForm, *, rtol: float = DEF
     """
     n, q, p = plant.n_states, form.E.shape[1], len(form.C)
     E = np.eye(n) if plant.E is None else plant.E
-    u = descriptor_units(form.A, E, np.hstack([plant.Bu, form.E]), form.C, np.zeros((p, len(plant.inputs) + q)))
+    u = descriptor_units(form.A, E, np.hstack([plant.B, form.E]), form.C, np.zeros((p, len(plant.inputs) + q)))
     R, S, Y = u.equations[:, None], u.states, u.outputs[:, None]
     D = R * form.E
     size = np.linalg.norm(D, axis=0)
@@ -405,7 +407,7 @@ def algebraic_equations(plant: Plant, *, without: NDArray | None = None) -> NDAr
     """
     if plant.E is None:
         return np.zeros((0, plant.n_states))
-    drive, direct = np.hstack([plant.Bu, plant.Bd]), np.hstack([plant.Du, plant.Dd])
+    drive, direct = np.hstack([plant.B, plant.Bd]), np.hstack([plant.D, plant.Dd])
     u = descriptor_units(plant.A, plant.E, drive, plant.C, direct)
     E = u.equations[:, None] * plant.E * u.states
     D = u.equations[:, None] * (plant.Bd[:, :0] if without is None else without)
@@ -431,7 +433,7 @@ def with_equations_measured(plant: Plant) -> tuple[Plant, NDArray[np.float64]]:
         ),
         **{
             f"D{role}": frozen(np.vstack([getattr(plant, f"D{role}"), without_rounding(N, getattr(plant, f"B{role}"))]))
-            for role in "udfw"
+            for role in ROLES.values()
         },
     )
     return measured, N
@@ -453,7 +455,7 @@ def with_needed_equations(
 
 def _with_outputs(plant: Plant, chosen: list[int]) -> Plant:
     """Return a plant with only some of its outputs, for a rank decision."""
-    rows = {f"D{role}": frozen(getattr(plant, f"D{role}")[chosen]) for role in "udfw"}
+    rows = {f"D{role}": frozen(getattr(plant, f"D{role}")[chosen]) for role in ROLES.values()}
     return plant._with(C=frozen(plant.C[chosen]), outputs=tuple(plant.outputs[i] for i in chosen), **rows)
 
 

@@ -45,6 +45,7 @@ def fit(
         str,
         typer.Option(metavar="SAMPLES|auto", help="Samples to leave out at each start; auto: those unlike the rest."),
     ] = "0",
+    force: Annotated[bool, typer.Option("--force", help="Fit recordings too that look faulty.")] = False,
     as_json: AsJson = False,
     *,
     reading: Reading,
@@ -61,6 +62,7 @@ def fit(
         false_alarm_rate=false_alarm_rate,
         held_out=held_out,
         transient=_start_left_out(transient),
+        force=force,
     )
     with screen.progress() as bar:
         runs = cast("list[Diagnosis]", [watch.run(one, progress=bar) for one in data])

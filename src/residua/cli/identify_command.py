@@ -19,7 +19,9 @@ from residua.errors import DataError, SettingError
 from residua.identify import subspace
 from residua.identify.channel_faults import idle_inputs, with_channel_faults
 from residua.identify.fit_report import FitReport
+from residua.monitor.inputs import with_channels
 from residua.plant import Plant
+from residua.recording.matching import matched_names, missing_columns
 from residua.recording.recording import Recording
 from residua.report.model_page import write_model_page
 from residua.visible import echo, listed
@@ -129,13 +131,16 @@ class Channels:
         outputs, recordings = self.outputs, []
         for path in paths:
             one = reading.read_channels(path, _stand_in(self.inputs, outputs) if outputs else None)
-            absent = [name for name in self.inputs if name not in one.columns]
-            if absent:
-                raise DataError(f"{path}: no column {listed(absent)}; the columns are {listed(tuple(one.columns))}")
-            outputs = outputs or [name for name in one.columns if name not in self.inputs]
             if not outputs:
-                raise DataError(f"{path}: every column is an input; leave the outputs out of --inputs")
-            recordings.append(_arranged(one, self.inputs, outputs))
+                found, names = matched_names(self.inputs, tuple(one.columns)), tuple(one.columns)
+                absent = {name: name for name in self.inputs if name not in found}
+                if absent:
+                    advice = "give --inputs the names of columns"
+                    raise missing_columns(absent, names, path.name, matched=list(found.values()), advice=advice)
+                outputs = [name for name in names if name not in found.values()]
+                if not outputs:
+                    raise DataError(f"{path}: every column is an input; leave the outputs out of --inputs")
+            recordings.append(with_channels(one, _stand_in(self.inputs, outputs)))
         return recordings
 
 
@@ -143,14 +148,6 @@ def _stand_in(inputs: Sequence[str], outputs: Sequence[str]) -> Plant:
     """Return a plant with these channels and no step, so that just these columns are read."""
     zeros = np.zeros((1, len(inputs))), np.zeros((len(outputs), 1))
     return Plant([[-1.0]], zeros[0], zeros[1], inputs=inputs, outputs=outputs)
-
-
-def _arranged(one: Recording, inputs: Sequence[str], outputs: Sequence[str]) -> Recording:
-    data = np.hstack([one.u, one.y])
-    place = {name: k for k, name in enumerate(one.columns)}
-    chosen = data[:, [place[name] for name in (*inputs, *outputs)]]
-    columns = {name: one.columns[name] for name in (*inputs, *outputs)}
-    return replace(one, u=chosen[:, : len(inputs)], y=chosen[:, len(inputs) :], columns=columns)
 
 
 def part(one: Recording, start: float, stop: float) -> Recording:
@@ -201,9 +198,8 @@ def identify(
     check_recordings(normal)
     check_outputs([output, report], normal)
     data = Channels(parse_names(inputs), parse_names(outputs)).read(normal, reading)
-    settings = settings_of(data, order, max_order, past, method, feedthrough, delays, units)
+    settings = settings_of(data, outputs, order, max_order, past, method, feedthrough, delays, units)
     model = subspace(data, **settings, held_out=held_out, name=name)
-    notes = [f"{one.source}: {note}" for one in data for note in one.notes]
     plant = with_channel_faults(
         model.plant, sensors=sensor_faults and not no_faults, actuators=actuator_faults and not no_faults
     )
@@ -216,9 +212,9 @@ def identify(
         write_model_page(replace(model, report=told), shown or data, report)
         written.append(report)
     if as_json:
-        screen.print_json({**report_values(model.report), "faults": plant.faults, "notes": notes, "written": written})
+        screen.print_json({**report_values(model.report), "faults": plant.faults, "written": written})
         return
-    screen.say(*map(in_cli_words, str(model.report).splitlines()), *notes, fault_text(plant))
+    screen.say(*map(in_cli_words, str(model.report).splitlines()), fault_text(plant))
     screen.say(*(f"written: {path}" for path in written))
 
 
@@ -252,6 +248,7 @@ def report_values(report: FitReport) -> dict[str, Any]:
 
 def settings_of(
     data: Sequence[Recording],
+    outputs: str | None,
     order: int | None,
     max_order: int | None,
     past: int | None,
@@ -260,7 +257,7 @@ def settings_of(
     delays: str | None,
     units: str | None,
 ) -> dict[str, Any]:
-    """Return options as arguments of :func:`residua.identify.subspace`."""
+    """Return options as arguments of :func:`residua.identify.subspace`, where nobody named outputs without these."""
     channels, of = list(data[0].columns), dict(_pairs(units))
     absent = [one for one in of if one not in channels]
     if absent:
@@ -268,7 +265,7 @@ def settings_of(
     m = data[0].u.shape[1]
     return {
         "inputs": channels[:m],
-        "outputs": channels[m:],
+        "outputs": None if outputs is None else channels[m:],
         "order": "auto" if order is None else order,
         "max_order": max_order,
         "past": "auto" if past is None else past,

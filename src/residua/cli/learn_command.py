@@ -74,7 +74,7 @@ def learn(
     check_outputs([output], normal)
     named = [] if inputs in (None, "none") else parse_names(checked_names(inputs))
     data = Channels(named, parse_names(outputs)).read(normal, reading)
-    options = settings_of(data, order, max_order, past, method, feedthrough, delays, units)
+    options = settings_of(data, outputs, order, max_order, past, method, feedthrough, delays, units)
     channels = {name: options.pop(name) for name in ("inputs", "outputs")}
     learnt = learn_monitor(
         data,
@@ -89,7 +89,7 @@ def learn(
     learnt.monitor.save(output)
     check = learnt.monitor.fit_check
     assert check is not None
-    notes = [f"{one.source}: {note}" for one in data for note in one.notes]
+    notes = list(map(in_cli_words, learnt.notes))
     plant = learnt.monitor.design.plant
     if as_json:
         tried = [

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import ast
+import csv
 import inspect
 import re
+import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
@@ -93,11 +96,20 @@ Columns = Annotated[
 Transpose = Annotated[
     bool, typer.Option("--transpose", help="Time runs along the rows of a matrix, or of text without a header.")
 ]
+MissingMarks = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--missing",
+        metavar="MARK",
+        help="A text or number that stands for a missing value, such as -9999; one option for each. Bad, No Data, N/A "
+        "and other marks of historians are known.",
+    ),
+]
 
 
 def parse_columns(text: str) -> dict[str, str] | list[str]:
-    """Return ``channel=column`` pairs as a mapping, names alone as a list."""
-    parts = [part.strip() for part in text.split(",")]
+    """Return ``channel=column`` pairs as a mapping, names alone as a list; pairs with a comma stand in quotes."""
+    parts = [part.strip() for part in next(csv.reader([text], skipinitialspace=True), [""])]
     if not all(parts):
         raise ValueError("a name is empty")
     pairs = [[half.strip() for half in part.split("=", 1)] for part in parts]
@@ -125,6 +137,7 @@ class Reading:
     decimal: DecimalMark = Decimal.point
     columns: Columns = None
     transpose: Transpose = False
+    missing: MissingMarks = None
 
     def read(self, path: Path, watch: Monitor) -> Recording:
         """Read a recording for a monitor."""
@@ -144,6 +157,7 @@ class Reading:
             self.time_format,
             self.decimal.mark,
             self.transpose,
+            self.missing or (),
         )
 
     @property
@@ -167,6 +181,7 @@ class Reading:
                 time_format=self.time_format,
                 decimal=self.decimal.mark,
                 transpose=self.transpose,
+                missing=self.missing or (),
             )
         return replace(recording, notes=tuple(map(reading_words, recording.notes)))
 
@@ -203,6 +218,7 @@ _WORDS = {
     r"dayfirst=False\b": "--month-first",
     r"time_format=(?=[,; ])": "--time-format",
     r"decimal=','": "--decimal comma",
+    r"columns=\{channel: column\}": "--columns CHANNEL=COLUMN",
     r"columns=\[\.\.\.\]": '--columns "NAME,NAME,..."',
     r"columns must be a mapping \{channel: column\} here": "--columns takes CHANNEL=COLUMN here",
     r"\b(time|dt|variable|tolerance)=(?=[,;. )]|$)": r"--\1",
@@ -215,7 +231,28 @@ def reading_words(text: str) -> str:
     """Return a message about reading in the words of the command line."""
     for python, here in _WORDS.items():
         text = re.sub(python, here, text)
-    return text
+    return _LITERALS.sub(_option, text)
+
+
+#: Columns and marks as Python writes them.
+_LITERALS = re.compile(r"\b(columns|missing)=(\{'.*\}|\{\".*\}|\['.*'\])")
+
+
+def _option(found: re.Match[str]) -> str:
+    """Return the options for a mapping of columns, or for marks, as a shell takes them."""
+    try:
+        given = ast.literal_eval(found[2])
+    except (ValueError, SyntaxError):  # not alone: something of the same kind follows in the text
+        return found[0]
+    if isinstance(given, list):
+        return " ".join(f"--missing {quoted(mark)}" for mark in given)
+    pairs = [f"{channel}={column}" for channel, column in given.items()]
+    return "--columns " + quoted(",".join(f'"{pair}"' if "," in pair else pair for pair in pairs))
+
+
+def quoted(text: str) -> str:
+    """Return a text as one argument of a command, in the quotes that all shells have where that will do."""
+    return shlex.quote(text) if set(text) & set('"$`\\!') else f'"{text}"'
 
 
 @contextmanager

@@ -5,34 +5,31 @@ from typing import TYPE_CHECKING
 from residua.facade import hand_on
 
 if TYPE_CHECKING:
-    from residua.decide.adaptive import Adaptive, AdaptiveTest
+    from residua.decide.adaptive import Adaptive
     from residua.decide.alarm import Alarm, Candidate
-    from residua.decide.by_channel import ByChannel, ChannelNames
-    from residua.decide.channel_relations import ChannelRelations, ChannelRelationsTest
-    from residua.decide.chi_squared import ChiSquared, ChiSquaredTest
+    from residua.decide.by_channel import ByChannel
+    from residua.decide.channel_relations import ChannelRelations
+    from residua.decide.chi_squared import ChiSquared
     from residua.decide.consistency import ConsistentFault, Explanation, code_likelihoods, consistent_faults
-    from residua.decide.cusum import CUSUM, CUSUMTest
-    from residua.decide.directional import Directional, DirectionTest, correlation, projection_distance
-    from residua.decide.ewma import EWMA, EWMATest
-    from residua.decide.glr import GLR, DirectedGLRTest, GLRTest
+    from residua.decide.cusum import CUSUM
+    from residua.decide.directional import Directional, correlation, projection_distance
+    from residua.decide.ewma import EWMA
+    from residua.decide.glr import GLR
     from residua.decide.hitting_sets import HittingSet, HittingSets, minimal_hitting_sets
     from residua.decide.isolation import Isolation, IsolationSettings, Named, Scores, Seen
     from residua.decide.kinds import register
-    from residua.decide.likelihood import Likelihood, LikelihoodNames
+    from residua.decide.likelihood import Likelihood
     from residua.decide.matched import Matched
     from residua.decide.matched_hold import Match
-    from residua.decide.matched_level import LikelihoodTest
-    from residua.decide.matched_responses import MatchedTest
-    from residua.decide.member_thresholds import BankTest, GroupTest
     from residua.decide.model_errors import OutputError
     from residua.decide.moderated_variances import ModeratedVariances, moderated_variances
-    from residua.decide.multiscale_ewma import MultiscaleEWMA, MultiscaleEWMATest
-    from residua.decide.norm_threshold import NormTest, NormThreshold
-    from residua.decide.page_hinkley import PageHinkley, PageHinkleyTest
+    from residua.decide.multiscale_ewma import MultiscaleEWMA
+    from residua.decide.norm_threshold import NormThreshold
+    from residua.decide.page_hinkley import PageHinkley
     from residua.decide.peak_threshold import PeakThreshold, peak_over_window
     from residua.decide.persistence import AlarmRuns, run_alarm
     from residua.decide.residual_findings import Finding, ResidualFacts, ResidualReport
-    from residua.decide.sprt import SPRT, SPRTTest
+    from residua.decide.sprt import SPRT
     from residua.decide.statement import Statement
     from residua.decide.structured import CodeReading, CodeTest, Structured, read_code, read_codes
     from residua.decide.test import Block, FaultFreeRun, ResidualTest, Tested, TestSettings, Watched
@@ -48,55 +45,37 @@ __all__ = [
     "GLR",
     "SPRT",
     "Adaptive",
-    "AdaptiveTest",
     "Alarm",
     "AlarmRuns",
-    "BankTest",
     "Block",
     "ByChannel",
-    "CUSUMTest",
     "Candidate",
-    "ChannelNames",
     "ChannelRelations",
-    "ChannelRelationsTest",
     "ChiSquared",
-    "ChiSquaredTest",
     "CodeReading",
     "CodeTest",
     "ConsistentFault",
-    "DirectedGLRTest",
-    "DirectionTest",
     "Directional",
-    "EWMATest",
     "Explanation",
     "FaultFreeRun",
     "Finding",
-    "GLRTest",
-    "GroupTest",
     "HittingSet",
     "HittingSets",
     "Isolation",
     "IsolationSettings",
     "Likelihood",
-    "LikelihoodNames",
-    "LikelihoodTest",
     "Match",
     "Matched",
-    "MatchedTest",
     "ModeratedVariances",
     "MultiscaleEWMA",
-    "MultiscaleEWMATest",
     "Named",
-    "NormTest",
     "NormThreshold",
     "OutputError",
     "PageHinkley",
-    "PageHinkleyTest",
     "PeakThreshold",
     "ResidualFacts",
     "ResidualReport",
     "ResidualTest",
-    "SPRTTest",
     "Scores",
     "Seen",
     "Statement",
@@ -127,34 +106,31 @@ __all__ = [
 hand_on(
     __name__,
     {
-        "residua.decide.adaptive": ("Adaptive", "AdaptiveTest"),
+        "residua.decide.adaptive": ("Adaptive",),
         "residua.decide.alarm": ("Alarm", "Candidate"),
-        "residua.decide.by_channel": ("ByChannel", "ChannelNames"),
-        "residua.decide.channel_relations": ("ChannelRelations", "ChannelRelationsTest"),
-        "residua.decide.chi_squared": ("ChiSquared", "ChiSquaredTest"),
+        "residua.decide.by_channel": ("ByChannel",),
+        "residua.decide.channel_relations": ("ChannelRelations",),
+        "residua.decide.chi_squared": ("ChiSquared",),
         "residua.decide.consistency": ("ConsistentFault", "Explanation", "code_likelihoods", "consistent_faults"),
-        "residua.decide.cusum": ("CUSUM", "CUSUMTest"),
-        "residua.decide.directional": ("Directional", "DirectionTest", "correlation", "projection_distance"),
-        "residua.decide.ewma": ("EWMA", "EWMATest"),
-        "residua.decide.glr": ("GLR", "DirectedGLRTest", "GLRTest"),
+        "residua.decide.cusum": ("CUSUM",),
+        "residua.decide.directional": ("Directional", "correlation", "projection_distance"),
+        "residua.decide.ewma": ("EWMA",),
+        "residua.decide.glr": ("GLR",),
         "residua.decide.hitting_sets": ("HittingSet", "HittingSets", "minimal_hitting_sets"),
         "residua.decide.isolation": ("Isolation", "IsolationSettings", "Named", "Scores", "Seen"),
         "residua.decide.kinds": ("register",),
-        "residua.decide.likelihood": ("Likelihood", "LikelihoodNames"),
+        "residua.decide.likelihood": ("Likelihood",),
         "residua.decide.matched": ("Matched",),
         "residua.decide.matched_hold": ("Match",),
-        "residua.decide.matched_level": ("LikelihoodTest",),
-        "residua.decide.matched_responses": ("MatchedTest",),
-        "residua.decide.member_thresholds": ("BankTest", "GroupTest"),
         "residua.decide.model_errors": ("OutputError",),
         "residua.decide.moderated_variances": ("ModeratedVariances", "moderated_variances"),
-        "residua.decide.multiscale_ewma": ("MultiscaleEWMA", "MultiscaleEWMATest"),
-        "residua.decide.norm_threshold": ("NormTest", "NormThreshold"),
-        "residua.decide.page_hinkley": ("PageHinkley", "PageHinkleyTest"),
+        "residua.decide.multiscale_ewma": ("MultiscaleEWMA",),
+        "residua.decide.norm_threshold": ("NormThreshold",),
+        "residua.decide.page_hinkley": ("PageHinkley",),
         "residua.decide.peak_threshold": ("PeakThreshold", "peak_over_window"),
         "residua.decide.persistence": ("AlarmRuns", "run_alarm"),
         "residua.decide.residual_findings": ("Finding", "ResidualFacts", "ResidualReport"),
-        "residua.decide.sprt": ("SPRT", "SPRTTest"),
+        "residua.decide.sprt": ("SPRT",),
         "residua.decide.statement": ("Statement",),
         "residua.decide.structured": ("CodeReading", "CodeTest", "Structured", "read_code", "read_codes"),
         "residua.decide.test": ("Block", "FaultFreeRun", "ResidualTest", "Tested", "TestSettings", "Watched"),

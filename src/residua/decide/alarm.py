@@ -7,6 +7,8 @@ from typing import Any
 
 from residua.decide.code_reading import CodeReading
 from residua.decide.word import Word
+from residua.shown import Bar, Shown, table
+from residua.words import number
 
 #: A lead in score below this tells nothing.
 CLOSE_MARGIN = 0.02
@@ -186,8 +188,8 @@ def put_down_to(reading: CodeReading | None, candidates: tuple[Candidate, ...]) 
     return reading.named if reading is not None else tuple(c.faults for c in candidates[:1])
 
 
-@dataclass(frozen=True)
-class Alarm:
+@dataclass(frozen=True, repr=False)
+class Alarm(Shown):
     """One alarm: where it lies in the recording and what explains it.
 
     Alarms that follow each other by less than the isolation window and name the same fault are one; by the code of a
@@ -255,6 +257,20 @@ class Alarm:
     unknown: float | None = None
     no_fault: float | None = None
     word: Word | None = None
+
+    def _headline(self) -> str:
+        until = "to the end" if self.ended is None else f"until {_clean(self.ended):g} s"
+        names = " and ".join(" or ".join(group) for group in self.named) or "no fault named"
+        word = f", {self.word.kind}" if self.word else ""
+        return f"raised at {_clean(self.raised):g} s, {until}: {names}{word}"
+
+    def _parts(self) -> list[str]:
+        sized = any(one.sizes for one in self.candidates)
+        rows = [
+            (one.name, Bar(one.score, number(one.score, 3)), *([", ".join(map(str, one.sizes))] if sized else []))
+            for one in self.candidates
+        ]
+        return [table(["fault", "score", *(["estimated size"] if sized else [])], rows)]
 
     @property
     def named(self) -> tuple[tuple[str, ...], ...]:

@@ -47,7 +47,7 @@ class CompiledTest:
     limits : ndarray, shape (parts,), or None
         The threshold of each.
     weights, scaling : ndarray or None
-        Of a bank of means, as of :class:`residua.decide.MultiscaleEWMATest`.
+        Of a bank of means, as of ``MultiscaleEWMATest``.
     lengths : tuple of ndarray
         Its ``clips``, ``fulls`` and ``releases``.
     joint : ndarray, shape (residuals, k), or None

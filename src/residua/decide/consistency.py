@@ -13,6 +13,7 @@ from residua.decide.checks import PRIOR_RATE
 from residua.decide.code_reading import NAMED, quoted
 from residua.decide.hitting_sets import HittingSets, checked_rates, minimal_hitting_sets
 from residua.errors import DataError, SettingError
+from residua.shown import Shown
 from residua.visible import echo
 from residua.words import listing
 
@@ -52,8 +53,8 @@ class ConsistentFault:
         )
 
 
-@dataclass(frozen=True)
-class Explanation:
+@dataclass(frozen=True, repr=False)
+class Explanation(Shown):
     """What may have fired a pattern of members, the most likely fault first.
 
     Prints as a list.

@@ -20,6 +20,8 @@ from residua.words import one_in
 CONFIDENCE = 0.95
 #: Fewest samples that are held out, and in windows: with fewer nothing is.
 LEAST, LEAST_WINDOWS = 30, 2
+#: Times the rate aimed at beyond which recordings are no fault-free ones, or do not stay as they begin.
+_FAR = 10.0
 #: Fraction in alarm up to which it is said as one in so many, too.
 _OFTEN = 0.1
 #: Samples that a test is run over at a time: bounds memory.
@@ -40,6 +42,8 @@ class HeldOut(Record):
         Independent samples that they are worth.
     asked : float
         Fraction in alarm that the fit aimed at.
+    recording, sample : int
+        Where the first alarm is: the number of the recording, from 1, and its sample; 0 without an alarm.
     """
 
     NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {
@@ -47,12 +51,16 @@ class HeldOut(Record):
         "alarmed": INDEX,
         "independent": POSITIVE,
         "asked": PROBABILITY,
+        "recording": INDEX,
+        "sample": INDEX,
     }
 
     samples: int
     alarmed: int
     independent: float
     asked: float
+    recording: int = 0
+    sample: int = 0
 
     @property
     def rate(self) -> float:
@@ -89,6 +97,11 @@ class HeldOut(Record):
     def is_over(self) -> bool:
         """Whether the rate is over that aimed at, with 97.5 % confidence."""
         return self.interval[0] > self.asked
+
+    @property
+    def is_far_over(self) -> bool:
+        """Whether the rate is over ten times that aimed at, with 97.5 % confidence."""
+        return self.interval[0] > _FAR * self.asked
 
     def __str__(self) -> str:
         often = f" ({one_in(self.rate)})" if self.alarmed and self.rate <= _OFTEN else ""
@@ -145,7 +158,11 @@ def alarms_held_out(test: ResidualTest, run: FaultFreeRun, held: NDArray[np.bool
     spans = [slice(part.start + int(rows[0]), part.start + int(rows[-1]) + 1) for part in parts
              if len(rows := np.flatnonzero(counted[part]))]  # fmt: skip
     samples, longest = int(counted.sum()), float(correlation_times(columns, spans).max())
-    return HeldOut(samples, int((alarms & counted).sum()), max(1.0, samples / longest), asked)
+    place = (0, 0)
+    if (alarms & counted).any():
+        first = int((alarms & counted).argmax())
+        place = next((number, first - part.start) for number, part in enumerate(parts, 1) if first < part.stop)
+    return HeldOut(samples, int((alarms & counted).sum()), max(1.0, samples / longest), asked, *place)
 
 
 __all__ = ["HeldOut", "alarms_held_out", "held_out_rows"]

@@ -9,6 +9,7 @@ from typing import Any
 
 from residua.decide.checks import PRIOR_RATE, is_number
 from residua.errors import DataError, SettingError
+from residua.shown import Shown
 from residua.visible import echo
 from residua.words import counted, listing
 
@@ -39,8 +40,8 @@ class HittingSet:
         return f"{' and '.join(self.faults)}{beside}"
 
 
-@dataclass(frozen=True)
-class HittingSets:
+@dataclass(frozen=True, repr=False)
+class HittingSets(Shown):
     """The minimal hitting sets, the first ones the smallest; prints as a list.
 
     Attributes

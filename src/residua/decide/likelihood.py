@@ -92,7 +92,7 @@ class LikelihoodNames(Isolation):
     groups, unjudged
         Faults whose directions are the same are one group.
     center, whitening, coefficients, rewhitening
-        Of the test, as of :class:`residua.decide.CUSUMTest`.
+        Of the test, as of ``CUSUMTest``.
     live : ndarray of bool, shape (k,)
         The whitened residuals that noise moves.
     directions : ndarray, shape (groups, k)

@@ -69,9 +69,9 @@ class BankTest(ResidualTest):
     basis : str
         Where thresholds and covariances come from, in words.
     kind : {"norm", "peak"}
-        As of :class:`residua.decide.NormTest`.
+        As of ``NormTest``.
     promised, shrinkage : float or None
-        As of :class:`residua.decide.NormTest`; of the whole bank, and the largest of the members.
+        As of ``NormTest``; of the whole bank, and the largest of the members.
     names : tuple of str
         Of the members.
     """

@@ -179,7 +179,7 @@ def residual_errors(errors: Sequence[OutputError], generator: ResidualGenerator)
 
 def _from_inputs(plant: Plant) -> StateSpace:
     p = plant.explicit()
-    return StateSpace(p.A, p.Bu, p.C, p.Du, dt=p.dt)
+    return StateSpace(p.A, p.B, p.C, p.D, dt=p.dt)
 
 
 def _times(system: StateSpace, factor: float) -> StateSpace:

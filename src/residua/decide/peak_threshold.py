@@ -91,7 +91,7 @@ class _Peak:
 
 @dataclass(frozen=True, eq=False)
 class PeakTest(_Peak, NormTest):
-    """A finite-horizon test of the residual as a whole; see :class:`residua.decide.NormTest`."""
+    """A finite-horizon test of the residual as a whole; see ``NormTest``."""
 
     kind: str = "peak"
 
@@ -117,7 +117,7 @@ class PeakTest(_Peak, NormTest):
 
 @dataclass(frozen=True, eq=False)
 class PeakBankTest(_Peak, BankTest):
-    """Finite-horizon tests of the members of a bank; see :class:`residua.decide.BankTest`."""
+    """Finite-horizon tests of the members of a bank; see ``BankTest``."""
 
     kind: str = "peak"
 

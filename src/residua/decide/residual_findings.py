@@ -19,6 +19,7 @@ from residua.decide.stationarity import CONFIDENCE as SURE_OF_CHANGE, Change, ch
 from residua.decide.test import FaultFreeRun
 from residua.decide.treatment import treated
 from residua.errors import DataError
+from residua.shown import Shown
 from residua.tolerances import LEAKAGE, SIGNAL_ROUNDING
 from residua.words import counted, listing, number, some
 
@@ -118,8 +119,8 @@ class Finding:
     level: float
 
 
-@dataclass(frozen=True)
-class ResidualReport:
+@dataclass(frozen=True, repr=False)
+class ResidualReport(Shown):
     """What fault-free residuals really are, and which test they ask for; :func:`residua.decide.residual_report`.
 
     Attributes

@@ -17,9 +17,9 @@ POOR_SCORE = 0.90
 SHOWN_ALARMS = 20
 
 RULES = (
-    "A score alone does not say whether a fault explains the residual, so that no name is a good match by it. Either: "
-    f"the best candidate, those less than {CLOSE_MARGIN:.2f} behind it, or something not listed. Poor match: the best "
-    f"score is below {POOR_SCORE:.2f}. Too early: the alarm is shorter than what a name is judged over."
+    "A score alone cannot show that a fault explains the residual, so no name is a good match by it. Either: the best "
+    f"candidate, those less than {CLOSE_MARGIN:.2f} behind it, or something not listed. Poor match: the best score is "
+    f"below {POOR_SCORE:.2f}. Too early: the alarm is shorter than the window by which names are judged."
 )
 
 
@@ -205,9 +205,9 @@ def began_text(alarm: Alarm, clock: Clock) -> str:
     """Return when what an alarm is about began, as an interval; never its first crossing of the threshold as a fact."""
     began = alarm.began
     if began is None:
-        return f"when it began cannot be told: at or before {clock.at(alarm.raised)}"
+        return f"began at an unknown time, at or before {clock.at(alarm.raised)}"
     if began.earliest is None:
-        return f"began at or before {clock.at(began.latest)}: what was recorded before does not tell from when on"
+        return f"began at or before {clock.at(began.latest)}; the earlier data do not show when"
     between = f"began between {clock.at(began.earliest)} and {clock.at(began.latest)}"
     sure = f"{100 * began.confidence:g} % confidence if the residual began to move by a step or a ramp"
     return f"{between} ({sure}), most likely at {clock.at(began.estimate)}"

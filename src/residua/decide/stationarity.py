@@ -32,6 +32,9 @@ _INDEPENDENT = 12.0
 _PLENTY = 2000
 #: The norm counts as at least that part of its root mean square: the logarithm of one near zero says nothing.
 _SMALLEST = 0.1
+#: Deviations that a step is far from, and the share of it that happens at once: within this part of the samples, or
+#: these many; and the parts of a recording at its start and end where a change may be the plant starting, or chance.
+_FAR_STEP, _SHARP, _AT_ONCE, _FEW_AT_ONCE, _START, _END = 3.0, 0.6, 0.02, 10, 0.2, 0.1
 #: Residuals that a sentence lists.
 _LISTED = 5
 
@@ -52,15 +55,29 @@ class Change(Record):
         Largest change of a mean in standard deviations of that residual; of the norm the factor.
     samples : int
         Of that recording.
+    sharpness : float
+        Share of a change of means that happens within 2 % of the samples, about: 1 for a step, little for a drift.
     """
 
-    NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {"recording": COUNT, "samples": COUNT, "size": ENTRY}
+    NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {
+        "recording": COUNT,
+        "samples": COUNT,
+        "size": ENTRY,
+        "sharpness": ENTRY,
+    }
 
     residuals: tuple[str, ...]
     recording: int
     sample: int
     size: float
     samples: int
+    sharpness: float = 0.0
+
+    @property
+    def is_step(self) -> bool:
+        """Whether a mean steps far, at once, and neither at the start of the recording nor at its end."""
+        inside = _START * self.samples <= self.sample <= (1 - _END) * self.samples
+        return bool(self.residuals) and abs(self.size) >= _FAR_STEP and self.sharpness >= _SHARP and inside
 
     @property
     def is_transient(self) -> bool:
@@ -170,7 +187,15 @@ def _of_means(
         return []
     order = sorted(places, key=lambda j: -abs(places[j][1]))
     at, size = places[order[0]]
-    return [Change(tuple(names[j] for j in order), number, int(rows[at]), float(size), length)]
+    sharpness = _sharpness(residuals[:, order[0]], at)
+    return [Change(tuple(names[j] for j in order), number, int(rows[at]), float(size), length, sharpness)]
+
+
+def _sharpness(x: NDArray[np.float64], at: int) -> float:
+    """Return the share of the change of a mean that happens within few samples of a place."""
+    near = max(_FEW_AT_ONCE, int(_AT_ONCE * len(x)))
+    here = x[at : at + near].mean() - x[max(0, at - near) : at].mean()
+    return float(here / (x[at:].mean() - x[:at].mean()))
 
 
 def likeliest_change(x: NDArray[np.float64], significance: float) -> tuple[int, float] | None:

@@ -55,7 +55,7 @@ class CodeState:
 
 @dataclass(frozen=True, eq=False)
 class CodeTest(Isolation):
-    """Codes with equal ones grouped: what runs.
+    """The codes of a bank, equal ones grouped, and the faults that a pattern of fired members is read as.
 
     A fault that some members see only while it changes has two codes, and may be in two groups: that of all members
     that it fires, and that of those which it still fires once it is constant.

@@ -249,7 +249,7 @@ class ResidualTest(Record, ABC):
 
     @property
     def responses(self) -> Any:
-        """The responses to faults that the statistic is made of, a :class:`residua.decide.MatchedTest`; or ``None``."""
+        """The responses to faults that the statistic is made of, a ``MatchedTest``; or ``None``."""
         return None
 
     def fault_free_residuals(self, normal: NDArray[np.float64]) -> NDArray[np.float64] | None:

@@ -16,10 +16,9 @@ _NAMED = 8
 
 #: What the words mean where every fault was fitted to the residual.
 RULES = (
-    "Good match: this listed fault, whatever its course, leaves nothing but noise of the residual. No other listed "
-    "fault, nor an unlisted one of a sensor or an actuator, explains about as much, and no unlisted state explains "
-    "more. "
-    "Either: several do. Poor match: no listed fault leaves noise alone. Too early: the samples so far do not tell."
+    "Good match: this listed fault, whatever its course over time, leaves only noise in the residual. No other listed "
+    "fault and no unlisted sensor or actuator explains about as much, and no unlisted state explains more. Either: "
+    "several faults do. Poor match: every listed fault leaves more than noise. Too early: too few samples so far."
 )
 
 
@@ -116,10 +115,10 @@ class Word:
         """What the word rests on."""
         if not self.names or not self.fitted:
             return ()
-        said = f"By {self.after} samples of the alarm {self.names[0]} explains {100 * self.share:.0f} % of what the "
-        said += "residual has beyond noise"
+        said = f"After {self.after} samples of the alarm, {self.names[0]} explains {100 * self.share:.0f} % of the "
+        said += "residual beyond noise"
         if math.isfinite(self.size) and math.isfinite(self.deviation):
-            said += f"; as one step its size is {number(self.size, 3)} ± {number(self.deviation, 2)}"
+            said += f"; as a step, its size is {number(self.size, 3)} ± {number(self.deviation, 2)}"
         return (f"{said}.",)
 
     def to_dict(self) -> dict[str, Any]:

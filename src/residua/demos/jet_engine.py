@@ -21,12 +21,13 @@ from residua.library import (
 from residua.monitor import Diagnosis, Monitor
 from residua.report.page import Section, write_demo_page
 from residua.report.tables import Table
+from residua.words import listing
 
 POLES = (-3.0, -3.0, -3.0)
 #: The manoeuvre: fuel goes up at 1 s, a sensor fails at 7 s, when the engine has settled.
 FUEL, FAULT_FRACTION = 0.2, 0.02
 STEP, FUEL_AT, FAULT_AT, END = 0.005, 1.0, 7.0, 12.0
-PLAIN, ROBUST = "Beard filter", "Robust filter"
+PLAIN, ROBUST = "Plain detection filter (Beard)", "Robust filter"
 #: The cases in which the plain filter is expected to be misled by the linearisation error (paper, section 4).
 MISLED = ("n_high sensor", "fuel_flow sensor")
 
@@ -62,7 +63,7 @@ class Case:
 
 
 def run(folder: Path) -> Outcome:
-    """Diagnose the three sensor faults with both filters and write the page.
+    """Diagnose the three sensor faults with both filters and write the page, with one case open.
 
     Parameters
     ----------
@@ -74,10 +75,17 @@ def run(folder: Path) -> Outcome:
     Outcome
     """
     cases, threshold = diagnose()
-    table = npd_table(cases)
+    table = distance_table(cases)
     lines = _lines(cases, threshold)
+    shown = next(
+        (case for case in cases if case.filter == ROBUST and case.fault and case.named == case.fault), cases[0]
+    )
+    order = sorted(cases, key=lambda case: (case is not shown, case.filter != ROBUST))
     page = write_demo_page(
-        [_overview(table, lines), *(_section(case) for case in cases)],
+        [
+            _overview(table, lines),
+            *(_section(case, folded=case is not shown) for case in order),
+        ],
         folder / "jet-engine.html",
         "Jet engine: which sensor failed?",
         introduction=_INTRODUCTION,
@@ -131,8 +139,8 @@ def expected_effect(generator: ResidualGenerator, fault: str) -> float:
     return float(np.linalg.norm(generator.steady_directions[fault]) * fault_size(fault))
 
 
-def npd_table(cases: list[Case]) -> Table:
-    """Return the distances of the residual of each case from the three signatures, and who is named."""
+def distance_table(cases: list[Case]) -> Table:
+    """Return the distances of the residual of each case from the three signatures, and the sensor that is named."""
     faults = [case.fault for case in cases if case.filter == ROBUST and case.fault]
     rows = []
     for case in cases:
@@ -146,8 +154,12 @@ def npd_table(cases: list[Case]) -> Table:
         if not case.fault and not case.diagnosis.fault_detected:
             distances = [float("nan")] * len(faults)  # the direction of rounding errors means nothing
         rows.append([case.filter, case.fault or "none", size, *distances, verdict, right])
-    header = ["filter", "what failed", "norm of residual", *(f"NPD {fault}" for fault in faults), "named", ""]
-    return Table(header, rows, caption="Normalised projection distances at the end; the smallest names the fault")
+    header = ["filter", "actual fault", "size of residual", *(f"distance: {fault}" for fault in faults), "named", ""]
+    caption = (
+        "Normalised projection distance of the residual from the signature of each sensor, at the end of the "
+        "recording: 0 along it, 1 at right angles; the smallest names the fault"
+    )
+    return Table(header, rows, caption=caption)
 
 
 def surprises(cases: list[Case]) -> tuple[str, ...]:
@@ -166,14 +178,14 @@ def surprises(cases: list[Case]) -> tuple[str, ...]:
 
 
 _INTRODUCTION = (
-    "Chen, Patton and Zhang (1996), section 4: a jet engine with six measurements, and a linear model of it. The "
-    "engine here is the second-order model of the paper's eq. (32), so that the linear model is slightly wrong as soon "
-    f"as the engine leaves its operating point: the fuel goes up by {FUEL:g} at t = {FUEL_AT:g} s. "
-    f"At t = {FAULT_AT:g} s one of the first three sensors begins to read {100 * FAULT_FRACTION:g} % of its "
-    "deviation too much.",
-    "Both filters have three poles at -3. The Beard filter trusts the linear model. The robust filter is an unknown "
-    "input observer: it ignores whatever enters as the second-order terms do, and keeps the fault directions apart in "
-    "what is left.",
+    "A jet engine with six sensors is watched by two filters that use a linear model of it (Chen, Patton and Zhang, "
+    f"1996, section 4). The engine is the paper's second-order model, eq. (32). When the fuel goes up by {FUEL:g} at "
+    f"t = {FUEL_AT:g} s, the engine leaves its operating point, and the linear model is slightly wrong from then on. "
+    f"At t = {FAULT_AT:g} s one of the first three sensors begins to read {100 * FAULT_FRACTION:g} % of its deviation "
+    "too much.",
+    "The plain detection filter (Beard) trusts the linear model. The robust filter is an unknown input observer: it "
+    "ignores everything that acts like the second-order terms, and still keeps the fault directions apart. Both have "
+    "three poles at -3.",
 )
 
 
@@ -190,24 +202,23 @@ def _lines(cases: list[Case], threshold: float) -> tuple[str, ...]:
         if case.filter == PLAIN and case.fault
     ]
     return (
-        f"Without a fault the residual settles at {free[PLAIN]:.2g} (Beard) and {free[ROBUST]:.2g} (robust): "
-        f"the error of the linear model. The three faults move the Beard filter's residual by "
-        f"{', '.join(f'{s:.2g}' for s in shift)}.",
-        f"The threshold, {threshold:.2g} for both, is half of the smallest effect that the linear model predicts "
-        "in the robust filter.",
-        *(_score(name, right[name], total, alarm_without_fault[name]) for name in (PLAIN, ROBUST)),
+        *(_score(name, right[name], total, alarm_without_fault[name]) for name in (ROBUST, PLAIN)),
+        f"The reason is the error of the linear model. Without a fault, it leaves a residual of {free[PLAIN]:.2g} in "
+        f"the plain filter, where the three faults add only {listing(f'{s:.2g}' for s in shift)}. In the robust filter "
+        f"it leaves {free[ROBUST]:.2g}.",
+        f"The threshold of both filters is {threshold:.2g}: half of the smallest effect of a fault on the robust one.",
     )
 
 
 def _score(name: str, right: list[str], total: int, without_fault: str) -> str:
-    """Return how often a filter was right, and whether that means anything."""
+    """Return how often a filter was right, and whether that was chance."""
     text = f"{name}: names {len(right)} of {total} sensors right"
     if right:
-        text += f" ({', '.join(right)})"
+        text += f" ({listing(right)})"
     if without_fault:
-        text += f"; it raises an alarm without a fault, too, and then names {without_fault}"
+        text += f". It raises an alarm without a fault, too, and then names {without_fault}"
         if right == [without_fault]:
-            text += ": it is right there by chance"
+            text += ": its right answer is chance"
     return text + "."
 
 
@@ -215,5 +226,6 @@ def _overview(table: Table, lines: tuple[str, ...]) -> Section:
     return Section("Both filters compared", paragraphs=lines, table=table)
 
 
-def _section(case: Case) -> Section:
-    return Section(f"{case.filter}: {case.fault or 'no fault'}", diagnosis=case.diagnosis, actual=case.fault or ())
+def _section(case: Case, *, folded: bool) -> Section:
+    heading = f"{case.filter}: {case.fault or 'no fault'}"
+    return Section(heading, diagnosis=case.diagnosis, actual=case.fault or (), folded=folded)

@@ -15,6 +15,7 @@ from residua.design.core.lasting_faults import LastingFaults
 from residua.design.core.method import Method, Noise
 from residua.design.estimation.fault_estimator import FaultEstimator
 from residua.plant import Plant
+from residua.shown import Shown
 from residua.words import listing
 
 #: Samples within which a design must have settled; sizes in sensor deviations from which on a fault counts as unseen;
@@ -24,8 +25,8 @@ SLOW, UNSEEN, SMALLER = 500, 100.0, 1.25
 FIRST, _SECOND = ("kalman_filter", "decoupled_residual"), "structured_bank"
 
 
-@dataclass(frozen=True, eq=False)
-class Entry:
+@dataclass(frozen=True, eq=False, repr=False)
+class Entry(Shown):
     """One call that was considered.
 
     Attributes

@@ -25,6 +25,7 @@ from residua.plant import Identification, InputOutputModel, Plant
 from residua.plant.assumed_noise import MEASUREMENT, PROCESS, lasting_gains, sensible_step
 from residua.progress import TimeUsedUpError, check_time, time_limit
 from residua.robust.sets.uncertain_plant import UncertainPlant
+from residua.shown import Bar, Shown, notes, table
 from residua.tolerances import POLYNOMIAL_LEAKAGE
 from residua.words import counted, listing
 
@@ -35,8 +36,8 @@ LARGE, LARGEST, MOST_FAULTS = 60, 200, 16
 _CHOICE_TIME = 5.0
 
 
-@dataclass(frozen=True, eq=False)
-class Suggestion:
+@dataclass(frozen=True, eq=False, repr=False)
+class Suggestion(Shown):
     """What to call for a plant, the best first. Prints as a table.
 
     Attributes
@@ -63,6 +64,28 @@ class Suggestion:
     def best(self) -> Entry | None:
         """The first entry that gives what is wanted; ``None`` when none does."""
         return next((one for one in self.entries if one.works and not one.left_out and gives(one, self.want)), None)
+
+    def _headline(self) -> str:
+        best, works = self.best, sum(one.works is True for one in self.entries)
+        first = best.call if best else "nothing that was tried"
+        return f"{self.plant.name}: first for the {self.want}: {first}; {works} of {len(self.entries)} designs work"
+
+    def _parts(self) -> list[str]:
+        best, states = self.best, {True: "works", False: "refused", None: "not tried"}
+        sizes = dict(best.sizes) if best else {}
+        scaled = {name: size / self.deviations.get(name, np.nan) for name, size in sizes.items()}
+        largest = max((one for one in scaled.values() if one < UNSEEN), default=1.0)
+        bars = [(name, Bar(one / largest, self._size(name, sizes[name]))) for name, one in scaled.items()]
+        rows = [
+            (one.label, "left out" if one.left_out else states[one.works], self._numbers(one))
+            + (one.left_out or one.reason,)
+            for one in self.entries
+        ]
+        return [
+            table(["fault", "smallest size that the first sees (in deviations of the noise)"], bars),
+            table(["design", "", "sizes seen, in deviations", "remark"], rows),
+            notes(self.notes),
+        ]
 
     def __str__(self) -> str:
         wanted = {"name": "the name of the fault", "size": "the size of the fault", "state": "the state"}[self.want]

@@ -225,9 +225,7 @@ class Basis:
         for size, direction in zip(sizes, root.T, strict=False):
             step = size if size > 0 else 1.0
             up, down = (self.plant(self.equations.with_values(values + sign * step * direction))[0] for sign in (1, -1))
-            made.append(
-                {name: (getattr(up, name) - getattr(down, name)) / (2 * step) for name in ("A", "Bu", "C", "Du")}
-            )
+            made.append({name: (getattr(up, name) - getattr(down, name)) / (2 * step) for name in ("A", "B", "C", "D")})
         return sizes, made
 
     def model(self, *, name: str, units: Mapping[str, str] | None, plant: Plant) -> InputOutputModel:

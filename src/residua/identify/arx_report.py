@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from residua.design.core.evidence import format_pole
 from residua.identify.arx_orders import EquationChoice
 from residua.identify.fit_report import FitReport, share
+from residua.shown import Shown
 from residua.words import counted
 
 #: Terms of an equation that a text shows.
@@ -78,7 +79,7 @@ class Equation:
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class EquationReport(FitReport):
+class EquationReport(Shown, FitReport):
     """How the equations of a model came about and how good they are.
 
     Attributes
@@ -131,7 +132,3 @@ class EquationReport(FitReport):
         remarks = [f"- {line}" for line in self.remarks]
         lines += ["", f"poles: {poles}{' ...' if len(self.poles) > 8 else ''}", "", *self.fit_table()]
         return "\n".join([*lines, *(["", *remarks] if remarks else [])])
-
-    def __repr__(self) -> str:
-        orders = ", ".join(str(one.order) for one in self.equations)
-        return f"EquationReport(orders {orders} by {self.method}, {self.samples} rows)"

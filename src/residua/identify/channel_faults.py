@@ -15,7 +15,7 @@ def with_channel_faults(plant: Plant, *, sensors: bool, actuators: bool) -> Plan
 
 def idle_inputs(plant: Plant) -> list[str]:
     """Return the inputs that do nothing in the model."""
-    return [name for name, b, d in zip(plant.inputs, plant.Bu.T, plant.Du.T, strict=True) if not (b.any() or d.any())]
+    return [name for name, b, d in zip(plant.inputs, plant.B.T, plant.D.T, strict=True) if not (b.any() or d.any())]
 
 
 __all__ = ["idle_inputs", "with_channel_faults"]

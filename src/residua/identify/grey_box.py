@@ -20,6 +20,7 @@ from residua.identify.segments import Gathered, gather
 from residua.plant import Plant
 from residua.progress import Progress, progress_of
 from residua.robust.sets.uncertain_plant import UncertainPlant
+from residua.shown import Shown
 from residua.tolerances import DATA_ROUNDING
 from residua.visible import echo
 from residua.words import counted, number, some
@@ -37,8 +38,8 @@ _OTHER_NOISE = 1.5
 _APART = 1.5
 
 
-@dataclass(frozen=True, eq=False)
-class GreyBox:
+@dataclass(frozen=True, eq=False, repr=False)
+class GreyBox(Shown):
     """Parameters of a plant that were estimated from recordings.
 
     Attributes

@@ -179,7 +179,7 @@ class IdentifiedModel:
         first = self.report.past + plant.n_states - self.report.order
         if len(Z) <= first:
             return np.full((len(Z), p), np.nan)
-        system = one_step_predictor(plant.A, plant.Bu, plant.C, plant.Du, K, dt=plant.dt)
+        system = one_step_predictor(plant.A, plant.B, plant.C, plant.D, K, dt=plant.dt)
         from_rest = system.simulate(Z[:first])
         error = Z[:first, m:] - from_rest
         unit = np.sqrt(np.diag(self.innovation_covariance))
@@ -197,7 +197,7 @@ class IdentifiedModel:
 
     def _spread(self, directions: int) -> tuple[NDArray[np.float64], list[dict[str, NDArray[np.float64]]]]:
         """Return the sizes of the leading directions of the jackknife's covariance, and what each does to a matrix."""
-        names = ("A", "Bu", "C", "Du")
+        names = ("A", "B", "C", "D")
         nominal = [getattr(self.plant, name) for name in names]
         # entries are compared in units of their rows and columns: those of signals of mean square one
         rows = np.array([np.concatenate([getattr(one, name).ravel() for name in names]) for one in self.resampled])
@@ -256,8 +256,8 @@ def _perturbations(
     actuators = [(i, plant.inputs.index(f.component)) for i, f in enumerate(plant.fault_list) if f.kind == "actuator"]
     Bf, Df = np.zeros(plant.Bf.shape), np.zeros(plant.Df.shape)
     for column, given in actuators:
-        Bf[:, column], Df[:, column] = direction["Bu"][:, given], direction["Du"][:, given]
-    matrices = {"A": direction["A"], "B": direction["Bu"], "C": direction["C"], "D": direction["Du"]}
+        Bf[:, column], Df[:, column] = direction["B"][:, given], direction["D"][:, given]
+    matrices = {"A": direction["A"], "B": direction["B"], "C": direction["C"], "D": direction["D"]}
     matrices |= {"Bf": Bf, "Df": Df}
     deltas = []
     for letter, M in matrices.items():
@@ -314,15 +314,15 @@ def with_input_delays(plant: Plant, delays: Mapping[str, int]) -> Plant:
         return plant
     n, m = plant.n_states, len(plant.inputs)
     A, C = np.zeros((n + total, n + total)), np.zeros((plant.n_outputs, n + total))
-    B, D = np.zeros((n + total, m)), np.array(plant.Du)
-    A[:n, :n], C[:, :n], B[:n] = plant.A, plant.C, plant.Bu
+    B, D = np.zeros((n + total, m)), np.array(plant.D)
+    A[:n, :n], C[:, :n], B[:n] = plant.A, plant.C, plant.B
     first = n
     for name, rows in delays.items():
         j = plant.inputs.index(name)
         if not rows:
             continue
         last = first + rows - 1
-        A[:n, last], C[:, last], D[:, j] = plant.Bu[:, j], plant.Du[:, j], 0.0
+        A[:n, last], C[:, last], D[:, j] = plant.B[:, j], plant.D[:, j], 0.0
         B[:n, j], B[first, j] = 0.0, 1.0
         A[range(first + 1, last + 1), range(first, last)] = 1.0
         first += rows

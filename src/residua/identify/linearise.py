@@ -15,6 +15,7 @@ from residua.identify.jacobian import Jacobian, jacobian
 from residua.identify.steady_state import SteadyState, steady_state
 from residua.plant import Plant
 from residua.plant.channels import channel_values
+from residua.shown import Shown
 from residua.visible import echo
 from residua.words import number, some
 
@@ -24,8 +25,8 @@ Equations = Callable[..., ArrayLike]
 _UNLIKE = 1e6
 
 
-@dataclass(frozen=True, eq=False)
-class TangentModel:
+@dataclass(frozen=True, eq=False, repr=False)
+class TangentModel(Shown):
     """The linear model of nonlinear equations at a point, with what is known of its accuracy.
 
     Attributes

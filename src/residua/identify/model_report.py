@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from residua.design.core.evidence import format_pole
 from residua.identify.fit_report import FitReport, share
+from residua.shown import Shown
 from residua.words import counted
 
 #: Orders that a text lists on each side of the chosen one.
@@ -16,7 +17,7 @@ _AROUND = 3
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class IdentificationReport(FitReport):
+class IdentificationReport(Shown, FitReport):
     """How a model came about and how good it is.
 
     Attributes
@@ -74,9 +75,6 @@ class IdentificationReport(FitReport):
         lines = [head, f"order: {self.order_reason}", *self._order_table(), f"poles: {poles}{more}", ""]
         remarks = [f"- {line}" for line in self.remarks]
         return "\n".join([*lines, *self.fit_table(), *(["", *remarks] if remarks else [])])
-
-    def __repr__(self) -> str:
-        return f"IdentificationReport(order {self.order} by {self.method}, {self.samples} rows)"
 
     def _order_table(self) -> list[str]:
         near = [k for k, order in enumerate(self.orders) if abs(order - self.order) <= _AROUND]

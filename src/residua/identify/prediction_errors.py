@@ -50,7 +50,7 @@ def predictor(plant: Plant, dt: float, *, simulation: bool = False) -> Predictor
     if plant.is_discrete and abs(plant.dt - dt) > SAME * dt:
         raise DataError(f"the plant has dt={plant.dt:g} s, the recording {dt:g} s")
     sampled = plant.explicit() if plant.is_discrete else plant.discretize(dt)
-    A, B, C, D = sampled.A, sampled.Bu, sampled.C, sampled.Du
+    A, B, C, D = sampled.A, sampled.B, sampled.C, sampled.D
     K, covariance = np.zeros((len(A), len(C))), None
     if np.any(sampled.process_noise) and not simulation:
         K, covariance = _kalman_gain(sampled)

@@ -29,6 +29,7 @@ from residua.identify.operating_modes import (
 )
 from residua.identify.principal_components import principal_components
 from residua.identify.segments import Gathered, Names, Segment, checked_count, gather
+from residua.shown import Shown
 from residua.visible import echo, listed
 from residua.words import counted
 
@@ -62,7 +63,7 @@ class OperatingMode:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Regimes:
+class Regimes(Shown):
     """A design for each operating mode: :class:`residua.RegimeMonitor` runs them.
 
     Attributes
@@ -102,8 +103,8 @@ class Regimes:
             "residua.Monitor(regimes.modes[name].design) one of them"
         )
 
-    def __repr__(self) -> str:
-        return f"Regimes({self._counts()} by {listed(self.signals.names)})"
+    def _headline(self) -> str:
+        return f"{self._counts()} by {listed(self.signals.names)}"
 
     def _counts(self) -> str:
         out = counted(len(self.modes), "mode")

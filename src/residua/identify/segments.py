@@ -12,10 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.arrays import names as checked_names, runs, unique
 from residua.errors import DataError, ModelError, SettingError
+from residua.recording.matching import matched_names, missing_columns, spelling_notes
 from residua.recording.recording import Recording, read_recording, recording_from_frame
 from residua.recording.time_axis import REGULAR
 from residua.visible import echo, listed
-from residua.words import counted
+from residua.words import counted, listing, number as number_text
 
 #: Rows that are read at a time, so that a recording on disk is never in memory as a whole.
 BLOCK = 65_536
@@ -246,7 +247,8 @@ def gather(
     y : array_like, shape (time, outputs), optional
     inputs, outputs : sequence of str, optional
         The channels by name. Of a recording or a data frame the outputs are all columns that are no inputs, when
-        omitted. Of arrays the names are ``u1..`` and ``y1..`` when omitted.
+        omitted; ``notes`` name those that are left out, for they hold text, never change, or have no value. Of arrays
+        the names are ``u1..`` and ``y1..`` when omitted.
     dt : float, optional
         Step in seconds; that of the recordings when omitted, 1 s of arrays.
 
@@ -264,6 +266,7 @@ def gather(
     if not several:
         raise DataError("the list of recordings is empty")
     tables = [_table(one, *wanted, dt, number) for number, one in enumerate(several, 1)]
+    tables, still = _without_still(tables) if outputs is None and y is None else (tables, ())
     first = tables[0]
     if not first.outputs:
         raise DataError("there are no outputs: name them, outputs=[...]")
@@ -274,7 +277,7 @@ def gather(
                 f"{listed(first.inputs + first.outputs)}: name those to use, inputs=[...], outputs=[...]"
             )
     step, notes = _common_step(tables, dt)
-    return _cut(tables, step, notes)
+    return _cut(tables, step, (*notes, *still))
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,6 +293,7 @@ class _Table:
     dt: float | None
     source: str
     notes: tuple[str, ...] = ()
+    named: bool = False
 
 
 def _wanted(channels: Names, what: str) -> tuple[str, ...] | None:
@@ -332,14 +336,17 @@ def _table(
         raise DataError(
             f"recording {number}: expected a recording, a data frame, a path or arrays (u, y), got {type(one).__name__}"
         )
-    channels = tuple(one.columns)
+    channels, source = tuple(one.columns), one.source or f"recording {number}"
     chosen_inputs = channels[: one.u.shape[1]] if inputs is None else inputs
-    chosen_outputs = outputs if outputs is not None else tuple(name for name in channels if name not in chosen_inputs)
-    for name in (*chosen_inputs, *chosen_outputs):
-        if name not in channels:
-            raise DataError(f"{one.source or f'recording {number}'} has no channel {echo(name)}: {listed(channels)}")
+    found = matched_names((*chosen_inputs, *(outputs or ())), channels)
+    absent = {name: name for name in (*chosen_inputs, *(outputs or ())) if name not in found}
+    if absent:
+        advice = "give inputs and outputs the names of columns"
+        raise missing_columns(absent, channels, source, matched=list(found.values()), advice=advice)
+    chosen_outputs = tuple(name for name in channels if name not in found.values()) if outputs is None else outputs
+    found |= {name: name for name in chosen_outputs if name not in found}
     _check_once(chosen_inputs, chosen_outputs)
-    place = {name: i for i, name in enumerate(channels)}
+    place = {name: channels.index(column) for name, column in found.items()}
     return _Table(
         one.u,
         one.y,
@@ -348,9 +355,47 @@ def _table(
         chosen_inputs,
         chosen_outputs,
         one.dt,
-        one.source or f"recording {number}",
-        one.notes,
+        source,
+        (*one.notes, *spelling_notes(found)),
+        named=True,
     )
+
+
+def _without_still(tables: list[_Table]) -> tuple[list[_Table], tuple[str, ...]]:
+    """Return recordings without the outputs that never change in any of them, or have no value, and a note on these.
+
+    Nobody has named them: all columns were taken, as far as they are no inputs. Columns of arrays stay.
+    """
+    first = tables[0]
+    if not all(one.named and one.outputs == first.outputs for one in tables):
+        return tables, ()
+    told = {name: value for k, name in enumerate(first.outputs) if (value := _still_at(tables, k)) is not None}
+    if not told or len(told) == len(first.outputs):
+        return tables, ()
+    kept = [k for k, name in enumerate(first.outputs) if name not in told]
+    left = [
+        replace(
+            one,
+            outputs=tuple(one.outputs[k] for k in kept),
+            output_columns=tuple(one.output_columns[k] for k in kept),
+        )
+        for one in tables
+    ]
+    named = listing(f"{echo(name)} ({value})" for name, value in told.items())
+    return left, (f"columns that never change, left out: {named}",)
+
+
+def _still_at(tables: Sequence[_Table], output: int) -> str | None:
+    """Return the value that an output has all the time, in words; ``None`` where it moves."""
+    value = np.nan
+    for one in tables:
+        for start in range(0, len(one.y), BLOCK):
+            block = _columns(one.u, one.y, (one.output_columns[output],), start, start + BLOCK)
+            block = block[np.isfinite(block)]
+            value = block[0] if np.isnan(value) and len(block) else value
+            if (block != value).any():
+                return None
+    return "no value" if np.isnan(value) else number_text(value)
 
 
 def _table_of_arrays(

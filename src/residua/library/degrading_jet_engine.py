@@ -164,7 +164,7 @@ def degrading_jet_engine_controller(
     # The regulator is the filter of the transposed plant.
     feedback = filter_riccati(
         plant.A.T,
-        plant.Bu.T,
+        plant.B.T,
         state_weight * np.eye(plant.n_states),
         input_weight * np.eye(len(plant.inputs)),
         dt=plant.dt,
@@ -172,7 +172,7 @@ def degrading_jet_engine_controller(
     estimator = filter_riccati(plant.A, plant.C, plant.Bd @ plant.Bd.T, plant.Dd @ plant.Dd.T, dt=plant.dt)
     K, L = feedback.gain.T, estimator.gain
     return StateSpace(
-        plant.A - plant.Bu @ K - L @ (plant.C - plant.Du @ K),
+        plant.A - plant.B @ K - L @ (plant.C - plant.D @ K),
         L,
         -K,
         dt=plant.dt,

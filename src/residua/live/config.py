@@ -360,7 +360,7 @@ _EXAMPLE = """\
 # residua live: what is watched, where data come from, where alarms go. Times are in seconds.
 
 [[monitors]]
-file = "tank.json"                      # what residua fit or residua learn wrote
+file = "tank.json"                      # written by residua fit or learn
 plants = ["north", "south"]             # or accept_new = true
 
 [[sources]]

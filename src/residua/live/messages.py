@@ -32,6 +32,8 @@ class Message:
     refused : str
         Why the source does not hand on what came, in a word by which it is counted (``"size"``, ``"topic"``,
         ``"retained"``, ``"null"``): it is dropped, and acknowledged in its turn. Empty: nothing is wrong yet.
+    line : int
+        Its number, from 1, where it is a line of text; else 0.
     """
 
     source: Any
@@ -42,3 +44,4 @@ class Message:
     time: float | None = None
     token: Any = None
     refused: str = ""
+    line: int = 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -15,6 +16,9 @@ from numpy.typing import NDArray
 from residua.errors import missing_extra
 from residua.kernels import kernel
 from residua.live.messages import LARGEST, LONGEST_ID, Message
+from residua.recording.matching import matched_names
+from residua.visible import echo, listed
+from residua.words import counted
 
 try:
     import orjson
@@ -28,6 +32,8 @@ MOST_ROWS = 100_000
 #: Seconds from 1970 that a time is taken for: dates from the year -29,700 to 33,600.
 _LARGEST_TIME = 1e12
 _NUMBERS = frozenset({int, float, type(None)})
+#: Channels that a sample has at most: a message may have some of them.
+_SAMPLED = 4
 #: What the kernel says is wrong.
 _WRONG = ("", "shape", "number")
 _KEYS = (
@@ -139,7 +145,7 @@ def readings_of(message: Message, layouts: Layouts) -> Readings:
         raise MessageError("shape", "no JSON object")
     plant = whole.get("plant", message.plant)
     if message.plant and plant != message.plant:
-        raise MessageError("plant", "another plant than the topic says")
+        raise MessageError("plant", f"plant {echo(plant, 40)}, where the source gives {message.plant!r}")
     layout = _layout(plant, layouts)
     keys = whole.keys() | {"plant"}
     if "values" in keys and keys <= _KEYS[1]:
@@ -161,7 +167,7 @@ def _json(content: bytes) -> Any:
     try:
         return orjson.loads(content)
     except (ValueError, RecursionError) as error:
-        raise MessageError("json", "no JSON") from error
+        raise MessageError("json", f"not JSON: {error}") from error
 
 
 def _layout(plant: Any, layouts: Layouts) -> Layout:
@@ -169,7 +175,7 @@ def _layout(plant: Any, layouts: Layouts) -> Layout:
         raise MessageError("plant", "the id of a plant is a text of up to 200 characters")
     layout = layouts(plant)
     if layout is None:
-        raise MessageError("plant", "a plant that is not watched")
+        raise MessageError("plant", f"plant {echo(plant, 40)} is not watched")
     return layout
 
 
@@ -211,7 +217,8 @@ def _named(plant: str, time: float, dated: bool, values: Any, layout: Layout) ->
     try:
         stated = tuple(layout.places[name] for name in values)
     except KeyError:
-        raise MessageError("channel", "a channel that the plant does not have") from None
+        unknown = next(name for name in values if name not in layout.places)
+        raise _no_channel(unknown, layout) from None
     row = np.full((1, len(layout.channels)), np.nan)
     row[0, list(stated)] = _row(list(values.values()))
     return Readings(plant, [time], row, None if len(stated) == row.shape[1] else stated, dated)
@@ -245,8 +252,15 @@ def _rows(layout: Layout, u: Any, y: list[Any]) -> NDArray[np.float64]:
     """Return rows of JSON numbers, inputs and outputs side by side."""
     values = np.empty((len(y), len(layout.channels)))
     inputs, outputs = len(layout.inputs), len(layout.outputs)
-    _check(fill_rows(values, u, 0, inputs))
-    _check(fill_rows(values, y, inputs, outputs))
+    for rows, first, width in ((u, 0, inputs), (y, inputs, outputs)):
+        wrong = fill_rows(values, rows, first, width)
+        if wrong == "shape":
+            named = listed(layout.channels[first : first + width])
+            which = "u" if first == 0 else "y"
+            raise MessageError(
+                "shape", f"{which} must have as many rows as y, each of {counted(width, 'value')}: {named}"
+            )
+        _check(wrong)
     return values
 
 
@@ -295,10 +309,36 @@ def _row(numbers: list[Any]) -> NDArray[np.float64]:
 
 
 def _check(wrong: str) -> None:
-    if wrong == "shape":
-        raise MessageError("shape", "u and y must have as many rows, and a row as many values as the plant")
     if wrong:
         raise MessageError("number", "values must be numbers or null")
+
+
+def _no_channel(name: str, layout: Layout) -> MessageError:
+    """Return the error about a channel that the plant does not have."""
+    like = matched_names(layout.channels, [name])
+    near = difflib.get_close_matches(name, layout.channels, n=1)
+    meant = next(iter(like), near[0] if near else "")
+    hint = f" (did you mean {meant!r}?)" if meant else ""
+    return MessageError("channel", f"no channel {echo(name, 40)}{hint}; the plant has {listed(layout.channels)}")
+
+
+def sample_of(message: Message, layout: Layout, plant: str) -> str:
+    """Return a message that would be right in the place of one that is not, as JSON.
+
+    Examples
+    --------
+    >>> from residua.live.messages import Message
+    >>> from residua.live.readings import Layout, sample_of
+    >>> sample_of(Message(None, b"", 1764288000.0), Layout(("valve",), ("level",), 1.0), "tank 1")
+    '{"plant":"tank 1","t":1764288000.0,"values":{"valve":0.5,"level":0.5}}'
+    """
+    time = round(message.arrived, 3)
+    if message.channel:
+        whole: dict[str, Any] = {"t": time, "value": 0.5}
+    else:
+        whole = {} if message.plant else {"plant": plant}
+        whole |= {"t": time, "values": dict.fromkeys(layout.channels[:_SAMPLED], 0.5)}
+    return orjson.dumps(whole).decode()
 
 
 def _channel(message: Message, content: bytes | float, layouts: Layouts) -> Readings:
@@ -306,7 +346,7 @@ def _channel(message: Message, content: bytes | float, layouts: Layouts) -> Read
     layout = _layout(message.plant, layouts)
     place = layout.places.get(message.channel)
     if place is None:
-        raise MessageError("channel", "a channel that the plant does not have")
+        raise _no_channel(message.channel, layout)
     time, dated, value = message.time, message.time is not None, content
     if isinstance(content, bytes):
         value = _json(content)
@@ -324,4 +364,14 @@ def _channel(message: Message, content: bytes | float, layouts: Layouts) -> Read
     return Readings(message.plant, [time], row, (place,), dated)
 
 
-__all__ = ["REASONS", "Layout", "Layouts", "MessageError", "Readings", "fill_rows", "readings_of", "time_of"]
+__all__ = [
+    "REASONS",
+    "Layout",
+    "Layouts",
+    "MessageError",
+    "Readings",
+    "fill_rows",
+    "readings_of",
+    "sample_of",
+    "time_of",
+]

@@ -18,7 +18,7 @@ from residua.live.config import SINKS, SOURCES, LiveSettings, made
 from residua.live.delivery import Delivery
 from residua.live.messages import Message
 from residua.live.patience import Patience
-from residua.live.readings import Layout, MessageError, Readings, readings_of
+from residua.live.readings import Layout, MessageError, Readings, readings_of, sample_of
 from residua.live.sampling import Remark, Rows, SamplingSettings, due, sample
 from residua.live.source import RunStoppedError, Source
 from residua.live.store import Changes, Store, StoreAwayError
@@ -39,6 +39,8 @@ _LOOKED_THROUGH = 4096
 _DROPPED_AT_ONCE = 1000
 #: Plants of which it is said that their step is another one.
 _MOST_ODD = 20
+#: Characters of a message that the log quotes, and of all that it says of one.
+_QUOTED, _TOLD = 120, 700
 #: Seconds that sinks have at the end.
 _LEAVING = 10.0
 _LOG = logging.getLogger("residua.live")
@@ -376,10 +378,22 @@ class Run:
             except MessageError as error:
                 if len(new) > before:  # a plant is taken in by what can be used of it
                     new.popitem()
-                self._drop(error.reason, message.source.name, str(error), now)
+                self._drop(error.reason, message.source.name, self._quoted(message, error), now)
         if new:
             self._commit(self.watch.add(new, model, now))
         return out
+
+    def _quoted(self, message: Message, error: MessageError) -> str:
+        """Return what is wrong with a message: its line, the beginning of it, and a sample of a right one."""
+        known = self.watch.plants
+        plant = message.plant or next(iter(known), "plant 1")
+        model = known[plant].model if plant in known else next(iter(self.models))
+        line = f"line {message.line}: " if message.line else ""
+        content = message.payload
+        if isinstance(content, bytes):
+            content = content[: 2 * _QUOTED].decode(errors="replace")
+        sample = sample_of(message, self.models[model].layout, plant)
+        return f"{line}{error}; got {echo(content, _QUOTED)}, expected such as {sample}"
 
     def _sample(self, readings: Readings, now: float, work: dict[str, Work], touched: set[str]) -> None:
         """Put readings on the grid of their plant."""
@@ -500,7 +514,7 @@ class Run:
             return
         self._said[reason] = (now, 0)
         beside = f", and {more} more since then" if more else ""
-        _LOG.warning("%s: %s (%s)%s", visible(where)[:100], reason, visible(text)[:200], beside)
+        _LOG.warning("%s: %s (%s)%s", visible(where)[:100], reason, visible(text)[:_TOLD], beside)
 
     def wait_for_event(self, place: int, timeout: float) -> bool:
         """Wait until there is an event after a place, or the time is over; return whether there is one."""

@@ -36,7 +36,7 @@ from residua.tolerances import POLYNOMIAL_LEAKAGE
 #: Of so many frequencies of the design one is looked at when it is loaded.
 _EVERY = 12
 _SYSTEM_ENTRIES = ("A", "B", "C", "D", "dt", "inputs", "outputs", "states")
-_PLANT_ARRAYS = ("A", "C", "Bu", "Du", "Bd", "Dd", "Bf", "Df", "Bw", "Dw")
+_PLANT_ARRAYS = ("A", "B", "C", "D", "Bd", "Dd", "Bf", "Df", "Bw", "Dw")
 _PLANT_TEXTS = ("name", "description")
 _PLANT_NAMES = ("inputs", "outputs", "states", "disturbances")
 _PLANT_ENTRIES = (*_PLANT_ARRAYS, "E", "dt", *_PLANT_TEXTS, *_PLANT_NAMES, "faults", "operating_point", "units")
@@ -282,9 +282,9 @@ def _plant_in(value: Any, where: str) -> Plant:
     ]
     plant = Plant(
         a["A"],
-        a["Bu"],
+        a["B"],
         a["C"],
-        a["Du"],
+        a["D"],
         E=_array_or_none_in(content["E"], joined(where, "E")),
         dt=float_in(content["dt"], joined(where, "dt"), STEP),
         inputs=names["inputs"],

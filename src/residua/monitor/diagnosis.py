@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,16 +32,17 @@ from residua.decide.statement import (
 )
 from residua.decide.structured import CodeTest
 from residua.decide.word import Word
+from residua.design import ResidualGenerator
 from residua.errors import DataError, MissingExtraError, SettingError
 from residua.files import write_text
 from residua.monitor.explaining import word_of
+from residua.monitor.fault_learning import LearntRow
 from residua.monitor.fit_check import FitCheck
 from residua.recording.clock import Clock
+from residua.shown import Shown
 from residua.visible import echo, listed
-
-if TYPE_CHECKING:
-    from residua.design import ResidualGenerator
-
+from residua.words import counted
+from residua.wrong_guesses import Guessed
 
 __all__ = ["Alarm", "Candidate", "Diagnosis"]
 
@@ -76,8 +77,8 @@ class Totals:
     absent: tuple[int, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class Diagnosis:
+@dataclass(frozen=True, eq=False, repr=False)
+class Diagnosis(Guessed, Shown):
     """The result of a monitor on a recording. Prints as a table.
 
     Attributes
@@ -167,6 +168,8 @@ class Diagnosis:
         The measurements, in plant units; NaN for a missing value. No rows if they were not kept.
     isolation : Isolation
         What names the alarms, and says how sure the names are.
+    learnt_faults : tuple of LearntRow
+        The faults that were learnt from recordings, as the table of the monitor has them.
     explainer : Explainer or None
         What gives alarms their words, where faults are named by direction or by response.
     compared : tuple of (int, int)
@@ -223,6 +226,7 @@ class Diagnosis:
     signals: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
     compared: tuple[tuple[int, int], ...] = field(default=(), repr=False)
     isolation: Isolation = field(default_factory=NoNames, repr=False)
+    learnt_faults: tuple[LearntRow, ...] = field(default=(), repr=False)
     explainer: Explainer | None = field(default=None, repr=False)
     thinned: bool = False
     table: str = ""
@@ -375,6 +379,21 @@ class Diagnosis:
 
     # ------------------------------------------------------------------ output
 
+    def __bool__(self) -> bool:
+        raise SettingError(
+            "a diagnosis is neither true nor false: diagnosis.fault_detected tells whether an alarm was raised"
+        )
+
+    def _headline(self) -> str:
+        from residua.report.verdict import verdict
+
+        return f"{self.generator.plant.name}, {counted(self.totals.samples, 'sample')}: {verdict(self).headline}"
+
+    def _parts(self) -> list[str]:
+        from residua.report.notebook import parts_of
+
+        return parts_of(self)
+
     def __str__(self) -> str:
         lines = [f"{self.generator.plant.name}: {self.totals.samples} samples, {self._span()}"]
         if self.n_missing:
@@ -524,6 +543,51 @@ class Diagnosis:
         """Write one JSON object per alarm and line (JSON Lines)."""
         text = "".join(json.dumps(alarm.to_dict(window=self.window)) + "\n" for alarm in self.alarms)
         write_text(path, text)
+
+    def to_json(self, *, whole: bool = True) -> str:
+        """Return the diagnosis as JSON, from which :meth:`from_json` reads it again, every number to its last bit.
+
+        Parameters
+        ----------
+        whole : bool
+            With all series and the generator. If false, what was found alone: the verdict, the alarms, the notes.
+
+        Returns
+        -------
+        str
+
+        Examples
+        --------
+        >>> import json
+        >>> import numpy as np
+        >>> import residua as rs
+        >>> plant = rs.Plant([[0.9]], [[0.1]], [[1.0]], dt=1, inputs=["valve"], outputs=["level"])
+        >>> plant = plant.with_sensor_faults().with_noise(process=1e-4, measurement=1e-2)
+        >>> monitor = rs.Monitor(rs.design.kalman_filter(plant))
+        >>> found = monitor.run(np.ones((200, 1)), np.r_[np.ones(100), 2 * np.ones(100)][:, None])
+        >>> json.loads(found.to_json(whole=False))["alarms"][0]["onset"]
+        100.0
+        >>> again = rs.Diagnosis.from_json(found.to_json())
+        >>> str(again) == str(found) and np.array_equal(again.statistic, found.statistic, equal_nan=True)
+        True
+        """
+        from residua.report.document import document_of
+
+        return document_of(self, whole=whole)
+
+    @staticmethod
+    def from_json(text: str | bytes) -> Diagnosis:
+        """Return the diagnosis that :meth:`to_json` wrote; nothing in the text is executed.
+
+        Raises
+        ------
+        FileFormatError
+            If the text is no whole diagnosis, an entry is missing, unknown or not what it may be (the message names
+            it), or the content is not what was written, by its checksum.
+        """
+        from residua.report.document import diagnosis_of
+
+        return diagnosis_of(text)
 
     def plot(self, ax: Any = None) -> Any:
         """Plot residuals, statistic with threshold, and candidates over time (needs matplotlib).

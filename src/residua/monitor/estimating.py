@@ -12,10 +12,11 @@ from residua.design.core.internal_form import leak_frequencies, leakage
 from residua.errors import ModelError
 from residua.linear import StateSpace
 from residua.linear.systems.state_space import stack_systems
+from residua.plant.channels import ROLES
 from residua.tolerances import POLYNOMIAL_LEAKAGE
 
 _ALIKE = ("inputs", "outputs", "faults", "disturbances", "dt")
-_EQUAL = ("A", "E", "C", *(matrix + role for role in "udfw" for matrix in "BD"))
+_EQUAL = ("A", "E", "C", *(matrix + role for role in ROLES.values() for matrix in "BD"))
 
 
 def with_estimator(bank: ResidualGenerator, estimator: ResidualGenerator) -> ResidualGenerator:

@@ -10,9 +10,11 @@ from residua.decide.explanation import BLOCKS
 from residua.decide.false_alarms import within_tolerance
 from residua.decide.held_out import HeldOut
 from residua.decide.stationarity import Change
-from residua.monitor.visible_sizes import DETECTABLE, SOON, VisibleSize
+from residua.errors import DataError
+from residua.monitor.visible_sizes import DETECTABLE, HEADER, SOON, VisibleSize
 from residua.number_kinds import COUNT, FINITE, INDEX, PROBABILITY, SHARE, NumberKind
 from residua.records import Record
+from residua.shown import Shown, notes, table
 from residua.words import counted, number, one_in
 
 
@@ -26,8 +28,8 @@ class Explained(Record):
     share: float
 
 
-@dataclass(frozen=True)
-class FitCheck(Record):
+@dataclass(frozen=True, repr=False)
+class FitCheck(Shown, Record):
     """The check of a fit on its own recordings. Prints as one line on false alarms, and what speaks against the fit.
 
     Attributes
@@ -157,6 +159,40 @@ class FitCheck(Record):
         return tuple(f"the fit: {one}" for one in (*self.cautions, *self.units, *self.doubts, *found, *self._wandering))
 
     @property
+    def looks_faulty(self) -> str:
+        """The reason for which the recordings are hardly fault-free throughout; empty where there is none.
+
+        More of the held-out samples are in alarm than ten times the rate aimed at, with 97.5 % confidence, or a mean
+        steps by three standard deviations or more and does not come back. Without samples held out nothing is checked.
+        """
+        held = self.held_out
+        if held is None:
+            return ""
+        several = self.recordings > 1
+        if held.is_far_over:
+            where = f" of recording {held.recording}" if several else ""
+            return (
+                f"{held.alarmed:,} of {held.samples:,} held-out samples are in alarm, the first at sample "
+                f"{held.sample:,}{where}, where {one_in(held.asked)} was asked"
+            )
+        step = next((one for one in self.changes if one.is_step), None)
+        if step is None:
+            return ""
+        where = f" of recording {step.recording}" if several else ""
+        return (
+            f"the mean of {step.residuals[0]!r} steps by {number(step.size, 2)} standard deviations at sample "
+            f"{step.sample:,} of {step.samples:,}{where}, and {step.samples - step.sample:,} samples follow"
+        )
+
+    def require_fault_free(self) -> None:
+        """Raise :class:`residua.errors.DataError` where the recordings look faulty."""
+        if self.looks_faulty:
+            raise DataError(
+                f"this looks like no fault-free recording: {self.looks_faulty}; leave the faulty rows out; where all "
+                "rows are normal, fit several recordings that have such changes more than once, or give force=True"
+            )
+
+    @property
     def _wandering(self) -> tuple[str, ...]:
         """What sums of whitened residuals over 20 samples, or the most there are enough of, say of the model."""
         variance = self.colour[_TWENTY] if self.colour else 1.0
@@ -167,6 +203,13 @@ class FitCheck(Record):
             'misses some of the plant\'s dynamics, or a drift, and names are "too early" or a "poor match" more often; '
             "identify the plant anew, estimate its noise from data, or add a disturbance",
         )
+
+    def _headline(self) -> str:
+        return self.false_alarms or "no threshold is from data"
+
+    def _parts(self) -> list[str]:
+        facts = [self.explains] if self.explains else []
+        return [table(HEADER, [one.cells for one in self.visible]), notes([*facts, *self.notes])]
 
     def __str__(self) -> str:
         return "\n".join(filter(None, (self.false_alarms, *self.notes)))

@@ -12,16 +12,18 @@ from residua.arrays import aligned
 from residua.decide.checks import check_samples
 from residua.errors import DataError, NotFittedError, SettingError
 from residua.monitor.decision import Decision
+from residua.monitor.diagnosis import Diagnosis
 from residua.monitor.fleet_block import AlarmEvent, FleetAlarm, FleetBlock, Tick
 from residua.monitor.monitor import Monitor
 from residua.monitor.running import Decisions
 from residua.monitor.snapshot import restored_blocks, snapshot_of
 from residua.monitor.whole_blocks import Work, Worker
+from residua.shown import Shown, table
 from residua.visible import echo, listed
 from residua.words import counted
 
 
-class Fleet:
+class Fleet(Shown):
     """Many plants that run at once, each with a state of its own.
 
     Each plant gives the same bits as a :class:`residua.Monitor` of its own would, whatever the order of records, and
@@ -217,7 +219,60 @@ class Fleet:
         within = [work for _, work in works]
         self._worker.do(Work(steps, [job for work in within for job in work.jobs], within))
 
-    def run(self, u: Any, y: Any) -> Decisions | dict[str, Decisions]:
+    def run(self, recordings: Mapping[Hashable, Any]) -> dict[Hashable, Diagnosis]:
+        """Run over whole recordings of some plants, each from a fresh start, as :meth:`residua.Monitor.run` does.
+
+        Parameters
+        ----------
+        recordings : mapping
+            By the ids of the plants: a pair ``(u, y)`` of arrays, or a data frame, a
+            :class:`residua.monitor.Recording` or a path, as for :meth:`residua.Monitor.run`.
+
+        Returns
+        -------
+        dict
+            By the ids of the plants a :class:`residua.Diagnosis`, with its alarms. What the fleet remembers stays as it
+            is: :meth:`tick`, :meth:`update` and :meth:`follow` go on from their own last samples.
+
+        Raises
+        ------
+        DataError
+            If a plant is not known, before any recording is run, or a recording cannot be used: the message names the
+            plant.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import residua as rs
+        >>> plant = rs.Plant([[0.9]], [[0.1]], [[1.0]], dt=1, inputs=["valve"], outputs=["level"])
+        >>> plant = plant.with_sensor_faults().with_noise(process=1e-4, measurement=1e-2)
+        >>> fleet = rs.Fleet(rs.Monitor(rs.design.kalman_filter(plant)), plants=["north", "south"])
+        >>> u, level = np.ones((300, 1)), np.where(np.arange(300) < 200, 1.0, 2.0)[:, None]
+        >>> found = fleet.run({"north": (u, np.ones((300, 1))), "south": (u, level)})
+        >>> {plant: [(alarm.raised, alarm.named) for alarm in one.alarms] for plant, one in found.items()}
+        {'north': [], 'south': [(200.0, (('level sensor',),))]}
+        """
+        if not isinstance(recordings, Mapping):
+            raise DataError(
+                "give recordings by plant, {plant: (u, y)}; update(u, y) goes on with a block of all plants"
+            )
+        blocks = {plant: self._block_with(plant) for plant in recordings}
+        out: dict[Hashable, Diagnosis] = {}
+        for plant, recording in recordings.items():
+            pair = isinstance(recording, tuple) and len(recording) == 2
+            u, y, source = (*recording, str(plant)) if pair else (recording, None, "")
+            try:
+                found = blocks[plant].monitor.run(u, y, source=source)
+            except DataError as error:
+                raise DataError(f"{echo(plant)}: {error}") from error
+            if not isinstance(found, Diagnosis):
+                raise DataError(f"{echo(plant)}: give one recording, (time, channels), for each plant")
+            out[plant] = found
+        for block in blocks.values():
+            block.monitor.reset()  # its state is not used: each plant has its own
+        return out
+
+    def update(self, u: Any, y: Any) -> Decisions | dict[str, Decisions]:
         """Go on with a block of samples of all plants.
 
         Parameters
@@ -403,10 +458,17 @@ class Fleet:
             raise DataError(f"model must be one of {listed(list(self._blocks))}, got {echo(model)}")
         return str(model)
 
-    def __repr__(self) -> str:
+    def _headline(self) -> str:
         standing = sum(len(block.standing) for block in self._blocks.values())
         models = f" of {len(self._blocks)} models" if len(self._blocks) > 1 else ""
-        return f"Fleet({counted(len(self), 'plant')}{models}, {standing} in alarm)"
+        return f"{counted(len(self), 'plant')}{models}, {standing} in alarm"
+
+    def _parts(self) -> list[str]:
+        rows = [
+            (str(one.plant), one.raised, one.onset, one.candidates[0].name if one.candidates else "unknown fault")
+            for one in self.alarms
+        ]
+        return [table(["plant", "alarm since [s]", "onset [s]", "most likely"], rows)]
 
 
 def _pair(name: object, pair: Any) -> tuple[Monitor, list[Hashable]]:

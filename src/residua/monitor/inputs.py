@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from residua.design.core.signals import checked_signals
 from residua.errors import DataError
 from residua.linear.systems.balancing import state_units
 from residua.plant import Plant
+from residua.recording.matching import matched_names, missing_columns, spelling_notes
 from residua.recording.recording import Recording, read_recording, recording_from_frame
 from residua.recording.time_axis import regular_step, seconds_from_dates
 from residua.tolerances import ROUNDING
@@ -91,12 +92,13 @@ def signals(u: Any, y: Any, time: ArrayLike | None, dt: float | None, source: st
             if not _is_frame(u):
                 raise DataError("give u and y as arrays, or one data frame, recording or path, with named columns")
             u = recording_from_frame(u, plant, dt=dt, source=source or "data frame")
+        u = with_channels(u, plant)
         return Signals(u.u, u.y, u.time, u.dt, source or u.source, u.notes, u.origin)
     if dt is not None and not (np.isfinite(dt) and dt > 0):
         raise DataError(f"dt must be a positive step in seconds, got {echo(dt)}")
-    u, y = _by_names(u, y, plant)
+    u, y, notes = _by_names(u, y, plant)
     if time is None:
-        return Signals(u, y, None, dt, source)
+        return Signals(u, y, None, dt, source, notes)
     clock, origin = _seconds(time)
     samples = np.shape(y)[-2] if np.ndim(y) > 1 else np.size(y)
     if clock.shape != (samples,):
@@ -106,7 +108,28 @@ def signals(u: Any, y: Any, time: ArrayLike | None, dt: float | None, source: st
     step = regular_step(clock, 0.01, 0, source or "recording")
     if dt is not None and abs(dt - step) > 1e-6 * step:
         raise DataError(f"dt={dt:g} s was given, the times are {step:g} s apart")
-    return Signals(u, y, clock, step, source, origin=origin)
+    return Signals(u, y, clock, step, source, notes, origin)
+
+
+def with_channels(one: Recording, plant: Plant) -> Recording:
+    """Return a recording with the channels of a plant, matched by name: it may be read without one, or for another."""
+    channels, columns = (*plant.inputs, *plant.outputs), tuple(one.columns)
+    if columns == channels and one.u.shape[1] == len(plant.inputs):
+        return one
+    found = matched_names(channels, columns)
+    if len(found) < len(channels):
+        absent = {name: name for name in channels if name not in found}
+        raise missing_columns(absent, columns, one.source or "the recording", matched=list(found.values()))
+    rows = np.hstack([one.u, one.y])[:, [columns.index(found[name]) for name in channels]]
+    m = len(plant.inputs)
+    return replace(
+        one,
+        u=rows[:, :m],
+        y=rows[:, m:],
+        columns={name: one.columns[found[name]] for name in channels},
+        n_missing=int((~np.isfinite(rows)).sum()),
+        notes=(*one.notes, *spelling_notes(found, plant.units)),
+    )
 
 
 def plant_signals(
@@ -155,27 +178,34 @@ def _is_of_channels(plant: Plant) -> bool:
     return not plant.inputs and not plant.n_states
 
 
-def _by_names(u: Any, y: Any, plant: Plant) -> tuple[Any, Any]:
-    """Return the columns of data frames in the order of the plant; arrays are taken as they are."""
+def _by_names(u: Any, y: Any, plant: Plant) -> tuple[Any, Any, tuple[str, ...]]:
+    """Return the columns of data frames in the order of the plant, with a note on those of another name.
+
+    Arrays are taken as they are.
+    """
     if not (_is_of_channels(plant) and _is_frame(u) and _is_frame(y)):
-        return _by_name(u, plant.inputs, "u"), _by_name(y, plant.outputs, "y")
-    ours = [name for name in plant.outputs if name in list(u.columns)]
+        u, of_u = _by_name(u, plant.inputs, "u", plant)
+        y, of_y = _by_name(y, plant.outputs, "y", plant)
+        return u, y, of_u + of_y
+    ours = tuple(matched_names(plant.outputs, [str(name) for name in u.columns]))
     rest = tuple(name for name in plant.outputs if name not in ours)
-    columns = {name: _by_name(u, (name,), "u") for name in ours} | {name: _by_name(y, (name,), "y") for name in rest}
-    return None, np.hstack([columns[name] for name in plant.outputs])
+    first, of_u = _by_name(u, ours, "u", plant)
+    second, of_y = _by_name(y, rest, "y", plant)
+    place = [(*ours, *rest).index(name) for name in plant.outputs]
+    return None, np.hstack([first, second])[:, place], of_u + of_y
 
 
-def _by_name(data: Any, channels: tuple[str, ...], what: str) -> Any:
-    """Return the columns of a data frame in the order of the plant; arrays are taken as they are."""
+def _by_name(data: Any, channels: tuple[str, ...], source: str, plant: Plant) -> tuple[Any, tuple[str, ...]]:
     if not _is_frame(data):
-        return data
-    columns = data.columns
-    missing = [name for name in channels if name not in list(columns)]
-    if missing:
-        raise DataError(
-            f"{what} has no column {', '.join(map(repr, missing))}; there are {', '.join(map(repr, columns))}"
-        )
-    return np.column_stack([np.asarray(data[name], dtype=float) for name in channels])
+        return data, ()
+    columns = {str(name): name for name in data.columns}
+    found = matched_names(channels, list(columns))
+    if len(found) < len(channels):
+        absent = {name: name for name in channels if name not in found}
+        raise missing_columns(absent, list(columns), source, matched=list(found.values()))
+    parts = [np.asarray(data[columns[found[name]]], dtype=float) for name in channels]
+    rows = np.column_stack(parts) if parts else np.zeros((len(data), 0))
+    return rows, spelling_notes(found, plant.units)
 
 
 def _seconds(time: ArrayLike) -> tuple[NDArray[np.float64], str]:

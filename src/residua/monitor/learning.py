@@ -29,6 +29,7 @@ from residua.monitor.monitor import Monitor
 from residua.monitor.running import initial_state
 from residua.plant import Plant
 from residua.progress import Progress
+from residua.shown import Shown
 from residua.visible import echo
 from residua.words import listing, number
 
@@ -41,6 +42,8 @@ _MODEL, _CHECK = 0.5, 0.75
 #: Multiples of the rate asked on the check from which on a part's thresholds are raised, beyond which a form of
 #: relations is left out, and beyond which the log does not hold all that is normal.
 _RAISED_FROM, _LEFT_OUT_FROM, _NOT_NORMAL_FROM = 3.0, 5.0, 20.0
+#: Share of the check in alarm from which on a log is refused as faulty.
+_FAULTY_FROM = 0.5
 #: By how much thresholds are raised above the largest statistic of the check.
 _ABOVE = 1.05
 #: Shares of the time in alarm that are as good as the best.
@@ -83,8 +86,8 @@ class Tried:
     failed: str = ""
 
 
-@dataclass(frozen=True, eq=False)
-class Learnt:
+@dataclass(frozen=True, eq=False, repr=False)
+class Learnt(Shown):
     """A monitor that was learnt from fault-free recordings, and what its check says. Prints as a summary.
 
     Attributes
@@ -189,7 +192,7 @@ def learn(
     sensor_faults, actuator_faults : bool
         Whether faults of every output, and of every input that has an effect, can be named.
     force : bool
-        Whether a monitor is returned of which nothing can be expected.
+        Learn from a log that looks faulty, too, and return a monitor of which nothing can be expected.
     model : mapping of str to object, optional
         Options of :func:`residua.identify.subspace`. Where the order is not among them and the model has a pole of one
         or more, a stable one of a near order is taken if there is one.
@@ -203,7 +206,7 @@ def learn(
     Raises
     ------
     DataError
-        If the rows are too few, or the monitor can see next to nothing and ``force`` is not set.
+        If the rows are too few, the log looks faulty, or the monitor can see next to nothing, and ``force`` is not set.
     SettingError
         If an option is none of its values.
 
@@ -270,6 +273,12 @@ def learn(
     raised, alarmed = factors[chosen]
     monitor = routes.monitor(chosen, [(one[:, :m], one[:, m:]) for one in rows], _MODEL, raised)
     picked = next(one for one in tried if one.form == chosen)
+    if picked.false_alarms > _FAULTY_FROM and not force:
+        raise DataError(
+            f"this looks like no fault-free log: its last quarter is {percent_of(picked.false_alarms)} in alarm by "
+            "what came before; leave the faulty rows out; where all rows are normal, learn from a longer log, or from "
+            "several, or give force=True"
+        )
     if picked.false_alarms > _NOT_NORMAL_FROM * rate:
         cautions.insert(0, (
             f"the log does not hold all that is normal: its last quarter is {percent_of(picked.false_alarms)} in alarm "
@@ -314,7 +323,7 @@ def _with_inputs(recordings: Any, y: Any, inputs: Names, outputs: Names, dt: flo
             )
         return gathered, y is None
     rest = tuple(name for name in gathered.outputs if name not in found)
-    return gather(recordings, y, inputs=found, outputs=rest, dt=dt), True
+    return replace(gather(recordings, y, inputs=found, outputs=rest, dt=dt), notes=gathered.notes), True
 
 
 def _stable_model(parts: Any, names: Mapping[str, Any], options: dict[str, Any]) -> IdentifiedModel:

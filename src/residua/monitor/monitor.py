@@ -32,7 +32,7 @@ from residua.monitor.fit_check import FitCheck
 from residua.monitor.fitting import check_held_out, fitted_test
 from residua.monitor.inputs import Signals, plant_signals, settling_samples, several_signals, signals
 from residua.monitor.live import Live, checked_keep, run_whole
-from residua.monitor.outcome import Recorded, compared_outputs, diagnosis_from
+from residua.monitor.outcome import Recorded, compared_outputs, diagnosis_from, settings_of
 from residua.monitor.plausible import (
     TIMES,
     Plausible,
@@ -52,10 +52,12 @@ from residua.monitor.setup import (
 )
 from residua.monitor.specification import Specification
 from residua.monitor.starting import checked_start
+from residua.shown import Shown, table
 from residua.tolerances import SAME
+from residua.wrong_guesses import Guessed, guessed
 
 
-class Monitor:
+class Monitor(Guessed, Shown):
     """Watches recorded or live data for faults.
 
     Data are in plant units: the plant's operating point is subtracted inside. A continuous generator is sampled at
@@ -134,6 +136,7 @@ class Monitor:
     100.0
     """
 
+    @guessed("Monitor")
     def __init__(
         self,
         generator: Any,
@@ -256,6 +259,7 @@ class Monitor:
         false_alarm_rate: float | None = None,
         held_out: float = 0.2,
         transient: int | str = 0,
+        force: bool = False,
     ) -> Monitor:
         """Fit mean, covariance and threshold to one or several fault-free recordings.
 
@@ -291,10 +295,9 @@ class Monitor:
             what only the last part shows of normal operation is no part of the model otherwise.
         transient : int or "auto"
             Samples at the start of each recording, counted with those over which the filter settles, that the fit
-            leaves out. ``"auto"``: those that are not like the rest, the norm of the residuals being larger there, if
-            there are any (:func:`residua.decide.stationarity.changes`); half of the recording at most. What the plant
-            does at its start is no part of what is normal then, and raises alarms: set ``settle`` where that should
-            not be.
+            leaves out. ``"auto"``: those over which the norm of the residuals is larger than in the rest
+            (:func:`residua.decide.stationarity.changes`); half of the recording at most. A start is then no part of
+            normal operation, and raises alarms: set ``settle`` where it should not.
 
         Returns
         -------
@@ -304,7 +307,7 @@ class Monitor:
         Raises
         ------
         DataError
-            If a recording does not fit the plant, or is too short, or goes over a threshold of a finite-horizon test.
+            If a recording does not fit the plant, is too short, looks faulty, or is over a finite-horizon threshold.
         """
         check_held_out(held_out, transient)
         parts = several_signals(u, y, time, dt, self.design.plant)
@@ -316,7 +319,7 @@ class Monitor:
             blank = blank_test(self.generator)
             samples = np.concatenate([data.reshape(-1, data.shape[2]) for data in recordings])
             ranges = fitted_ranges(self.plausible, samples, guarded_ranges(self.generator, blank))
-            self._test, self._check, self._normal = fitted_test(
+            test, check, normal = fitted_test(
                 self._settings,
                 self._watched(self.generator),
                 recordings,
@@ -328,6 +331,9 @@ class Monitor:
                 held_out=float(held_out),
                 transient=transient,
             )
+            if not force:
+                check.require_fault_free()
+            self._test, self._check, self._normal = test, check, normal
             self._ranges, self._spec, self._state = ranges, None, None
         return self
 
@@ -424,7 +430,7 @@ class Monitor:
             settings = self.generator.dt, plain, self._isolation, self._normal
             made = learnt_from_blocks(name, [one.time for one in parts], blocks, interval, *settings)
             faults = (*(fault for fault in self._learnt if fault.name != name), made)
-            self._extended(plain, faults)  # raises where it does not go with the others
+            with_faults(plain, faults, self._normal, self._isolation)  # raises where it does not go with the others
             self._learnt, self._running, self._state = faults, None, None
         return self
 
@@ -666,12 +672,8 @@ class Monitor:
         with self._lock:
             plain = self._plain_specification()
             if self._running is None or self._running[0] is not plain:
-                self._running = (plain, self._extended(plain, self._learnt))
+                self._running = (plain, with_faults(plain, self._learnt, self._normal, self._isolation))
             return self._running[1]
-
-    def _extended(self, plain: Specification, faults: tuple[LearntFault, ...]) -> Specification:
-        """Return what runs with learnt faults."""
-        return with_faults(plain, faults, self._normal, self._isolation)
 
     def _plain_specification(self) -> Specification:
         """Return what runs, without learnt faults."""
@@ -692,6 +694,10 @@ class Monitor:
         plant = self.generator.plant
         return plausible_deviations(self.plausible, (*plant.inputs, *plant.outputs), ranges, self.generator, test)
 
-    def __repr__(self) -> str:
+    def _headline(self) -> str:
         state = f"threshold {self.threshold:.4g}" if self.is_fitted else "not fitted"
-        return f"Monitor({self.design.method}, {self.design.plant.name!r}, {state})"
+        return f"{self.design.method}, {self.design.plant.name!r}, {state}"
+
+    def _parts(self) -> list[str]:
+        rows = settings_of(self._specification(), self.generator).items() if self.is_fitted else ()
+        return [table(["setting", ""], rows), *(self._check._parts() if self._check else ())]

@@ -18,6 +18,7 @@ from residua.design.core.evidence import AFFINE_FORM
 from residua.monitor.beginning import with_beginnings
 from residua.monitor.diagnosis import Diagnosis
 from residua.monitor.explaining import explainer_of, with_words
+from residua.monitor.fault_learning import learnt_table
 from residua.monitor.fit_check import FitCheck
 from residua.monitor.inputs import settling_reason
 from residua.monitor.running import Decisions
@@ -120,6 +121,7 @@ def diagnosis_from(
         window=isolation.samples_to_be_sure(test),
         codes=isolation.coding,
         isolation=isolation,
+        learnt_faults=tuple(learnt_table(isolation)),
         explainer=explainer,
         fit_check=check,
         is_unlike_the_fit=bool(unlike),

@@ -285,7 +285,7 @@ def partial_update(generator: ResidualGenerator, test: ResidualTest) -> PartialU
     noises = (np.asarray(Q), np.asarray(R), np.asarray(S))
     P = (P + P.T) / 2
     return PartialUpdate(
-        plant.A, plant.Bu, plant.C, plant.Du, K, *noises, P, np.vstack([plant.Df, plant.Bf]), ages, settled, test.metric
+        plant.A, plant.B, plant.C, plant.D, K, *noises, P, np.vstack([plant.Df, plant.Bf]), ages, settled, test.metric
     )
 
 

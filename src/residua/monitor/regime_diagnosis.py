@@ -12,6 +12,7 @@ from residua.decide.alarm import Alarm
 from residua.decide.statement import SHOWN_ALARMS, left_out_text, longest_alarms
 from residua.monitor.diagnosis import Diagnosis
 from residua.recording.clock import Clock
+from residua.shown import Shown
 from residua.words import counted
 
 
@@ -29,8 +30,8 @@ class RegimeAlarm:
     alarm: Alarm
 
 
-@dataclass(frozen=True, eq=False)
-class RegimeDiagnosis:
+@dataclass(frozen=True, eq=False, repr=False)
+class RegimeDiagnosis(Shown):
     """The result of a :class:`residua.RegimeMonitor` on a recording. Prints as a table.
 
     Attributes

@@ -22,8 +22,8 @@ from residua.monitor.inputs import Signals, several_signals, signals
 from residua.monitor.monitor import Monitor
 from residua.monitor.regime_diagnosis import RegimeDiagnosis
 from residua.plant import Plant
-from residua.recording.recording import Recording, read_recording
 from residua.recording.time_axis import REGULAR
+from residua.shown import Shown, notes, table
 from residua.visible import echo, listed
 
 #: What is said of a mode that no recording showed.
@@ -32,7 +32,7 @@ NEVER_SEEN = "a mode never seen"
 SAME_STEP = REGULAR / 10
 
 
-class RegimeMonitor:
+class RegimeMonitor(Shown):
     """Watches recorded data for faults by one monitor for each operating mode.
 
     A sample is judged by the monitor of its own mode. Nothing is decided in a mode without a model, where a signal
@@ -154,6 +154,7 @@ class RegimeMonitor:
         dt: float | None = None,
         false_alarm_rate: float | None = None,
         held_out: float = 0.2,
+        force: bool = False,
     ) -> RegimeMonitor:
         """Fit the monitor of every mode to its rows of one or several fault-free recordings.
 
@@ -163,6 +164,7 @@ class RegimeMonitor:
             As for :meth:`residua.Monitor.fit`: with the channels of the regimes, the signals of the modes included, by
             name or, of arrays, in the same columns.
         false_alarm_rate, held_out : float
+        force : bool
             As for :meth:`residua.Monitor.fit`, in every mode.
 
         Returns
@@ -175,7 +177,7 @@ class RegimeMonitor:
         DataError
             If a channel is missing, or no mode can be fitted. A mode that cannot is judged no more: ``unfitted``.
         """
-        parts = [self._matched(one) for one in self._several(u, y, time, dt)]
+        parts = [self._matched(one) for one in several_signals(u, y, time, dt, self._plant())]
         keys = [self._keys(one) for one, _ in parts]
         old = [ages(one) for one in keys]
         unfitted: dict[str, str] = {}
@@ -192,7 +194,7 @@ class RegimeMonitor:
                 unfitted[name] = f"no visit of more than {monitor.settling_samples} settled samples to fit it to"
                 continue
             try:
-                fitted[name] = monitor.fit(pairs, false_alarm_rate=false_alarm_rate, held_out=held_out)
+                fitted[name] = monitor.fit(pairs, false_alarm_rate=false_alarm_rate, held_out=held_out, force=force)
             except DataError as error:
                 unfitted[name] = f"not fitted: {error}"
         if not fitted:
@@ -229,7 +231,7 @@ class RegimeMonitor:
         """
         if y is not None and np.ndim(y) == 3:
             raise DataError("a monitor by operating mode takes one plant: (time, channels)")
-        rows, measured = self._matched(signals(*self._one(u, y), time, dt, source, self._plant()))
+        rows, measured = self._matched(signals(u, y, time, dt, source, self._plant()))
         keys = self._keys(rows)
         old, label = ages(keys), self.regimes.signals.label
         here = distinct([keys])
@@ -283,7 +285,7 @@ class RegimeMonitor:
         DataError
             If no mode learns it.
         """
-        parts = [self._matched(one) for one in self._several(u, y, time, dt)]
+        parts = [self._matched(one) for one in several_signals(u, y, time, dt, self._plant())]
         keys = [self._keys(rows) for rows, _ in parts]
         old = [ages(one) for one in keys]
         spans = [self._rows_of(*one) for one in zip(intervals_of(interval, len(parts)), parts, strict=True)]
@@ -363,32 +365,6 @@ class RegimeMonitor:
             name="recorded channels",
         )
 
-    def _one(self, u: Any, y: Any) -> tuple[Any, Any]:
-        """Return a recording with its channels in our order."""
-        if y is None and isinstance(u, (str, Path)):
-            u = read_recording(u, self._plant())
-        if y is None and isinstance(u, Recording):
-            return self._in_order(u), None
-        return u, y
-
-    def _in_order(self, one: Recording) -> Recording:
-        names = list(one.columns)
-        absent = [name for name in self.channels if name not in names]
-        if absent:
-            raise DataError(
-                f"{one.source or 'the recording'} has no channel {listed(absent)}; there are {listed(names)}"
-            )
-        rows = np.hstack([one.u, one.y])[:, [names.index(name) for name in self.channels]]
-        m = len(self.regimes.inputs)
-        return replace(one, u=rows[:, :m], y=rows[:, m:])
-
-    def _several(self, u: Any, y: Any, time: ArrayLike | None, dt: float | None) -> list[Signals]:
-        if y is None and isinstance(u, (list, tuple)):
-            u = [self._one(one, None)[0] for one in u]
-        else:
-            u, y = self._one(u, y)
-        return several_signals(u, y, time, dt, self._plant())
-
     def _matched(self, one: Signals) -> tuple[NDArray[np.float64], Signals]:
         """Return the rows of all channels."""
         m, p = len(self.regimes.inputs), len(self.regimes.outputs)
@@ -439,9 +415,13 @@ class RegimeMonitor:
             return NEVER_SEEN
         return self.unfitted.get(name, "")
 
-    def __repr__(self) -> str:
+    def _headline(self) -> str:
         state = "fitted" if self.is_fitted else "not fitted"
-        return f"RegimeMonitor({len(self.monitors)} modes by {listed(self.regimes.signals.names)}, {state})"
+        return f"{len(self.monitors)} modes by {listed(self.regimes.signals.names)}, {state}"
+
+    def _parts(self) -> list[str]:
+        rows = [(name, one._headline()) for name, one in self.monitors.items()]
+        return [table(["mode", "monitor"], rows), notes(f"{name}: {why}" for name, why in self.unfitted.items())]
 
 
 def _any(own: NDArray[np.bool_], span: NDArray[np.bool_] | None) -> bool:

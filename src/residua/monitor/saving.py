@@ -56,7 +56,7 @@ from residua.visible import shortened
 FORMAT = "residua-monitor"
 #: That of monitors by operating mode (``regime_files``), of which each holds several.
 REGIMES = "residua-regime-monitor"
-VERSION = 11
+VERSION = 12
 
 #: What a monitor says in every diagnosis whose file was edited: nobody but its author can know whether it still holds.
 EDITED = "the file of this monitor was edited after it was saved: its numbers are not those of the design"

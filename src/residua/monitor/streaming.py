@@ -223,7 +223,7 @@ def _judged(
         monitor._learn_step(settled)
     monitor._go_on_from(state, spec)
     decisions, signals = spool.mapped(template, "decisions"), spool.mapped(np.zeros(0), "signals")
-    told = (*monitor.notes, *(monitor._check.notes if monitor._check else ()))
+    told = (*monitor.notes, *(monitor._check.notes if monitor._check else ()), *stream.notes)
     recorded = Recorded(time, signals, source, _text(origin), compared_outputs(monitor.design))
     return diagnosis_from(decisions, recorded, spec, generator, state.filter, 0, told, monitor._bounds, monitor._check)
 

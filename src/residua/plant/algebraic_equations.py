@@ -12,6 +12,7 @@ from residua.arrays import frozen
 from residua.errors import AccuracyError, ModelError
 from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.linear.systems.descriptor import ScaledPencil, pencil_decision, unit_free_pencil, weierstrass_form
+from residua.plant.channels import ROLES
 from residua.tolerances import IDENTITY, ROUNDING, TINY
 
 if TYPE_CHECKING:
@@ -57,7 +58,7 @@ def without_algebraic_equations(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> 
     >>> from residua.plant import without_algebraic_equations
     >>> plant = rs.Plant([[-1, 1], [1, -2]], [[0], [1]], [[0, 1]], E=[[1, 0], [0, 0]], states=["level", "flow"])
     >>> small = without_algebraic_equations(plant)
-    >>> small.states, small.A, small.Du
+    >>> small.states, small.A, small.D
     (('level',), array([[-0.5]]), array([[0.5]]))
     """
     if plant.E is None:
@@ -91,7 +92,7 @@ def _check_index(plant: Plant, p: ScaledPencil, whole: NDArray, rtol: float) -> 
 
 
 def _reduced(plant: Plant, p: ScaledPencil, U: NDArray, r: int, inverse: NDArray, E1: NDArray) -> Plant:
-    n, letters = plant.n_states, "udfw"
+    n, letters = plant.n_states, tuple(ROLES.values())
     widths = np.cumsum([getattr(plant, "B" + x).shape[1] for x in letters])[:-1]
     B = p.rows[:, None] * np.hstack([getattr(plant, "B" + x) for x in letters])
     D = np.hstack([getattr(plant, "D" + x) for x in letters])

@@ -12,8 +12,8 @@ from residua.arrays import LARGEST, index_of, matrix
 from residua.errors import ModelError
 from residua.visible import echo
 
-#: The roles an input of a plant can have, with the letter of its matrices.
-ROLES = {"control": "u", "disturbance": "d", "fault": "f", "noise": "w"}
+#: The roles an input of a plant can have, with the letter behind B and D of its matrices.
+ROLES = {"control": "", "disturbance": "d", "fault": "f", "noise": "w"}
 
 #: What can be noted of a fault besides name, kind and component.
 FAULT_NOTES = ("description", "check", "unit")

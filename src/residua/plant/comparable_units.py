@@ -69,8 +69,8 @@ class PlantUnits:
         scaled = {
             "A": R * plant.A * S,
             "C": Y * plant.C * S,
-            "Bu": R * plant.Bu * self.inputs,
-            "Du": Y * plant.Du * self.inputs,
+            "B": R * plant.B * self.inputs,
+            "D": Y * plant.D * self.inputs,
             "Bd": R * plant.Bd * self.disturbances,
             "Dd": Y * plant.Dd * self.disturbances,
             "Bf": R * plant.Bf * self.faults,
@@ -142,7 +142,7 @@ def unit_of_rates_of(plant: Plant) -> float:
     """
     if plant.is_discrete:
         return 1.0
-    roles = [(plant.Bu, plant.Du), (plant.Bd, plant.Dd), (plant.Bf, plant.Df)]
+    roles = [(plant.B, plant.D), (plant.Bd, plant.Dd), (plant.Bf, plant.Df)]
     for some in (roles[:2], roles):
         B, D = (np.hstack([role[k] for role in some]) for k in (0, 1))
         if plant.E is None:
@@ -161,7 +161,7 @@ def with_rates_times(plant: Plant, factor: float) -> Plant:
 
     The noise is as large beside other signals as it was, at all frequencies.
     """
-    return plant._with(**{name: frozen(factor * getattr(plant, name)) for name in ("A", "Bu", "Bd", "Bf", "Bw")})
+    return plant._with(**{name: frozen(factor * getattr(plant, name)) for name in ("A", "B", "Bd", "Bf", "Bw")})
 
 
 def in_unit_of_rates(plant: Plant) -> tuple[Plant, float]:
@@ -173,7 +173,7 @@ def in_unit_of_rates(plant: Plant) -> tuple[Plant, float]:
 def own_units(plant: Plant) -> EvenPlant:
     """Return a plant in its own units, for a design that is asked for as its equations say."""
     states, outputs = np.ones(plant.n_states), np.ones(plant.n_outputs)
-    inputs, disturbances, faults = (np.ones(M.shape[1]) for M in (plant.Bu, plant.Bd, plant.Bf))
+    inputs, disturbances, faults = (np.ones(M.shape[1]) for M in (plant.B, plant.Bd, plant.Bf))
     return EvenPlant(plant, PlantUnits(states, states, outputs, inputs, disturbances, faults), even=False)
 
 
@@ -194,14 +194,14 @@ def even_plant(plant: Plant, *, explicit: bool = False) -> EvenPlant:
 def plant_contents(plant: Plant) -> Hashable:
     """Return by what a plant is known, where something about it is kept: all that a design reads of it."""
     p = plant
-    matrices = entries(p.A, p.E, p.C, p.Bu, p.Du, p.Bd, p.Dd, p.Bf, p.Df, p.Bw, p.Dw)
+    matrices = entries(p.A, p.E, p.C, p.B, p.D, p.Bd, p.Dd, p.Bf, p.Df, p.Bw, p.Dw)
     return matrices, p.dt, p.inputs, p.outputs, p.states, p.disturbances, p.faults
 
 
 def _matrices(plant: Plant) -> Hashable:
     """Return what the units of a plant depend on."""
     p = plant
-    return entries(p.A, p.E, p.C, p.Bu, p.Du, p.Bd, p.Dd, p.Bf, p.Df)
+    return entries(p.A, p.E, p.C, p.B, p.D, p.Bd, p.Dd, p.Bf, p.Df)
 
 
 _even: Latest[PlantUnits] = Latest()
@@ -209,8 +209,8 @@ _canonical: Latest[PlantUnits] = Latest()
 
 
 def _even_units(plant: Plant) -> PlantUnits:
-    m = plant.Bu.shape[1]
-    B, D = np.hstack([plant.Bu, plant.Bd]), np.hstack([plant.Du, plant.Dd])
+    m = plant.B.shape[1]
+    B, D = np.hstack([plant.B, plant.Bd]), np.hstack([plant.D, plant.Dd])
     u = descriptor_units(plant.A, plant.E, B, plant.C, D)
     u = _levelled(u, plant, B, D)
     faults = np.vstack([u.equations[:, None] * plant.Bf, u.outputs[:, None] * plant.Df])
@@ -258,14 +258,14 @@ def _noise_in(units: PlantUnits, plant: Plant) -> tuple[NDArray[np.float64], NDA
 
 
 def _canonical_units(plant: Plant, controls: bool) -> PlantUnits:
-    roles = [(plant.Bd, plant.Dd), (plant.Bf, plant.Df), *([(plant.Bu, plant.Du)] if controls else [])]
+    roles = [(plant.Bd, plant.Dd), (plant.Bf, plant.Df), *([(plant.B, plant.D)] if controls else [])]
     B, D = (np.hstack([role[k] for role in roles]) for k in (0, 1))
     bordered = np.block([[plant.A, B], [plant.C, D]])
     found = _fitted(bordered, plant)
     d, f = plant.Bd.shape[1], plant.Bf.shape[1]
     n = plant.n_states
     rows, (states, signals) = found.rows, (found.columns[:n], found.columns[n:])
-    inputs = signals[d + f :] if controls else np.ones(plant.Bu.shape[1])
+    inputs = signals[d + f :] if controls else np.ones(plant.B.shape[1])
     return PlantUnits(rows[:n], states, rows[n:], inputs, signals[:d], signals[d : d + f])
 
 

@@ -28,6 +28,7 @@ from residua.plant.input_output_entries import (
     row_delays,
 )
 from residua.plant.observer_form import check_proper, check_regular, quotient
+from residua.shown import Shown, printed
 
 if TYPE_CHECKING:
     from residua.plant.input_output_realization import Realization
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
-class InputOutputModel(FaultFacts):
+class InputOutputModel(FaultFacts, Shown):
     r"""A linear plant as polynomial equations between its inputs and outputs.
 
     .. math:: H(z)\, y = G(z)\, u + G_d(z)\, d + G_f(z)\, f
@@ -224,13 +225,16 @@ class InputOutputModel(FaultFacts):
             for i in range(self.n_outputs)
         )
 
-    def __repr__(self) -> str:
+    def _headline(self) -> str:
         kind = f"dt={self.dt:g} s" if self.is_discrete else "continuous"
         return (
-            f"InputOutputModel({self.name!r}: degrees {', '.join(map(str, self.H.row_degrees))}, {len(self.inputs)} "
+            f"{self.name!r}: degrees {', '.join(map(str, self.H.row_degrees))}, {len(self.inputs)} "
             f"inputs, {self.n_outputs} outputs, {len(self.disturbances)} disturbances, {len(self.fault_list)} faults, "
-            f"{kind})"
+            f"{kind}"
         )
+
+    def _parts(self) -> list[str]:
+        return [printed(str(self))]
 
     # ---------------------------------------------------- from and to elsewhere
 

@@ -34,15 +34,18 @@ from residua.plant.disturbances import factor_disturbance
 from residua.plant.fault_facts import FaultFacts
 from residua.plant.identification import Identification, identification as checked_identification
 from residua.plant.noise import covariance, cross_covariance, joint_factors, sampled_noise
+from residua.shown import Shown, grid, notes, table
+from residua.visible import listed
+from residua.wrong_guesses import Guessed, guessed
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
-class Plant(FaultFacts):
+class Plant(FaultFacts, Guessed, Shown):
     r"""A linear plant with control, disturbance, fault and noise inputs.
 
     .. math::
 
-       E \dot x = A x + B_u u + B_d d + B_f f + B_w w, \qquad y = C x + D_u u + D_d d + D_f f + D_w w
+       E \dot x = A x + B u + B_d d + B_f f + B_w w, \qquad y = C x + D u + D_d d + D_f f + D_w w
 
     with ``dt = 0``; for a sampled plant (``dt > 0``) :math:`E x_{k+1}` stands on the left. The noise ``w`` is
     white with unit covariance (continuous time: unit intensity). A plant never changes: every ``with_...``
@@ -92,10 +95,10 @@ class Plant(FaultFacts):
     """
 
     A: NDArray[np.float64]
+    B: NDArray[np.float64]
     C: NDArray[np.float64]
+    D: NDArray[np.float64]
     E: NDArray[np.float64] | None
-    Bu: NDArray[np.float64]
-    Du: NDArray[np.float64]
     Bd: NDArray[np.float64]
     Dd: NDArray[np.float64]
     Bf: NDArray[np.float64]
@@ -114,6 +117,7 @@ class Plant(FaultFacts):
     description: str
     identification: Identification | None
 
+    @guessed("Plant")
     def __init__(
         self,
         A: ArrayLike,
@@ -142,10 +146,10 @@ class Plant(FaultFacts):
         core = StateSpace(A_, B_, C_, D, E=E, dt=dt)
         fields = {
             "A": core.A,
+            "B": core.B,
             "C": core.C,
+            "D": core.D,
             "E": core.E,
-            "Bu": core.B,
-            "Du": core.D,
             "dt": core.dt,
             "inputs": names(inputs, m, "u", "inputs"),
             "outputs": names(outputs, p, "y", "outputs"),
@@ -236,13 +240,27 @@ class Plant(FaultFacts):
             return known.replaced(**driven)
         return StateSpace(self.A, C=self.C, E=self.E, dt=self.dt, outputs=self.outputs, states=self.states, **driven)
 
-    def __repr__(self) -> str:
+    def _headline(self) -> str:
         kind = f"dt={self.dt:g} s" if self.is_discrete else "continuous"
         return (
-            f"Plant({self.name!r}: {self.n_states} states, {len(self.inputs)} inputs, "
-            f"{self.n_outputs} outputs, "
-            f"{len(self.disturbances)} disturbances, {len(self.faults)} faults, {kind})"
+            f"{self.name!r}: {self.n_states} states, {len(self.inputs)} inputs, {self.n_outputs} outputs, "
+            f"{len(self.disturbances)} disturbances, {len(self.faults)} faults, {kind}"
         )
+
+    def _parts(self) -> list[str]:
+        lists = {name: getattr(self, name) for name in ("inputs", "outputs", "states", "disturbances", "faults")}
+        whole = self.system(("control", "disturbance", "fault"))
+        filled = np.block([[self.A, whole.B], [self.C, whole.D]]) != 0
+        return [
+            table(["", "names"], [(kind, listed(names)) for kind, names in lists.items() if names]),
+            grid(
+                filled,
+                (*self.states, *self.outputs),
+                (*self.states, *self.inputs, *self.disturbances, *self.faults),
+                label="Which states and inputs (columns) act on which states and outputs (rows)",
+            ),
+            notes([self.description] if self.description else []),
+        ]
 
     # ---------------------------------------------------- from and to elsewhere
 
@@ -350,7 +368,7 @@ class Plant(FaultFacts):
         """
         for i in arrays.positions(inputs, self.inputs, "input"):
             name = self.inputs[i]
-            self = self._with_fault(Fault(f"{name} actuator", "actuator", name), self.Bu[:, i], self.Du[:, i])
+            self = self._with_fault(Fault(f"{name} actuator", "actuator", name), self.B[:, i], self.D[:, i])
         return self
 
     def with_faults(
@@ -566,9 +584,9 @@ class Plant(FaultFacts):
         if self.E is None:
             return self
         whole = self.system().explicit()
-        sizes = np.cumsum([self.Bu.shape[1], self.Bd.shape[1], self.Bf.shape[1]])
+        sizes = np.cumsum([self.B.shape[1], self.Bd.shape[1], self.Bf.shape[1]])
         Bu, Bd, Bf, Bw = (frozen(B) for B in np.hsplit(whole.B, sizes))
-        return self._with(A=whole.A, E=None, Bu=Bu, Bd=Bd, Bf=Bf, Bw=Bw)
+        return self._with(A=whole.A, E=None, B=Bu, Bd=Bd, Bf=Bf, Bw=Bw)
 
     def discretize(self, dt: float) -> Plant:
         """Return the plant sampled with step ``dt``.
@@ -584,10 +602,10 @@ class Plant(FaultFacts):
 
         plain = without_algebraic_equations(self).explicit()
         sampled = plain.system(("control", "disturbance", "fault")).discretize(dt)
-        sizes = np.cumsum([self.Bu.shape[1], self.Bd.shape[1]])
+        sizes = np.cumsum([self.B.shape[1], self.Bd.shape[1]])
         Bu, Bd, Bf = (frozen(B) for B in np.hsplit(sampled.B, sizes))
         Bw, Dw = sampled_noise(plain.A, plain.Bw, plain.Dw, sampled.dt)
-        return plain._with(A=sampled.A, E=None, Bu=Bu, Bd=Bd, Bf=Bf, Bw=frozen(Bw), Dw=frozen(Dw), dt=sampled.dt)
+        return plain._with(A=sampled.A, E=None, B=Bu, Bd=Bd, Bf=Bf, Bw=frozen(Bw), Dw=frozen(Dw), dt=sampled.dt)
 
     def _with_disturbances(self, Bd: NDArray, Dd: NDArray, labels: tuple[str, ...]) -> Plant:
         labels = self.disturbances + labels

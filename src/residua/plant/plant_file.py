@@ -216,7 +216,7 @@ def _with_fault(plant: Plant, entry: Entry) -> Plant:
     channel = None
     if kind == "actuator" and "input" in entry:
         channel = _channel(entry, "input", plant.inputs)
-        state, output = plant.Bu[:, channel], plant.Du[:, channel]
+        state, output = plant.B[:, channel], plant.D[:, channel]
         _only(entry, "input", ("state", "output"))
         label = plant.inputs[channel]
     elif kind == "sensor" and isinstance(entry.data.get("output"), str):

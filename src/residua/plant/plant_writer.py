@@ -18,7 +18,7 @@ from residua.plant.plant import Plant
 from residua.plant.plant_file import FORMAT, loads_plant
 
 #: What must come back bit for bit.
-ARRAYS = ("A", "C", "E", "Bu", "Du", "Bd", "Dd", "Bf", "Df", "Bw", "Dw")
+ARRAYS = ("A", "C", "E", "B", "D", "Bd", "Dd", "Bf", "Df", "Bw", "Dw")
 VALUES = (
     "dt",
     "name",
@@ -167,10 +167,10 @@ def _identification(plant: Plant) -> list[list[str]]:
 def _matrices(plant: Plant) -> list[str]:
     lines = ["[matrices]", f"A = {_matrix(plant.A)}"]
     if plant.inputs:
-        lines.append(f"B = {_matrix(plant.Bu)}")
+        lines.append(f"B = {_matrix(plant.B)}")
     lines.append(f"C = {_matrix(plant.C)}")
-    if plant.inputs and (_matters(plant.Du) or plant.n_states == 0):
-        lines.append(f"D = {_matrix(plant.Du)}")
+    if plant.inputs and (_matters(plant.D) or plant.n_states == 0):
+        lines.append(f"D = {_matrix(plant.D)}")
     if plant.E is not None:
         lines.append(f"E = {_matrix(plant.E)}")
     return lines
@@ -192,7 +192,7 @@ def _fault(plant: Plant, i: int) -> list[str]:
     ]
     if fault.kind == "actuator":
         for j, name in enumerate(plant.inputs):
-            if _same_bits(b, plant.Bu[:, j]) and _same_bits(d, plant.Du[:, j]):
+            if _same_bits(b, plant.B[:, j]) and _same_bits(d, plant.D[:, j]):
                 return [*lines, f"input = {_text(name)}"]
     if fault.kind == "sensor" and not _matters(b):
         for j, name in enumerate(plant.outputs):

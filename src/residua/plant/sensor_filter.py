@@ -13,6 +13,7 @@ from residua import arrays
 from residua.arrays import frozen
 from residua.errors import ModelError
 from residua.linear import StateSpace
+from residua.plant.channels import ROLES
 from residua.plant.plant import Plant
 
 
@@ -64,7 +65,7 @@ def augment_sensor_filter(plant: Plant, outputs: Iterable[str | int] | str, rate
         "C": frozen(C),
         "E": None if plant.E is None else frozen(scipy.linalg.block_diag(plant.E, np.eye(k))),
     }
-    for letter in "udfw":
+    for letter in ROLES.values():
         B, D = getattr(plant, "B" + letter), np.array(getattr(plant, "D" + letter))
         changes["B" + letter] = frozen(np.vstack([B, gain[:, None] * D[rows]]))
         D[rows] = 0.0

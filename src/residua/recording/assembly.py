@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import DataError
-from residua.recording.columns import ReadOptions, settled_step
+from residua.recording.columns import Matched, ReadOptions, settled_step
+from residua.recording.matching import named_columns
+from residua.recording.missing import Tally
 from residua.recording.time_axis import regular_step
 from residua.recording.time_grid import Grid, put_on_grid
 from residua.visible import echo
@@ -57,8 +59,8 @@ class Recording:
     n_inserted : int
         Number of samples that the file has no row for (``fill_gaps``).
     notes : tuple of str
-        The changes to the file's rows and times: insertions, omissions, and how far times were moved. A
-        diagnosis has them among its own.
+        The changes at reading: columns of another name, those of text, marks of missing values, rows that were
+        inserted or left out, and how far times were moved. A diagnosis has them among its own.
     """
 
     time: NDArray[np.float64]
@@ -78,10 +80,11 @@ class Recording:
 
 def assembled(
     data: Mapping[str, NDArray],
-    chosen: Mapping[str, str],
+    found: Matched,
     clock: Clock | None,
     options: ReadOptions,
     source: str,
+    tally: Tally,
     first_row: int,
 ) -> Recording:
     """Return the recording of columns.
@@ -90,16 +93,23 @@ def assembled(
     ----------
     data : mapping of str to ndarray
         The columns that are read, by their names.
-    chosen : mapping of str to str
-        The column of every channel.
+    found : Matched
+        The column of every channel; those that are not in ``data`` hold nothing but text.
     clock : Clock or None
     options : ReadOptions
     source : str
         What to call the recording in messages.
+    tally : Tally
+        The marks of missing values.
     first_row : int
         Number of the first row, for messages.
     """
+    chosen = {name: column for name, column in found.columns.items() if column in data}
+    texts = [column for column in found.columns.values() if column not in data]
+    if not chosen:
+        raise DataError(f"{source}: no column holds numbers, there is text alone: {named_columns(texts)}")
     outputs = options.outputs or tuple(chosen)
+    data = {column: options.marks.numbers_removed(data[column], column, tally) for column in chosen.values()}
     columns = {chosen[name]: data[chosen[name]] for name in (*options.inputs, *outputs)}
     lengths = {name: len(column) for name, column in columns.items()}
     rows = max(lengths.values(), default=0)
@@ -114,7 +124,7 @@ def assembled(
         np.column_stack([data[chosen[name]] for name in group]) if group else np.zeros((rows, 0))
         for group in (options.inputs, outputs)
     )
-    dt = settled_step(step, options, source)
+    dt = settled_step(step, options, source, texts)
     inserted = 0
     if grid is not None:
         notes += grid.notes(np.hstack([u, y]))
@@ -122,6 +132,8 @@ def assembled(
     if time is None:
         time = np.arange(rows, dtype=np.float64) * dt
     n_missing = int((~np.isfinite(u)).sum() + (~np.isfinite(y)).sum())
+    left_out = (f"columns of text, left out: {named_columns(texts)}",) if texts else ()
+    notes = (*found.notes, *left_out, *tally.notes, *notes)
     return Recording(time, u, y, dt, source, dict(chosen), n_missing, origin, inserted, notes)
 
 

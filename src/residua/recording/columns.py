@@ -2,20 +2,38 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from residua.errors import DataError, SettingError
 from residua.plant import Plant
+from residua.recording.matching import matched_names, missing_columns, named_columns, spelling_notes
+from residua.recording.missing import Marks
 from residua.recording.time_axis import REGULAR, find_time
 from residua.recording.time_grid import NEAR, STEP_TOLERANCE
-from residua.visible import MAX_ECHO, echo, listed
+from residua.visible import echo, listed
 
-#: Columns that a message names at most, and among which a name is looked for that may be meant.
-_LISTED, _COMPARED = 40, 1000
+
+@dataclass(frozen=True)
+class Matched:
+    """The columns that a recording is read from.
+
+    Attributes
+    ----------
+    columns : dict of str to str
+        Of each channel.
+    clock : str or None
+        The time column.
+    notes : tuple of str
+        The channels whose columns have another name.
+    """
+
+    columns: dict[str, str]
+    clock: str | None
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -33,6 +51,7 @@ class ReadOptions:
     time_format: str | None = None
     decimal: str = "."
     transpose: bool = False
+    missing: Sequence[str | float] | str = ()
 
     def __post_init__(self) -> None:
         """Check the requested columns."""
@@ -45,6 +64,12 @@ class ReadOptions:
         if self.tolerance is not None and not 0 < self.tolerance < (0.5 if self.fill_gaps else np.inf):
             least = "between 0 and 0.5" if self.fill_gaps else "over 0"
             raise SettingError(f"tolerance is a fraction of the step {least}, got {echo(self.tolerance)}")
+
+    @cached_property
+    def marks(self) -> Marks:
+        """The marks of missing values."""
+        more = (self.missing,) if isinstance(self.missing, (str, int, float)) else self.missing
+        return Marks(tuple(str(mark) for mark in more))
 
     @property
     def near(self) -> float:
@@ -80,46 +105,50 @@ class ReadOptions:
             return None
         return (self.columns,) if isinstance(self.columns, str) else tuple(self.columns)
 
-    def matched(self, names: Sequence[str], source: str) -> tuple[dict[str, str], str | None]:
+    @property
+    def renamed(self) -> Mapping[str, str]:
+        """The columns that the caller has chosen for channels."""
+        return self.columns if isinstance(self.columns, Mapping) else {}
+
+    @property
+    def takes_all(self) -> bool:
+        """Whether all columns are taken, as far as they hold numbers: nobody named any."""
+        return self.plant is None and not self.renamed and self.matrix_names is None
+
+    def named_in(self, names: Sequence[str]) -> tuple[list[str], list[str]]:
+        """Return the columns of the inputs, and of the outputs; the name of a channel where it has none."""
+        found = matched_names((*self.inputs, *self.outputs), names, renamed=self.renamed)
+        return [found.get(name, name) for name in self.inputs], [found.get(name, name) for name in self.outputs]
+
+    def matched(self, names: Sequence[str], source: str) -> Matched:
         """Return the column of every channel, and the time column."""
-        renamed = self.columns if isinstance(self.columns, Mapping) else {}
         channels = (*self.inputs, *self.outputs)
-        for channel in renamed:
+        for channel in self.renamed:
             if self.plant and channel not in channels:
                 raise DataError(f"columns: the plant has no channel {echo(channel)}; it has {listed(channels)}")
-        chosen = {channel: renamed.get(channel, channel) for channel in channels or renamed}
+        chosen = matched_names(channels or tuple(self.renamed), names, renamed=self.renamed)
         clock = self.time or find_time(names, chosen.values())
-        if not chosen:
+        if not chosen and not channels:
             chosen = {name: name for name in names if name != clock and name}
         wanted = [*chosen.values(), *([clock] if clock else [])]
-        absent = [name for name in wanted if name not in names]
+        absent = {name: name for name in channels if name not in chosen}
+        absent |= {name: column for name, column in chosen.items() if column not in names}
         if absent:
-            raise DataError(missing_columns(absent, names, source, matched=wanted))
+            raise missing_columns(absent, names, source, matched=wanted)
+        if clock is not None and clock not in names:
+            raise DataError(f"{source}: missing column {echo(clock)} for the time; there are: {named_columns(names)}")
         twice = [name for name in dict.fromkeys(wanted) if list(names).count(name) > 1]
         if twice:
             raise DataError(f"{source}: more than one column is called {echo(twice[0])}")
         if not chosen:
             raise DataError(f"{source}: there is no column with data")
-        return chosen, clock
+        units = self.plant.units if self.plant else {}
+        spelt = {name: column for name, column in chosen.items() if name not in self.renamed}
+        return Matched(chosen, clock, spelling_notes(spelt, units))
 
 
-def missing_columns(absent: list[str], names: Sequence[str], source: str, *, matched: Sequence[str]) -> str:
-    """Say which columns are missing, what of those that are matched to nothing may be meant, and what is there."""
-    taken = set(matched)
-    lowered = {name.lower(): name for name in names[:_COMPARED] if len(name) <= MAX_ECHO and name not in taken}
-    parts = []
-    for name in absent:
-        near = difflib.get_close_matches(name.lower(), lowered, n=1)
-        parts.append(echo(name) + (f" (did you mean {echo(lowered[near[0]])}?)" if near else ""))
-    return (
-        f"{source}: missing column{'s' * (len(absent) > 1)} {', '.join(parts)}; "
-        f"there are: {listed([echo(name) for name in names[:_LISTED]])}; "
-        "where names differ, give columns={channel: column} (--columns CHANNEL=COLUMN)"
-    )
-
-
-def settled_step(read: float | None, options: ReadOptions, source: str) -> float:
-    """Return the step that times, caller and plant agree on."""
+def settled_step(read: float | None, options: ReadOptions, source: str, texts: Sequence[str] = ()) -> float:
+    """Return the step that times, caller and plant agree on; ``texts``: columns that may hold dates."""
     asked, own = options.dt, options.plant.dt if options.plant else 0.0
     known = [
         (value, what)
@@ -129,7 +158,7 @@ def settled_step(read: float | None, options: ReadOptions, source: str) -> float
     if not known:
         raise DataError(
             f"{source}: no time column ('time', 't', 'timestamp') and the plant is not sampled: give dt= in "
-            "seconds, or time= with the name of the column"
+            f"seconds, or time= with the name of the column{f' (text is in {named_columns(texts)})' if texts else ''}"
         )
     step, first = known[0]
     for value, what in known[1:]:

@@ -14,15 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.recording.missing import EMPTY, Marks, Tally
+
 #: Characters from which on pyarrow is worth the time that its import takes.
 LARGE = 4_000_000
 #: What a text may consist of: printable ASCII, tabs and line ends.
 _PLAIN = bytes([9, 10, *range(32, 127)])
 #: Within so many characters there must be a line end: the csv module of Python refuses cells of more than 131,072.
 _LINE = 65_536
-#: Missing values as pyarrow needs them, letter by letter; those that it does not know are left to the other reader.
-_MISSING = ["", "nan", "NaN", "NAN", "NA", "na", "N/A", "n/a", "null", "NULL", "None", "none", "-nan", "-NaN"]
-_MISSING += ["#N/A", "#VALUE!", "#DIV/0!", "#REF!", "#NUM!", "#NAME?", "#NULL!"]
 _QUOTE, _LINE_END = ord('"'), ord("\n")
 
 
@@ -42,12 +41,22 @@ class Body:
     delimiter: str
     decimal: str
 
-    def numbers(self, places: Sequence[int]) -> list[NDArray[np.float64]] | None:
-        """Return columns of numbers, NaN where one is missing; ``None`` if there is anything but numbers."""
+    def numbers(self, places: Sequence[int], marks: Marks) -> list[NDArray[np.float64]] | None:
+        """Return columns of numbers, NaN where one is missing; ``None`` if there is anything but numbers and marks."""
         import pyarrow
 
-        table = self._table(dict.fromkeys(places, pyarrow.float64()))
+        table = self._table(dict.fromkeys(places, pyarrow.float64()), marks)
         return None if table is None else [table[str(place)].to_numpy() for place in places]
+
+    def count_marks(self, place: int, marks: Marks, name: str, tally: Tally) -> None:
+        """Count the marks of missing values in a column."""
+        import pyarrow
+        from pyarrow import compute
+
+        cells = self._table({place: pyarrow.string()}, marks)[str(place)]
+        found = cells.filter(compute.is_in(cells, value_set=pyarrow.array(marks.written)))
+        for one in compute.value_counts(found).to_pylist():
+            tally.add(one["values"], name, one["counts"])
 
     def texts(self, place: int) -> list[str] | None:
         """Return one column as text; ``None`` where a cell's line of the file is not known by its number."""
@@ -55,10 +64,10 @@ class Body:
 
         if self.content.startswith(b"\n") or b"\n\n" in self.content:
             return None
-        table = self._table({place: pyarrow.string()})
+        table = self._table({place: pyarrow.string()}, Marks())
         return None if table is None else table[str(place)].to_pylist()
 
-    def _table(self, types: dict[int, Any]) -> Any:
+    def _table(self, types: dict[int, Any], marks: Marks) -> Any:
         import pyarrow
         from pyarrow import csv
 
@@ -70,7 +79,7 @@ class Body:
                 csv.ConvertOptions(
                     column_types={str(place): kind for place, kind in types.items()},
                     include_columns=[str(place) for place in types],
-                    null_values=_MISSING,
+                    null_values=[*EMPTY, *marks.written],
                     decimal_point=self.decimal,
                 ),
             )

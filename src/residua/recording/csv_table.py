@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from residua.errors import DataError, FileFormatError
 from residua.recording import csv_arrow
+from residua.recording.missing import Marks, Tally
 from residua.visible import echo
 
 DELIMITERS = (",", ";", "\t")
@@ -22,11 +24,6 @@ _DATE = re.compile(r"\d{1,4}([/.\-])\d{1,2}\1\d{1,4}(?!\d)")
 _SEPARATOR = re.compile(r"sep=([,;\t])", re.IGNORECASE)
 #: Characters in which the header is looked for before all lines are.
 _BEGINNING = 1 << 16
-
-#: What spreadsheets and loggers write where a value is missing, in lower case.
-MISSING = frozenset(
-    ["", "nan", "na", "n/a", "null", "none", "-nan", "#n/a", "#value!", "#div/0!", "#ref!", "#num!", "#name?", "#null!"]
-)
 
 
 @dataclass(frozen=True)
@@ -69,20 +66,35 @@ class CsvTable:
         """The lines with data as pyarrow reads them; ``None`` where it does not, or not the same."""
         return csv_arrow.served(self.body, len(self.names), self.delimiter, self.decimal)
 
-    def numbers(self, wanted: Sequence[str]) -> dict[str, NDArray[np.float64]]:
-        """Return columns of numbers; missing cells are NaN."""
+    def numbers(
+        self, wanted: Sequence[str], marks: Marks, tally: Tally, *, optional: bool = False
+    ) -> dict[str, NDArray[np.float64]]:
+        """Return columns of numbers; missing cells are NaN, and marks of them are counted.
+
+        Columns that hold nothing but text are left out where they are ``optional``.
+        """
         places = [self.names.index(name) for name in wanted]
-        block = self._bytes.numbers(places) if self._bytes is not None else None
-        if block is not None:
-            return {name: block[i] for i, name in enumerate(wanted)}
+        block = self._bytes.numbers(places, marks) if self._bytes is not None else None
+        if block is not None and self._bytes is not None:
+            for name, place, values in zip(wanted, places, block, strict=True):
+                if np.isnan(values).any():
+                    self._bytes.count_marks(place, marks, name, tally)
+            return dict(zip(wanted, block, strict=True))
         block = None if '"' in self.body else self._fast(places)
         if block is not None:
             return {name: block[:, i] for i, name in enumerate(wanted)}
         cells, rows = self._cells(places)
-        return {
-            name: _parsed(column, rows, self._at(name), self.decimal)
-            for name, column in zip(wanted, cells, strict=True)
-        }
+        out = {}
+        for name, column in zip(wanted, cells, strict=True):
+            parsed = _parsed(column, rows, self._at(name), self.decimal, marks)
+            if isinstance(parsed, DataError):
+                if not optional or not is_text(column, marks):
+                    raise parsed
+                continue
+            out[name] = parsed[0]
+            for cell, count in parsed[1].items():
+                tally.add(cell, name, count)
+        return out
 
     @property
     def first_line(self) -> str:
@@ -269,37 +281,60 @@ def _decoded(content: bytes, source: str) -> str:
     else:
         encoding = "utf-8-sig"
         if b"\x00" in content[:4096]:
-            raise FileFormatError(f"{source}: not a table of text (it holds binary data)")
+            raise FileFormatError(f"{source}: not a table of text (it holds binary data): export it as CSV in UTF-8")
     try:
         return content.decode(encoding)
     except UnicodeDecodeError:
         return content.decode("latin-1")  # never fails; Windows programs write cm³ this way
 
 
-def _parsed(cells: list[str], rows: list[int], what: str, decimal: str) -> NDArray[np.float64]:
-    out = np.empty(len(cells))
+def _parsed(
+    cells: list[str], rows: list[int], what: str, decimal: str, marks: Marks
+) -> tuple[NDArray[np.float64], Counter[str]] | DataError:
+    """Return the numbers of a column with the cells that are none, or the error about a cell that is no mark either."""
+    out, others = np.full(len(cells), np.nan), Counter[str]()
     for i, cell in enumerate(cells):
         text = cell.strip()
-        if decimal == ",":
-            number = "" if "." in text else text.replace(",", ".")
-        else:
-            number = text
         try:
-            out[i] = float(number)
+            out[i] = float(_as_number(text, decimal))
         except ValueError:
-            if text.lower() not in MISSING:
-                advice = _advice(text, decimal) or ("; if this line holds units, take it out" if i == 0 else "")
-                raise DataError(f"{what}, line {rows[i]}: expected a number, got {echo(cell)}{advice}") from None
-            out[i] = np.nan
-    return out
+            if text not in others and text not in marks:
+                return DataError(
+                    f"{what}, line {rows[i]}: expected a number, got {echo(cell)}{_advice(cells, i, decimal, marks)}"
+                )
+            others[text] += 1
+    return out, others
 
 
-def _advice(text: str, decimal: str) -> str:
-    """Ask about commas and points in what would be a number without them, and about dates."""
+def _as_number(text: str, decimal: str) -> str:
+    """Return a cell as Python writes numbers; with a decimal comma a point is none."""
+    if decimal == ".":
+        return text
+    return "" if "." in text else text.replace(",", ".")
+
+
+def is_text(cells: Iterable[str], marks: Marks) -> bool:
+    """Return whether no cell is a number, however it is written, and some are no mark of a missing value either."""
+    kinds = {cell.strip() for cell in cells}
+    return not any(map(_is_digits, kinds)) and any(cell not in marks for cell in kinds)
+
+
+def _is_digits(text: str) -> bool:
+    """Return whether a cell is a number, or would be one without its commas and points."""
+    return _is_number(text) or _is_number(text.replace(".", "").replace(",", ""))
+
+
+def _advice(cells: list[str], place: int, decimal: str, marks: Marks) -> str:
+    """Return advice on a cell that is no number: a date, one with commas and points, a unit, a mark."""
+    text = cells[place].strip()
     if _DATE.match(text):
         return "; if these are the times, name the column by time="
-    if not ({",", "."} & set(text)) or not _is_number(text.replace(".", "").replace(",", "")):
-        return ""
+    if not _is_digits(text):
+        if is_text(cells, marks):
+            return "; no cell of this column is a number: choose another by columns={channel: column}"
+        if place == 0:
+            return "; if this line holds units, take it out"
+        return f"; if that stands for a missing value, give missing=[{echo(text, 40)}]"
     if "," in text and "." in text:
         return "; of a comma and a point in one number the first separates thousands: write the numbers without it"
     if decimal == ",":

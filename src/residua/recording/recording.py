@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import gzip
+import io
+import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,12 +19,14 @@ from residua.plant import Plant
 from residua.recording.array_files import table_from_arrays
 from residua.recording.assembly import Clock, Recording, Times, assembled
 from residua.recording.columns import ReadOptions
-from residua.recording.csv_table import MISSING, CsvTable, open_csv
+from residua.recording.csv_table import CsvTable, is_text, open_csv
 from residua.recording.dates import seconds_from_text
 from residua.recording.mat_files import read_mat
+from residua.recording.missing import Marks, Tally
 from residua.recording.npz_files import read_npz
 from residua.recording.parquet_files import read_parquet
 from residua.recording.time_axis import seconds_from_dates
+from residua.recording.unpacked import too_large, unpacked_limit
 from residua.visible import echo
 
 __all__ = ["Recording", "read_recording", "recording_from_frame"]
@@ -41,22 +46,31 @@ def read_recording(
     time_format: str | None = None,
     decimal: str = ".",
     transpose: bool = False,
+    missing: Sequence[str | float] | str = (),
 ) -> Recording:
     """Read a recording: text (CSV; also with semicolons, tabs or blanks), Parquet, .mat or .npz.
 
-    Columns are matched to the plant's inputs and outputs by name. A .mat or .npz file may hold one array per
-    channel, the matrices ``u`` and ``y``, or one matrix with a column per channel, inputs first. Text without a
-    header has its columns named by ``columns``. Nothing in a file is executed; Python objects in .npz are refused. A
-    .mat file is read in a process of its own, which a damaged one may end without ending this one; of any packed file
-    the arrays may have up to 2 GiB, or as many bytes as ``RESIDUA_MAX_UNPACKED`` in the environment says. Empty cells,
-    ``nan`` and spreadsheet errors such as ``#VALUE!`` become NaN and are counted.
+    Columns are matched to the plant's inputs and outputs by name. Where no column has that name, one that differs in
+    case, blanks or a unit alone is taken, such as ``H1 [cm]`` for ``h1``, and ``notes`` say so. A .mat or .npz file may
+    hold one array per channel, the matrices ``u`` and ``y``, or one matrix with a column per channel, inputs first.
+    Text without a header has its columns named by ``columns``.
+
+    Text may be packed by gzip (``.csv.gz``), in UTF-8, UTF-16 with its mark, or Latin-1. Files of Excel are not read:
+    save the sheet as CSV. Nothing in a file is executed; Python objects in .npz are refused. A .mat file is read in a
+    process of its own, which a damaged one may end without ending this one. The arrays of a packed file may have up to
+    2 GiB, or as many bytes as ``RESIDUA_MAX_UNPACKED`` in the environment.
+
+    Empty cells become NaN. So do the marks in :data:`residua.recording.missing.MARKS`, in any case: those of data bases
+    (``NULL``, ``N/A``), spreadsheets (``#VALUE!``), PI (``Bad Input``, ``I/O Timeout``, ``No Data``), AVEVA Historian
+    (``(null)``), Ignition and OPC UA (``Bad_Stale``), and ``-`` or ``????``. ``notes`` count them by mark and column.
 
     Parameters
     ----------
     path : str or Path
-        The ending of the name tells the format: .csv, .tsv, .txt or .dat for text.
+        The ending of the name tells the format: .parquet, .mat or .npz; any other file is read as text.
     plant : Plant, optional
-        Whose channels are wanted. Without one, every column is taken as an output.
+        Whose channels are wanted. Without one, every column with numbers is taken as an output, and ``notes`` name
+        the columns of text.
     time : str, optional
         The time column; recognised by its name (``time``, ``t``, ``timestamp``, ``datetime``) when omitted. Seconds,
         or dates.
@@ -86,6 +100,8 @@ def read_recording(
         What stands before the decimals in text. A comma in a number is never guessed at.
     transpose : bool
         Time runs along the rows of the file's matrices, or of text without a header, not down.
+    missing : sequence of str or float
+        Further marks of missing values, such as ``["out", -9999]``.
 
     Returns
     -------
@@ -94,7 +110,7 @@ def read_recording(
     Raises
     ------
     DataError
-        If a column is missing (the message says what is there), a cell is no number (with its line), times
+        If a column is missing (the message has the ``columns`` to give), a cell is no number (with its line), times
         are missing, repeated, backwards or irregular (with the row and both steps), or stand on no grid, the step is
         not the plant's, or there are no data.
     SettingError
@@ -105,14 +121,12 @@ def read_recording(
         If reading Parquet needs pyarrow and it is not installed.
     """
     path = Path(path)
-    suffix = path.suffix.lower()
-    if suffix not in _READERS:
-        raise FileFormatError(f"{path.name}: unknown format {echo(suffix)}; known: {', '.join(sorted(_READERS))}")
     check_input(path, "recording")
+    check_kind(path)
     options = ReadOptions(
-        plant, time, dt, columns, variable, tolerance, fill_gaps, dayfirst, time_format, decimal, transpose
+        plant, time, dt, columns, variable, tolerance, fill_gaps, dayfirst, time_format, decimal, transpose, missing
     )
-    return _READERS[suffix](path, options)
+    return _READERS.get(path.suffix.lower(), _from_csv)(path, options)
 
 
 def recording_from_frame(
@@ -126,6 +140,7 @@ def recording_from_frame(
     fill_gaps: bool = False,
     dayfirst: bool | None = None,
     time_format: str | None = None,
+    missing: Sequence[str | float] | str = (),
     source: str = "data frame",
 ) -> Recording:
     """Make a recording of a data frame (pandas, polars and whatever else narwhals knows).
@@ -135,7 +150,7 @@ def recording_from_frame(
     frame : data frame
         Its columns are matched by name. A pandas index of dates serves as time when no column does.
     plant : Plant, optional
-    time, dt, columns, tolerance, fill_gaps, dayfirst, time_format
+    time, dt, columns, tolerance, fill_gaps, dayfirst, time_format, missing
         As in :func:`read_recording`.
     source : str
         What to call it.
@@ -163,39 +178,76 @@ def recording_from_frame(
     index = getattr(frame, "index", None)
     if getattr(getattr(index, "dtype", None), "kind", "") == "M":
         table.setdefault("time", np.asarray(index))
-    options = ReadOptions(plant, time, dt, columns, None, tolerance, fill_gaps, dayfirst, time_format)
+    options = ReadOptions(plant, time, dt, columns, None, tolerance, fill_gaps, dayfirst, time_format, missing=missing)
     return _from_arrays(table, options, source)
 
 
+#: What to do with a file that is no recording, by the ending of its name.
+_OTHERS = {
+    **dict.fromkeys(
+        (".xlsx", ".xls", ".xlsm", ".xlsb", ".ods"), "a spreadsheet: save the sheet as CSV (UTF-8), and give that"
+    ),
+    ".json": "no recording; a monitor is saved as .json",
+    ".toml": "no recording; a plant is saved as .toml",
+}
+
+
+def check_kind(path: Path) -> None:
+    """Raise where the ending of a name belongs to a file that is no recording."""
+    if path.suffix.lower() in _OTHERS:
+        raise FileFormatError(f"{path.name}: this is {_OTHERS[path.suffix.lower()]}")
+
+
+def text_of(path: Path) -> bytes:
+    """Return the text of a file, unpacked where it is packed by gzip."""
+    content = read_bytes(path, "recording")
+    if not content.startswith(b"\x1f\x8b"):
+        return content
+    inner = Path(path.stem).suffix.lower()
+    if inner in _READERS or inner in _OTHERS:
+        raise FileFormatError(f"{path.name}: only text is read packed: unpack it first (gunzip {path.name})")
+    limit = unpacked_limit()
+    try:
+        with gzip.GzipFile(fileobj=io.BytesIO(content)) as file:
+            text = file.read(limit + 1)
+    except (OSError, EOFError, zlib.error) as error:
+        raise FileFormatError(f"{path.name}: not a readable .gz file: {echo(str(error))}") from error
+    if len(text) > limit:
+        raise too_large(path.name, limit)
+    return text
+
+
 def _from_csv(path: Path, options: ReadOptions) -> Recording:
-    table = open_csv(read_bytes(path, "recording"), path.name, decimal=options.decimal)
+    table = open_csv(text_of(path), path.name, decimal=options.decimal)
     if not table.headed:
         return _from_headless(table, options, path.name)
     if options.matrix_names is not None:
         raise DataError("columns must be a mapping {channel: column} here: the file has a header")
     if options.transpose:
         raise DataError(f"{path.name}: transpose is for matrices and text without a header: this file has one")
-    chosen, clock = options.matched(table.names, path.name)
+    found, tally = options.matched(table.names, path.name), Tally()
+    clock = found.clock
     together = clock is not None and not options.gets_round_times and _has_numbers(table, clock, options)
-    data = table.numbers(list(dict.fromkeys([*chosen.values(), *([clock] if clock and together else [])])))
+    wanted = list(dict.fromkeys([*found.columns.values(), *([clock] if clock and together else [])]))
+    data = table.numbers(wanted, options.marks, tally, optional=options.takes_all)
 
     def times() -> Times:
         assert clock is not None
         return (data[clock], "") if clock in data else _times_of(table, clock, options)
 
     clock_ = None if clock is None else Clock(clock, times)
-    return assembled(data, chosen, clock_, options, path.name, first_row=table.above + 1)
+    return assembled(data, found, clock_, options, path.name, tally, first_row=table.above + 1)
 
 
 def _has_numbers(table: CsvTable, clock: str, options: ReadOptions) -> bool:
     """Whether times are numbers, by the first one and what the caller says."""
-    return options.time_format is None and reads_as_number(table, clock)
+    return options.time_format is None and reads_as_number(table, clock, options.marks)
 
 
 def _times_of(table: CsvTable, name: str, options: ReadOptions) -> Times:
     """Return the times of a table of text in seconds, and the moment that they count from."""
     if _has_numbers(table, name, options):
-        return table.numbers([name])[name], ""
+        return table.numbers([name], options.marks, Tally())[name], ""
     cells, rows = table.texts(name)
     what = f"{table.source}: column {echo(name)}"
     return seconds_from_text(cells, rows, what, dayfirst=options.dayfirst, time_format=options.time_format)
@@ -208,18 +260,20 @@ def _from_headless(table: CsvTable, options: ReadOptions, source: str) -> Record
             f"{source}: the first line must name the columns, it holds {echo(table.first_line, 60)}; of a file without "
             f"a header name its {len(table.names)} columns in order, columns=[...]"
         )
-    block = np.column_stack(list(table.numbers(table.names).values()))
+    tally = Tally()
+    block = np.column_stack(list(table.numbers(table.names, options.marks, tally).values()))
     block = block.T if options.transpose else block
     columns = table_from_arrays({"column": block}, (), (), variable="column", names=options.matrix_names, source=source)
     made = _from_arrays(columns, options, source, first_row=table.above + 1)
     named = "named as asked" if options.matrix_names is not None else f"called column1 to column{block.shape[1]}"
-    return replace(made, notes=(f"no header: every line is data, the columns are {named}", *made.notes))
+    header = f"no header: every line is data, the columns are {named}"
+    return replace(made, notes=(header, *tally.notes, *made.notes))
 
 
-def reads_as_number(table: CsvTable, name: str) -> bool:
+def reads_as_number(table: CsvTable, name: str, marks: Marks) -> bool:
     """Whether the first cell of a column is a number, or missing."""
     cell = table.first(name)
-    if cell.lower() in MISSING:
+    if cell in marks:
         return True
     try:
         float(cell.replace(",", "."))
@@ -233,22 +287,20 @@ def _from_parquet(path: Path, options: ReadOptions) -> Recording:
         raise DataError("columns must be a mapping {channel: column} here: the file has named columns")
 
     def wanted(names: list[str]) -> list[str]:
-        chosen, clock = options.matched(names, path.name)
-        return list(dict.fromkeys([*chosen.values(), *([clock] if clock else [])]))
+        found = options.matched(names, path.name)
+        return list(dict.fromkeys([*found.columns.values(), *([found.clock] if found.clock else [])]))
 
     return _from_arrays(read_parquet(path, wanted), options, path.name)
 
 
 def _from_named_arrays(read: Callable[[Path], dict[str, NDArray]]) -> Callable[[Path, ReadOptions], Recording]:
     def reader(path: Path, options: ReadOptions) -> Recording:
-        renamed = options.columns if isinstance(options.columns, Mapping) else {}
         arrays = read(path)
         if options.transpose:
             arrays = {name: M.T if M.ndim == 2 else M for name, M in arrays.items()}
         table = table_from_arrays(
             arrays,
-            [renamed.get(name, name) for name in options.inputs],
-            [renamed.get(name, name) for name in options.outputs],
+            *options.named_in(list(arrays)),
             variable=options.variable,
             names=options.matrix_names,
             source=path.name,
@@ -258,11 +310,8 @@ def _from_named_arrays(read: Callable[[Path], dict[str, NDArray]]) -> Callable[[
     return reader
 
 
+#: Readers of files that are no text, by the ending of the name.
 _READERS: dict[str, Callable[[Path, ReadOptions], Recording]] = {
-    ".csv": _from_csv,
-    ".dat": _from_csv,
-    ".tsv": _from_csv,
-    ".txt": _from_csv,
     ".parquet": _from_parquet,
     ".mat": _from_named_arrays(read_mat),
     ".npz": _from_named_arrays(read_npz),
@@ -271,12 +320,18 @@ _READERS: dict[str, Callable[[Path, ReadOptions], Recording]] = {
 
 def _from_arrays(table: dict[str, NDArray], options: ReadOptions, source: str, first_row: int = 0) -> Recording:
     """Make a recording of named columns that are arrays already."""
-    chosen, clock = options.matched(list(table), source)
-    data = {name: _as_numbers(table[name], f"{source}: column {echo(name)}") for name in dict.fromkeys(chosen.values())}
-    clock_ = None
+    found, tally, data = options.matched(list(table), source), Tally(), {}
+    for name in dict.fromkeys(found.columns.values()):
+        values = _as_numbers(table[name], name, options.marks, tally)
+        if isinstance(values, str):
+            if not options.takes_all or not is_text(map(str, table[name]), options.marks):
+                raise DataError(f"{source}: column {echo(name)}{values}")
+            continue
+        data[name] = values
+    clock, clock_ = found.clock, None
     if clock is not None:
         clock_ = Clock(clock, lambda: _times_from(table[clock], options, f"{source}: column {echo(clock)}", first_row))
-    return assembled(data, chosen, clock_, options, source, first_row=first_row)
+    return assembled(data, found, clock_, options, source, tally, first_row=first_row)
 
 
 def _times_from(values: NDArray, options: ReadOptions, what: str, first_row: int) -> Times:
@@ -289,20 +344,25 @@ def _times_from(values: NDArray, options: ReadOptions, what: str, first_row: int
         rows = range(first_row, first_row + len(values))
         texts = [str(value) for value in values]
         return seconds_from_text(texts, rows, what, dayfirst=options.dayfirst, time_format=options.time_format)
-    return _as_numbers(values, what), ""
+    seconds = _as_numbers(values, "", options.marks, Tally())
+    if isinstance(seconds, str):
+        raise DataError(f"{what}{seconds}")
+    return seconds, ""
 
 
-def _as_numbers(values: NDArray, what: str) -> NDArray[np.float64]:
+def _as_numbers(values: NDArray, name: str, marks: Marks, tally: Tally) -> NDArray[np.float64] | str:
+    """Return a column of numbers, and count its marks of missing values; or say where it is none."""
     if values.dtype.kind in "fiub":
         return np.asarray(values, dtype=float)
-    if values.dtype.kind == "O":
-        out = np.empty(len(values))
-        for i, value in enumerate(values):
-            try:
-                out[i] = np.nan if value is None else float(value)
-            except (TypeError, ValueError, OverflowError):
-                if str(value).strip().lower() not in MISSING and str(value) != "<NA>":
-                    raise DataError(f"{what}, row {i}: expected a number, got {echo(value)}") from None
-                out[i] = np.nan
-        return out
-    raise DataError(f"{what}: expected numbers, got values of type {values.dtype}")
+    if values.dtype.kind not in "OUT":
+        return f": expected numbers, got values of type {values.dtype}"
+    out = np.full(len(values), np.nan)
+    for i, value in enumerate(values):
+        try:
+            out[i] = np.nan if value is None else float(value)
+        except (TypeError, ValueError, OverflowError):
+            if str(value) not in marks:
+                advice = f"; if that stands for a missing value, give missing=[{echo(value, 40)}]"
+                return f", row {i}: expected a number, got {echo(value)}{advice * isinstance(value, str)}"
+            tally.add(str(value), name)
+    return out

@@ -11,7 +11,7 @@ import io
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import IO, Any
 
@@ -22,8 +22,9 @@ from residua.recording import csv_arrow
 from residua.recording.array_files import table_from_arrays
 from residua.recording.columns import ReadOptions
 from residua.recording.csv_table import open_csv
+from residua.recording.missing import Marks, Tally
 from residua.recording.npz_files import array_header
-from residua.recording.recording import reads_as_number
+from residua.recording.recording import check_kind, reads_as_number
 from residua.recording.unpacked import unpacked_limit
 
 #: Rows of a piece, about; bytes of a piece of text.
@@ -75,6 +76,11 @@ class Stream:
         Number of the first row, for messages.
     reader : object
         Yields columns by their names, with the part of the file that is read.
+    marks : Marks
+    matched : tuple of str
+        The note on channels whose columns have another name.
+    tally : Tally
+        The marks of missing values in the pieces so far.
     """
 
     path: Path
@@ -83,6 +89,14 @@ class Stream:
     inputs: int
     first_row: int
     reader: Any
+    marks: Marks = field(default_factory=Marks)
+    matched: tuple[str, ...] = ()
+    tally: Tally = field(default_factory=Tally)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """The notes of the recording, as far as it is read."""
+        return (*self.matched, *self.tally.notes)
 
     def pieces(self) -> Iterator[Piece]:
         """Read the recording from its beginning.
@@ -92,9 +106,15 @@ class Stream:
         NotServedError
             If a piece may not be what :func:`residua.read_recording` reads.
         """
+        self.tally.counts.clear()
         names = [*self.columns.values(), *([self.clock] if self.clock else [])]
         for columns, done in self.reader(list(dict.fromkeys(names))):
-            values = np.column_stack([_numbers(columns[name]) for name in self.columns.values()])
+            values = np.column_stack(
+                [
+                    self.marks.numbers_removed(_numbers(columns[name]), name, self.tally)
+                    for name in self.columns.values()
+                ]
+            )
             yield Piece(values, None if self.clock is None else _times(columns[self.clock]), done)
 
 
@@ -117,23 +137,24 @@ def open_stream(path: Path, options: ReadOptions) -> Stream:
         raise NotServedError("it is put on a grid, transposed, has its columns named, or its times are not used")
     if options.time_format is not None or options.variable is not None:
         raise NotServedError("its times are in a format of their own, or one of its matrices was chosen")
+    check_kind(path)
     suffix = path.suffix.lower()
     if suffix == ".parquet":
         return _parquet(path, options)
     if suffix == ".npz":
         return _npz(path, options)
-    if suffix in (".csv", ".txt", ".dat", ".tsv"):
-        return _text(path, options)
-    raise NotServedError(f"{suffix} files are read at once")
+    if suffix == ".mat":
+        raise NotServedError(f"{suffix} files are read at once")
+    return _text(path, options)
 
 
 def _stream(path: Path, options: ReadOptions, names: list[str], first_row: int, reader: Any) -> Stream:
-    chosen, clock = options.matched(names, path.name)
-    outputs = options.outputs or tuple(chosen)
-    columns = {name: chosen[name] for name in (*options.inputs, *outputs)}
+    found = options.matched(names, path.name)
+    outputs = options.outputs or tuple(found.columns)
+    columns = {name: found.columns[name] for name in (*options.inputs, *outputs)}
     if len(columns) != len(options.inputs) + len(outputs):
         raise NotServedError("a channel is input and output")
-    return Stream(path, columns, clock, len(options.inputs), first_row, reader)
+    return Stream(path, columns, found.clock, len(options.inputs), first_row, reader, options.marks, found.notes)
 
 
 def _numbers(values: NDArray) -> NDArray[np.float64]:
@@ -206,7 +227,7 @@ def _text(path: Path, options: ReadOptions) -> Stream:
     if not table.headed or table.blanks:
         raise NotServedError("it has no header, or blanks between its cells")
     stream = _stream(path, options, list(table.names), table.above + 1, None)
-    if stream.clock is not None and not reads_as_number(table, stream.clock):
+    if stream.clock is not None and not reads_as_number(table, stream.clock, options.marks):
         raise NotServedError("its times are dates")
     size = path.stat().st_size
 
@@ -215,12 +236,15 @@ def _text(path: Path, options: ReadOptions) -> Stream:
         with path.open("rb") as file:
             for lines in _lines(file, table.above):
                 body = csv_arrow.body_of(lines, len(table.names), table.delimiter, options.decimal)
-                columns = None if body is None else body.numbers(places)
-                if columns is None:
+                columns = None if body is None else body.numbers(places, options.marks)
+                if body is None or columns is None:
                     raise NotServedError("a cell is no number, or a line is not as the others")
+                for name, place, values in zip(names, places, columns, strict=True):
+                    if name != stream.clock and np.isnan(values).any():
+                        body.count_marks(place, options.marks, name, stream.tally)
                 yield dict(zip(names, columns, strict=True)), min(1.0, file.tell() / max(size, 1))
 
-    return Stream(path, stream.columns, stream.clock, stream.inputs, stream.first_row, blocks)
+    return replace(stream, reader=blocks)
 
 
 def _lines(file: IO[bytes], above: int) -> Iterator[bytes]:
@@ -263,11 +287,9 @@ def _npz(path: Path, options: ReadOptions) -> Stream:
         arrays = _mapped(path)
     except Exception as error:  # whatever a reader of damaged data ends with
         raise NotServedError(str(error)) from error
-    renamed = options.columns if isinstance(options.columns, Mapping) else {}
     table = table_from_arrays(
         arrays,
-        [renamed.get(name, name) for name in options.inputs],
-        [renamed.get(name, name) for name in options.outputs],
+        *options.named_in(list(arrays)),
         variable=None,
         names=None,
         source=path.name,
@@ -284,7 +306,7 @@ def _npz(path: Path, options: ReadOptions) -> Stream:
             stop = min(rows, start + ROWS)
             yield {name: np.array(table[name][start:stop]) for name in names}, stop / rows
 
-    return Stream(path, stream.columns, stream.clock, stream.inputs, 0, slices)
+    return replace(stream, reader=slices)
 
 
 def _mapped(path: Path) -> dict[str, NDArray]:

@@ -31,7 +31,7 @@ from residua.report.tables import (
     visible_table,
 )
 from residua.report.text import escape
-from residua.report.verdict import BEGAN_RULE, verdict
+from residua.report.verdict import BEGAN_RULE, Verdict, verdict
 from residua.words import counted, listing, number, percent, score, some
 
 if TYPE_CHECKING:
@@ -59,12 +59,12 @@ def summary_html(entries: Sequence[tuple[int, str, Diagnosis, tuple[str, ...] | 
         elif v.present:
             named = listing(" or ".join(group) for group in v.present)
         elif reading is not None:
-            named = "a fault, not told which" if reading.possible else "more than one fault, or one not known"
+            named = "a fault, not identified" if reading.possible else "several faults, or an unknown one"
         else:
             named = "a fault, not isolated" if v.kind == "fault" else v.headline.rstrip(".")
         row = [f'<a href="#s{k}">{escape(heading or f"Diagnosis {k}")}</a>']
         if truth:
-            row.append("–" if actual is None else escape(listing(actual)) or "nothing")
+            row.append("–" if actual is None else escape(listing(actual)) or "none")
         several = actual is not None and len(actual) > 1 and unread  # as the verdict says
         faults = actual if several and actual else best.faults if best else ()
         if actual and v.present:  # right if each is named, and nothing else
@@ -81,13 +81,13 @@ def summary_html(entries: Sequence[tuple[int, str, Diagnosis, tuple[str, ...] | 
         rows.append([*row, escape(v.confidence) or "–"])
     header = [
         "Case",
-        *(["Really failed"] if truth else []),
+        *(["Actual fault"] if truth else []),
         "Diagnosis",
         *ALARM_TIMES[:2],
         "Score",
         "How sure",
     ]
-    return f'<section class="summary"><h2>Summary</h2>{html_table(header, rows)}</section>'
+    return f'<section class="summary"><h2>Summary</h2>{html_table(header, rows, kind="cards")}</section>'
 
 
 def _just_these(actual: tuple[str, ...], groups: tuple[tuple[str, ...], ...]) -> bool:
@@ -105,6 +105,15 @@ def _agreement(actual: tuple[str, ...] | None, named: tuple[str, ...], alarm: bo
     return f' <span class="tag wrong">✗ {word}</span>'
 
 
+def verdict_html(found: Verdict, details: str) -> str:
+    """Return a verdict as a box: its headline, and HTML below it."""
+    unsaid = found.confidence and found.confidence not in found.headline
+    tag = f' <span class="tag">{escape(found.confidence)}</span>' if unsaid else ""
+    mark = f'<span class="mark" aria-hidden="true">{_MARKS[found.kind]}</span>'
+    headline = f'<p class="headline">{mark} {escape(found.headline)}{tag}</p>'
+    return f'<div class="verdict {found.kind.replace(" ", "-")}">{headline}{details}</div>'
+
+
 def diagnosis_html(diagnosis: Diagnosis, charts: dict[str, Any], *, number: int, filter_number: int) -> str:
     """Return verdict, charts, alarms and directions of one diagnosis.
 
@@ -119,16 +128,13 @@ def diagnosis_html(diagnosis: Diagnosis, charts: dict[str, Any], *, number: int,
         Number of the filter on the page, 0 when it has only one.
     """
     v = verdict(diagnosis)
-    tag = f' <span class="tag">{escape(v.confidence)}</span>' if v.confidence else ""
     tabled = diagnosis.fit_check.could_have_seen if diagnosis.fit_check else ()
     sentences = "".join(f"<li>{escape(s)}</li>" for s in v.sentences if s not in tabled)
-    kind = v.kind.replace(" ", "-")
     by_code = diagnosis.codes is not None
     link = f'<p><a href="#f{filter_number}">Filter {filter_number}, its structure and evidence</a></p>'
     return "\n".join(
         [
-            f'<div class="verdict {kind}"><p class="headline"><span class="mark" aria-hidden="true">{_MARKS[v.kind]}'
-            f"</span> {escape(v.headline)}{tag}</p><ul>{sentences}</ul></div>",
+            verdict_html(v, f"<ul>{sentences}</ul>"),
             look_table(diagnosis),
             _recording(diagnosis),
             charts_html(diagnosis, charts, number),
@@ -167,7 +173,7 @@ def _recording(diagnosis: Diagnosis) -> str:
 
 
 def _local(diagnosis: Diagnosis) -> str:
-    """Say to which clock the times belong."""
+    """Return the clock that the times belong to."""
     clock = diagnosis.clock
     if clock.moment is None:
         return ""
@@ -179,11 +185,11 @@ def _missing(diagnosis: Diagnosis) -> str:
         return "No sample has missing values."
     share = percent(diagnosis.n_missing, len(diagnosis.time))
     times = "once" if diagnosis.resets == 1 else f"{diagnosis.resets:,} times"
-    restart = f"the filter was restarted {times} after longer gaps" if diagnosis.resets else "no restart was needed"
-    how = "went on with those that were there" if diagnosis.predicted else "was given the last values"
+    restart = f"The filter was restarted {times} after longer gaps." if diagnosis.resets else "No restart was needed."
+    how = "used the remaining values" if diagnosis.predicted else "held the last values"
     return (
-        f"<b>{diagnosis.n_missing:,} samples ({share}) have missing values:</b> the filter {how}, no residual is shown "
-        f"and no decision was taken there; {restart}."
+        f"<b>{diagnosis.n_missing:,} samples ({share}) have missing values:</b> there the filter {how}, and the charts "
+        f"show no residual and no decision. {restart}"
     )
 
 
@@ -204,26 +210,26 @@ def _directions(diagnosis: Diagnosis) -> str:
     correlation = None if observed is None else known.correlation(observed)
     picture = direction_picture(generator.residuals, known.bases, observed)
     text = (
-        "Cosine of the smallest angle between the signatures of every two groups (the largest principal cosine): 1 "
-        "means that they share a direction, 0 that they are at right angles."
+        "Cosine of the smallest angle between every two signatures (the largest principal cosine): 1 means that they "
+        "share a direction, 0 that they are at right angles."
     )
     if not diagnosis.groups:
-        text = "This monitor does not isolate; these are the signatures that it would judge by. " + text
+        text = "This monitor does not isolate; these are the signatures it would judge by. " + text
     elif not diagnosis.signatures:
-        text = f"Faults are not named by direction here; this is how the filter could tell them so. {text}"
+        text = f"This monitor does not name faults by direction; the table shows how well it could. {text}"
     if known.whitened:
         text += " Residuals are compared after whitening by their fault-free covariance."
     if any(known.steady):
         text += (
-            " For some faults the signature is the direction that a constant fault settles to; the residual can "
-            "leave it while the fault changes."
+            " For some faults the signature is the direction that a constant fault settles to; while the fault "
+            "changes, the residual can leave it."
         )
     if observed is not None:
-        text += " The last row is the mean residual over the whole main alarm against each signature."
+        text += " The last row compares the mean residual over the main alarm with each signature."
     few = ""
     if total > SHOWN_FAULTS:
         few = _alike_text(alike, total)
-        text = f"Of {total} groups the {len(known.labels)} with the best scores in the main alarm. {text}"
+        text = f"The {len(known.labels)} of {total} groups with the best scores in the main alarm. {text}"
     return (
         f'<h3>Directions</h3><p>{text}</p><div class="pair">{picture}'
         f"{similarity_table(known.labels, known.similarity(), correlation)}</div>{few}"
@@ -273,21 +279,21 @@ def _residual_table(diagnosis: Diagnosis) -> str:
         "Residual",
         "Unit",
         "Centre" if diagnosis.horizon else "Fault-free mean",
-        "Band (±)",
+        "Normal range (±)",
         "Smallest seen",
         "Largest seen",
-        "Outside its band before any alarm",
+        "Outside it before any alarm",
     ]
     settings = [[escape(key), escape(value)] for key, value in diagnosis.settings.items()]
     how = html_table(["Setting", ""], settings) if settings else ""
-    band = f'<p class="muted">Band: {escape(band_text(diagnosis))}.</p>'
+    band = f'<p class="muted">Normal range: {escape(band_text(diagnosis))}.</p>'
     return (
-        f"<details><summary>Settings, and residuals in numbers</summary>{how}{html_table(header, rows)}{band}</details>"
+        f"<details><summary>Settings and residuals in numbers</summary>{how}{html_table(header, rows)}{band}</details>"
     )
 
 
 def filter_html(generator: ResidualGenerator, *, number: int, several: bool, used_by: str) -> str:
-    """Return what a filter is, who fires when what fails, and its evidence."""
+    """Return the facts of a filter, its structure and its evidence."""
     plant = generator.plant
     title = f"Filter {number}: {generator.method}" if several else "The filter"
     used = f"<p>Used in: {escape(used_by)}.</p>" if used_by else ""
@@ -305,7 +311,7 @@ def filter_html(generator: ResidualGenerator, *, number: int, several: bool, use
     table = html_table(["Property", ""], [[escape(key), escape(value)] for key, value in facts])
     return (
         f'<section id="f{number}"><h2>{escape(title)}</h2>{used}{table}{structure_table(generator)}'
-        f"<details{'' if several else ' open'}><summary>Evidence: what the design proves about itself</summary>"
+        f"<details{'' if several else ' open'}><summary>Evidence: checks of the design</summary>"
         f"{evidence_html(generator.evidence)}</details></section>"
     )
 
@@ -326,7 +332,7 @@ def look_table(diagnosis: Diagnosis) -> str:
         ("Fault", [f'<td class="name">{escape(fault.name)}</td>' for fault in shown]),
         ("Component", [escape(fault.component) for fault in shown]),
         ("Kind", [_KINDS.get(fault.kind, escape(fault.kind)) for fault in shown]),
-        ("What it is", [escape(fault.description) for fault in shown]),
+        ("Description", [escape(fault.description) for fault in shown]),
         ("What to check", [escape(fault.check) for fault in shown]),
         ("Estimated size", [escape(size) for size in sizes]),
     ]
@@ -334,4 +340,5 @@ def look_table(diagnosis: Diagnosis) -> str:
     rows = [[cell or "–" for cell in row] for row in zip(*(cells for _, cells in kept), strict=True)]
     more = len(faults) - len(shown)
     note = f'<p class="muted">… and {more} more, which this monitor cannot tell from these.</p>' if more else ""
-    return f"<h3>What to look at</h3>{html_table([name for name, _ in kept], rows)}{note}"
+    table = html_table([name for name, _ in kept], rows, kind="cards")
+    return f"<h3>What to look at</h3>{table}{note}"

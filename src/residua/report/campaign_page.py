@@ -1,4 +1,4 @@
-"""The page of a campaign: how often a monitor errs, how late it is, whom it names; with all that repeats it."""
+"""The page of a campaign: false alarms, detections, delays and named faults, with the settings that repeat it."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _STEPS = 150
 def write_campaign_page(campaign: Campaign, path: str | Path, *, title: str | None = None) -> Path:
     """Write the page of a campaign.
 
-    It has the false alarms, and for each fault detections, delays, who was named, the curves of detections against
+    It has the false alarms, and for each fault detections, delays, names, the curves of detections against
     false alarms and the probability of detection by size, each with its confidence interval; and seed, versions and
     settings, by which it can be repeated.
 
@@ -64,25 +64,24 @@ def write_campaign_page(campaign: Campaign, path: str | Path, *, title: str | No
             f"<h2>Detection</h2>{paragraphs(_ABOUT_DETECTION)}{_table(campaign.table())}",
             f"<h2>Delays</h2>{paragraphs(_ABOUT_DELAYS)}{_table(campaign.delays())}",
             _pictures(campaign),
-            f"<h2>Who was named</h2>{paragraphs(_ABOUT_NAMES)}{_confusion(campaign)}",
+            f"<h2>Named faults</h2>{paragraphs(_ABOUT_NAMES)}{_confusion(campaign)}",
         ]
     body += [_settings(campaign), footer()]
     return write_text(path, document(title, "\n".join(body), safe_json({"diagnoses": []})))
 
 
 _ABOUT_DETECTION = (
-    "A run counts as detected if an alarm stands at some sample from the onset on. By chance: so many runs would have "
-    "counted without the fault, because of a false alarm; a share of detections says something as far as it is above "
-    "that. "
-    "Named: of the detected runs those in which the fault's own group was named."
+    "A run counts as detected if an alarm stands at any sample from the onset on. By chance: the share of runs that a "
+    "false alarm alone would have counted; only detections above it are evidence. Named: the share of detected runs "
+    "that name the fault's own group."
 )
 _ABOUT_DELAYS = (
-    "Seconds from the onset to the first sample in alarm. Runs without an alarm are censored at their end, so a "
-    "quantile that fewer runs reached is infinite here: longer runs would show it."
+    "Seconds from the onset to the first sample in alarm. Runs without an alarm are censored at their end: a quantile "
+    "above the share of detected runs is infinite here, and longer runs would show it."
 )
 _ABOUT_NAMES = (
-    "Shares of all runs of a case, by what the longest alarm from the onset on is put down to. Unknown: an alarm that "
-    "is put down to no fault; none: no alarm."
+    "Shares of all runs of a case, by the fault that the longest alarm from the onset on is attributed to. Unknown: an "
+    "alarm attributed to no fault; none: no alarm."
 )
 
 
@@ -92,7 +91,7 @@ def _headline(campaign: Campaign) -> str:
         f"{counted(campaign.runs, 'run')} of {campaign.samples:,} samples for each of "
         f"{counted(len(campaign.cases), 'case')}. Without a fault {rate} of the samples were in alarm."
     )
-    sure = f"In brackets are intervals of {100 * campaign.confidence:g} % confidence."
+    sure = f"Brackets hold intervals of {100 * campaign.confidence:g} % confidence."
     remarks = "".join(f"<li>{escape(line)}</li>" for line in (sure, *campaign.notes))
     return f'<div class="verdict none"><p class="headline">{escape(text)}</p><ul>{remarks}</ul></div>'
 
@@ -123,7 +122,7 @@ def _confusion(campaign: Campaign) -> str:
             for value in row[3:]
         ]
         rows.append([f'<th scope="row">{escape(case.name)}</th>', *cells])
-    header = ["What failed", *(escape(name) for name in table.header[3:])]
+    header = ["Actual fault", *(escape(name) for name in table.header[3:])]
     return html_table(header, rows, kind="matrix heat")
 
 
@@ -201,7 +200,7 @@ def _settings(campaign: Campaign) -> str:
         ("digest of the monitor", campaign.watched),
     ]
     cells = [[escape(name[:1].upper() + name[1:]), escape(value)] for name, value in rows]
-    text = "With these the campaign can be repeated, to the last bit on the same versions."
+    text = "These settings repeat the campaign exactly on the same versions."
     return f"<h2>How it was run</h2>{paragraphs(text)}{html_table(['Setting', ''], cells)}"
 
 

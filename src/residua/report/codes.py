@@ -48,15 +48,15 @@ def code_table(diagnosis: Diagnosis) -> str:
         seen = [_cell(bool(fired[m]), False) for m in columns]
         dash = [] if compared is None else ['<td class="num">–</td>']
         rows.append(['<th scope="row"><i>fired, main alarm</i></th>', *seen, *dash])
-    header = ["What fails", *(f"<span>{escape(codes.members[m])}</span>" for m in columns)]
+    header = ["Fault", *(f"<span>{escape(codes.members[m])}</span>" for m in columns)]
     header += ["Agree"] if compared is not None else []
     kind = "matrix codes upright" if len(columns) > 8 else "matrix codes"
-    differ = "; marked where a code differs from what fired" if compared is not None else ""
-    later = "; <i>settled</i>: what a fault still fires once it is constant" if any(codes.settled) else ""
+    differ = "; marked where a code differs from the main alarm" if compared is not None else ""
+    later = "; <i>settled</i>: the members that a fault still fires once it is constant" if any(codes.settled) else ""
     caption = f"Which members each fault fires (● fires, · stays silent{differ}{later})"
     few = [f"{len(numbers)} of {total} codes"] * (len(numbers) < total)
     few += [f"{len(columns)} of {len(codes.members)} members"] * (len(columns) < len(codes.members))
-    note = f'<p class="muted">Shown: {" and ".join(few)}, those that matter for the main alarm.</p>' if few else ""
+    note = f'<p class="muted">Shown: {" and ".join(few)}, the ones that matter for the main alarm.</p>' if few else ""
     if not numbers or not columns:
         sentence = f"{total} codes of {len(codes.members)} members; nothing fired, so none is shown."
         return f'<h3>Codes</h3><p class="muted">{sentence}</p>'
@@ -106,7 +106,7 @@ def present_table(diagnosis: Diagnosis) -> str:
         for fault in diagnosis.present
     ]
     title = "Faults of the main alarm" if len(diagnosis.alarms) > 1 else "Faults"
-    return html_table(["Fault", "Its member", "First fired", "Until"], rows, caption=title)
+    return html_table(["Fault", "Its member", "First fired", "Until"], rows, caption=title, kind="cards")
 
 
 def _cell(on: bool, differs: bool) -> str:
@@ -131,7 +131,7 @@ def code_alarm_table(diagnosis: Diagnosis) -> str:
             ]
         )
     header = ["Alarm", *ALARM_TIMES, "Fired", "Read as", "Of its samples", "How sure"]
-    return html_table(header, rows) + left_out_note(diagnosis)
+    return html_table(header, rows, kind="cards") + left_out_note(diagnosis)
 
 
 def _read_as(alarm: Alarm, clock: Clock) -> str:

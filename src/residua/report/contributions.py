@@ -80,9 +80,9 @@ def contribution_html(diagnosis: Diagnosis) -> str:
     if rest:
         total = 100 * float(shares[rest].sum())
         rows.append([f"{len(rest)} more residuals", "", f'<td class="num">{total:.1f} %</td>', ""])
-    header = ["Residual", "", "Share of the squared statistic", "Alarm's samples outside its band"]
+    header = ["Residual", "", "Share of the squared statistic", "Alarm samples outside its normal range"]
     return (
-        "<h3>What carries the alarm</h3>"
+        "<h3>Which residuals carry the alarm</h3>"
         f"{html_table(header, rows, caption='Share of the statistic by residual, mean over the main alarm')}"
         f"{_inside_text(diagnosis, order[0], float(shares[order[0]]), float(inside[order[0]]))}"
     )
@@ -102,7 +102,7 @@ def channels_by_reconstruction(diagnosis: Diagnosis) -> list[tuple[str, float]]:
     main, plant = diagnosis.main_alarm, diagnosis.generator.plant
     if main is None or plant.n_states or plant.inputs or not diagnosis.signatures:
         return []
-    channels = len(diagnosis.groups) - len(diagnosis.isolation.learnt)  # what was learnt is no channel
+    channels = len(diagnosis.groups) - len(diagnosis.learnt_faults)  # what was learnt is no channel
     rows = diagnosis.scores[main.start : main.stop, :channels]
     rows = rows[np.isfinite(rows).all(axis=1)]
     if not len(rows):
@@ -125,10 +125,8 @@ def reconstruction_html(diagnosis: Diagnosis) -> str:
         ]
         for name, share in channels[:SHOWN_SHARES]
     ]
-    caption = (
-        "Share of the squared residual that the best reconstruction of one channel takes away, mean over the alarm"
-    )
-    return f"<h3>Which channel explains it</h3>{html_table(['Channel', '', 'Share'], rows, caption=caption)}"
+    caption = "Share of the squared residual that the best reconstruction of one channel removes, mean over the alarm"
+    return f"<h3>Which channel explains the alarm</h3>{html_table(['Channel', '', 'Share'], rows, caption=caption)}"
 
 
 def _inside_text(diagnosis: Diagnosis, i: int, share: float, inside: float) -> str:
@@ -138,8 +136,8 @@ def _inside_text(diagnosis: Diagnosis, i: int, share: float, inside: float) -> s
     how = "the whole" if inside == 1 else f"{percent(round(1000 * inside), 1000)} of the"
     name = escape(diagnosis.residual_names[i])
     return (
-        f"<p><b>{name} carries {100 * share:.0f} % of the statistic although it stayed inside its own band for {how} "
-        "alarm.</b> The band is that of this residual alone. The test judges all residuals together, against how they "
-        "move together while nothing fails: small deviations at the same time, or one that the others do not follow, "
-        "can be as unlikely as a large one.</p>"
+        f"<p><b>{name} carries {100 * share:.0f} % of the statistic although it stayed inside its normal range for "
+        f"{how} alarm.</b> That range is for this residual alone. The test judges all residuals together, by how they "
+        "move together without a fault: several small deviations at once, or one that the others do not follow, can be "
+        "as unlikely as a large one.</p>"
     )

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Any
 from residua.report.charts import SHOWN_MEMBERS, SHOWN_RESIDUALS
 from residua.report.signals import SHOWN_SIGNALS, shown_text, signal_text
 from residua.report.text import escape, with_unit
+from residua.words import number
 
 if TYPE_CHECKING:
     from residua.monitor.diagnosis import Diagnosis
 
 
-def charts_html(diagnosis: Diagnosis, charts: dict[str, Any], number: int) -> str:
+def charts_html(diagnosis: Diagnosis, charts: dict[str, Any], place: int) -> str:
     """Return the places of the charts of a diagnosis: the test first, then what was measured, then the residuals."""
     if not len(diagnosis.time):
         return ""
@@ -23,9 +24,9 @@ def charts_html(diagnosis: Diagnosis, charts: dict[str, Any], number: int) -> st
         figures["estimate" if chart.get("estimate") else chart.get("role", chart["kind"])].append(
             _figure(k, chart, diagnosis)
         )
-    shown = 0 if bank else SHOWN_RESIDUALS  # of a bank, the statistics of its members tell the story
+    shown = 0 if bank else SHOWN_RESIDUALS  # of a bank, the statistics of its members matter
     residuals, members = figures["residual"], figures["member"]
-    closer, parts = "" if bank else " more", "groups of residuals" if diagnosis.tested else "members"
+    parts = "groups of residuals" if diagnosis.tested else "members"
     tests = [
         *figures["statistic"],
         *members[:SHOWN_MEMBERS],
@@ -34,14 +35,14 @@ def charts_html(diagnosis: Diagnosis, charts: dict[str, Any], number: int) -> st
     judged = [
         *figures["estimate"],
         *residuals[:shown],
-        _behind(residuals[shown:], f"{closer} residuals{'' if bank else ', which stayed closer to their bands'}"),
+        _behind(residuals[shown:], " residuals" if bank else " more residuals, which stayed closer to their ranges"),
         *figures["scores"],
     ]
     first = "Residuals" if not bank else "Estimates" if figures["estimate"] else ""
-    what = " and ".join(filter(None, [first, "candidates" if figures["scores"] else ""])).capitalize() or "Residuals"
-    second = f"<h3>{what}</h3>{_notes(charts, diagnosis)}{''.join(judged)}" if any(judged) else ""
+    heading = " and ".join(filter(None, [first, "candidates" if figures["scores"] else ""])).capitalize() or "Residuals"
+    second = f"<h3>{heading}</h3>{_notes(charts, diagnosis)}{''.join(judged)}" if any(judged) else ""
     return (
-        f'<div class="charts" data-diagnosis="{number}"><h3>The test over time</h3>{_key(charts, diagnosis)}'
+        f'<div class="charts" data-diagnosis="{place}"><h3>The test over time</h3>{_key(charts, diagnosis)}'
         f"{''.join(tests)}{_measured(diagnosis, figures)}{second}</div>"
     )
 
@@ -51,7 +52,7 @@ def _measured(diagnosis: Diagnosis, figures: dict[str, list[str]]) -> str:
     outputs, inputs = figures["output"], figures["input"]
     if not outputs:
         return ""
-    title = "Measured, and what the model expected" if diagnosis.predictions else "Measured"
+    title = "Measured and predicted" if diagnosis.predictions else "Measured"
     return (
         f'<h3>{title}</h3><p class="muted">{escape(signal_text(diagnosis) + shown_text(diagnosis))}</p>'
         f"{''.join(outputs[:SHOWN_SIGNALS])}{_behind(outputs[SHOWN_SIGNALS:], ' more outputs')}"
@@ -89,8 +90,18 @@ def _figure(k: int, chart: dict[str, Any], diagnosis: Diagnosis) -> str:
     return (
         f'<figure class="chart {chart["kind"]}" data-chart="{k}">'
         f"<figcaption>{escape(title)}{readout}{log}</figcaption>"
-        f'<div class="plot" role="img" aria-label="{escape(title)} over time"></div>{nothing}</figure>'
+        f'<div class="plot" role="img" aria-label="{escape(title)} over time{_limits(chart)}"></div>{nothing}</figure>'
     )
+
+
+def _limits(chart: dict[str, Any]) -> str:
+    """Return the threshold or the normal range of a chart, for those who do not see it."""
+    if chart.get("threshold") is not None:
+        return f", threshold {number(chart['threshold'])}"
+    if chart.get("band"):
+        low, high = map(number, chart["band"])
+        return f", normal range {low} to {high}"
+    return ""
 
 
 def _behind(figures: list[str], what: str) -> str:
@@ -101,12 +112,12 @@ def _behind(figures: list[str], what: str) -> str:
 
 
 def band_text(diagnosis: Diagnosis) -> str:
-    """Say what the band of a residual means."""
+    """Return the meaning of the normal range of a residual."""
     if diagnosis.horizon:
-        return "how far from zero a residual alone can be before the norm of all goes over the threshold"
-    mean = f"average over {diagnosis.averaged} samples" if diagnosis.averaged > 1 else "samples"
+        return "a residual outside it takes the norm of all over the threshold, even alone"
+    mean = f"averages over {diagnosis.averaged} samples" if diagnosis.averaged > 1 else "samples"
     if not diagnosis.band_share:
-        return "fault-free mean ± the threshold: a residual outside it is enough for the statistic to be over"
+        return "fault-free mean ± the threshold; one residual outside it takes the statistic over the threshold"
     outside = round(1 / (1 - diagnosis.band_share))
     together = "judges all residuals together"
     if diagnosis.match is not None:
@@ -114,28 +125,31 @@ def band_text(diagnosis: Diagnosis) -> str:
     elif diagnosis.members:
         together = "judges the residuals of a member together"
     return (
-        f"of each residual on its own, fault-free mean ± 3.3 standard deviations (1 in {outside:,} of its fault-free "
-        f"{mean} is outside, if its noise is Gaussian); the test {together}, so an alarm can stand while every "
-        "residual is inside"
+        f"fault-free mean ± 3.3 standard deviations (with Gaussian noise, 1 in {outside:,} fault-free {mean} is "
+        f"outside). The test {together}, so an alarm can stand while every residual is inside its range"
     )
 
 
 def _notes(charts: dict[str, Any], diagnosis: Diagnosis) -> str:
-    """Return what the bands mean, and how many score lines are not drawn."""
-    notes = [f"Band: {band_text(diagnosis)}."] if any(chart.get("band") for chart in charts["charts"]) else []
+    """Return the meaning of the normal ranges, and how many score lines are not drawn."""
+    notes = (
+        [f"Normal range of one residual: {band_text(diagnosis)}."]
+        if any(chart.get("band") for chart in charts["charts"])
+        else []
+    )
     hidden = sum(chart.get("hidden", 0) for chart in charts["charts"])
     if hidden:
-        notes.append(f"Of the candidates those with the best scores are drawn, {hidden} more are not.")
+        notes.append(f"Only the candidates with the best scores are drawn; {hidden} more are not.")
     return f'<p class="muted">{escape(" ".join(notes))}</p>' if notes else ""
 
 
 def _key(charts: dict[str, Any], diagnosis: Diagnosis) -> str:
     """Return what the colours mean, for those that occur, and how the samples were binned."""
-    entries = [("band", "band of a residual on its own")] if any(x.get("band") for x in charts["charts"]) else []
-    present = {"alarm": "alarm", "missing": "values missing", "undecided": "not judged (filter settles)"}
+    entries = [("band", "normal range of one residual")] if any(x.get("band") for x in charts["charts"]) else []
+    present = {"alarm": "alarm", "missing": "values missing", "undecided": "not judged (filter settling)"}
     entries += [(kind, text) for kind, text in present.items() if charts["spans"][kind]]
     if charts["spans"]["began"]:
-        entries.append(("began", "when it began, 95 % confidence"))
+        entries.append(("began", "when it began (95 % confidence)"))
     if charts["onsets"]:
         each = ", of each fault" if any(a.present[1:] for a in diagnosis.alarms) else ""
         entries.append(("onset", f"estimated arrival{each}" if diagnosis.match else f"first over its threshold{each}"))
@@ -144,17 +158,19 @@ def _key(charts: dict[str, Any], diagnosis: Diagnosis) -> str:
     if charts["binned"] > 1:
         remarks.append(
             f"Drawn from bins of {charts['binned']} samples: the smallest and the largest value of each bin, so no "
-            "extreme is lost; times in the charts are exact to one bin. Verdict and tables rest on every sample."
+            "extreme is lost. Times in the charts are exact to one bin; verdict and tables use every sample."
         )
     if diagnosis.averaged > 1 and not diagnosis.members:
         remarks.append(
-            f"The second line of a residual is its average over {diagnosis.averaged} samples, which is what the test "
-            "judges and its band is for."
+            f"The second line of a residual is its average over {diagnosis.averaged} samples; the test and the normal "
+            "range refer to this average."
         )
     if charts["spans"]["undecided"]:
-        remarks.append("The residuals' axes fit the judged samples; what a settling filter does may leave them.")
+        remarks.append("The axes of the residuals fit the judged samples; a settling filter may run off them.")
     remark = f'<p class="muted">{" ".join(remarks)}</p>' if remarks else ""
     return (
-        f'<ul class="legend key">{items}</ul>{remark}<p class="muted screen">Drag over a chart to zoom, double-click '
-        'to see all; the cursors of all charts move together. <button type="button" class="all">Show all</button></p>'
+        f'<ul class="legend key">{items}</ul>{remark}<p class="muted screen"><span class="hover">Drag over a chart to '
+        "zoom; double-click to show all. The cursors of all charts move together; the arrow keys move them, too.</span>"
+        '<span class="tap">Tap a chart to read its values.</span> '
+        '<button type="button" class="all">Show all</button></p>'
     )

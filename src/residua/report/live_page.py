@@ -8,7 +8,7 @@ from residua.report.page import Kit, document, footer
 from residua.report.text import escape, safe_json
 
 LIVE = Kit(
-    scripts=("guard.js", "uplot.min.js", "axes.js", "live_charts.js", "live.js"),
+    scripts=("guard.js", "uplot.min.js", "axes.js", "reading.js", "live_charts.js", "live.js"),
     styles=("uplot.min.css", "page.css", "live.css"),
     connect="'self'",
     icon=True,
@@ -20,7 +20,7 @@ _BODY = """
   <p class="status" role="status"><span class="dot" aria-hidden="true"></span> <span id="status">Connecting</span></p>
 </header>
 <div id="problems" class="verdict fault" hidden><p class="headline"><span class="mark" aria-hidden="true">⚠</span>
-  The run itself has a problem</p><ul></ul></div>
+  This run has a problem</p><ul></ul></div>
 <ul id="away" hidden></ul>
 
 <section id="overview" hidden>
@@ -49,15 +49,16 @@ _BODY = """
   <p id="facts" class="muted"></p>
   <div id="charts">
     <ul class="legend key">
-      <li><span class="swatch band"></span>band of a residual on its own</li>
+      <li><span class="swatch band"></span>normal range of one residual</li>
       <li><span class="swatch alarm"></span>alarm</li>
       <li><span class="swatch onset"></span>first over its threshold</li>
       <li><span class="swatch missing"></span>data missing</li>
     </ul>
-    <p class="muted screen hover">Drag over a chart to zoom, double-click to see all; the cursors of all charts move as
-      one.
+    <p class="muted screen"><span class="hover">Drag over a chart to zoom; double-click to show all. The cursors of all
+      charts move together; the arrow keys move them, too.</span>
+      <span class="tap">Tap a chart to read its values.</span>
       <button id="whole" type="button">Show all</button>
-      <span id="held" hidden>Zoomed: the charts stand still.</span></p>
+      <span id="held" hidden>Zoomed: the charts are paused.</span></p>
     <div id="statistic"></div>
     <h3>Residuals</h3>
     <div id="residuals"></div>
@@ -71,7 +72,7 @@ _BODY = """
 
 <section id="happened" hidden>
   <h3>Events</h3>
-  <p class="muted" id="none">Nothing has happened yet.</p>
+  <p class="muted" id="none">No events yet.</p>
   <ol class="events"></ol>
 </section>
 
@@ -99,7 +100,7 @@ def live_page(title: str) -> str:
     str
     """
     body = _BODY.format(title=escape(title))
-    ending = footer("This page asks nobody but the server that it comes from.")
+    ending = footer("This page contacts only the server that it comes from.")
     return document(title, body + ending, safe_json({"title": title}), LIVE)
 
 

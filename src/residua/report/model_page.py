@@ -90,7 +90,7 @@ def write_model_page(
 
 def _headline(model: IdentifiedModel) -> str:
     report = model.report
-    rows = "held-out rows" if report.held_out else "the rows that it is from"
+    rows = "held-out rows" if report.held_out else "the rows of its fit"
     return (
         f"A model of order {report.order} predicts {counted(len(report.outputs), 'output')} one step ahead with a fit "
         f"of {_percent(float(report.checked.fit.min()))} or better on {rows}."
@@ -101,8 +101,8 @@ def _facts(model: IdentifiedModel) -> str:
     report, plant = model.report, model.plant
     rows = [
         ("Method", report.method),
-        ("Rows that it is from", f"{report.samples:,}, step {length(report.dt)}"),
-        ("Rows of the past in a state", str(report.past)),
+        ("Rows of the fit", f"{report.samples:,}, step {length(report.dt)}"),
+        ("Past rows in a state", str(report.past)),
         ("Inputs", some(plant.inputs, 20) or "none"),
         ("Outputs", some(plant.outputs, 20)),
         ("Poles", some([format_pole(one) for one in report.poles], 12) or "none"),
@@ -128,7 +128,7 @@ def _fit(model: IdentifiedModel) -> str:
             ]
         )
     header = ["Output", "Unit", "Fit one step ahead", "Fit from inputs alone", "Error (rms)", "Largest correlation", ""]
-    where = f"{facts.rows:,} rows that were held out" if report.held_out else f"the {facts.rows:,} rows that it is from"
+    where = f"{facts.rows:,} rows that were held out" if report.held_out else f"the {facts.rows:,} rows of the fit"
     text = (
         f"On {where}. The fit is 1 less the root mean square of the error over the standard deviation of the output: "
         "100 % is a perfect prediction, 0 % is no better than the mean."
@@ -173,13 +173,13 @@ def _charts(model: IdentifiedModel, drawn: Prediction) -> dict[str, Any]:
 def _curves(model: IdentifiedModel, drawn: Prediction, charts: dict[str, Any]) -> str:
     """Return the places of the charts."""
     figures = [
-        f'<figure class="chart" data-chart="{k}"><figcaption>{escape(name)}<span class="readout"></span></figcaption>'
-        f'<div class="plot"></div></figure>'
+        f'<figure class="chart" data-chart="{k}"><figcaption>{escape(name)}</figcaption>'
+        f'<div class="plot" role="img" aria-label="{escape(name)} over time"></div></figure>'
         for k, name in enumerate(model.plant.outputs)
     ]
     text = (
-        f"{drawn.source}, {len(drawn.measured):,} rows; time counts from the first of them. Each prediction is from "
-        "all rows before. Over the grey stretches there is none: a value is missing, or the state is estimated there."
+        f"{drawn.source}, {len(drawn.measured):,} rows; time counts from the first. Each prediction uses all rows "
+        "before it. Grey stretches have none: a value is missing, or the state is still being estimated."
     )
     if charts["binned"] > 1:
         text += f" Drawn as the smallest and the largest value of every {charts['binned']} rows."
@@ -187,8 +187,8 @@ def _curves(model: IdentifiedModel, drawn: Prediction, charts: dict[str, Any]) -
     behind = f"<details><summary>{len(more)} more outputs</summary>{''.join(more)}</details>" if more else ""
     return (
         f'<h2>Measured and predicted</h2><p class="muted">{escape(text)}</p><div class="charts" data-diagnosis="0">'
-        '<p class="screen"><button class="all" type="button">Whole time</button> '
-        '<span class="muted">Drag over a chart to zoom in.</span></p>'
+        '<p class="screen"><button class="all" type="button">Show all</button> '
+        '<span class="muted hover">Drag over a chart to zoom; the arrow keys move the cursor.</span></p>'
         f"{''.join(figures[:SHOWN_OUTPUTS])}{behind}</div>"
     )
 
@@ -231,8 +231,8 @@ def _correlations(model: IdentifiedModel, seen: tuple[Prediction, ...]) -> str:
         for i, name in enumerate(model.plant.outputs)
     ]
     text = (
-        f"Of the errors at lags of 1 to {kept} rows. Of white errors one bar in twenty leaves the band; many that do "
-        "say that the model misses dynamics of that output, so that its residual is not white either."
+        f"Autocorrelation of the errors at lags of 1 to {kept} rows. Of white errors, one bar in twenty leaves the "
+        "band. If many do, the model misses dynamics of that output, and its residual is not white either."
     )
     first, more = pictures[:SHOWN_OUTPUTS], pictures[SHOWN_OUTPUTS:]
     behind = f'<details><summary>{len(more)} more outputs</summary><div class="pair">{"".join(more)}</div></details>'
@@ -296,7 +296,7 @@ def _gains(model: IdentifiedModel) -> str:
         for i, output in enumerate(report.outputs)
     ]
     units = [f"{name} [{_unit(model, name)}]" if _unit(model, name) else name for name in report.inputs]
-    text = "What a constant input does in the end, in units of the output per unit of the input, with standard errors."
+    text = "The final effect of a constant input, in units of the output per unit of the input, with standard errors."
     header = ["Output", *(escape(f"per {name}") for name in units)]
     return f'<h2>Steady gains</h2><p class="muted">{text}</p>{html_table(header, rows)}'
 

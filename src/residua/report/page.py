@@ -12,10 +12,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from residua.files import write_text
-from residua.report.body import diagnosis_html, filter_html, summary_html
+from residua.report.body import diagnosis_html, filter_html, summary_html, verdict_html
 from residua.report.charts import chart_data
 from residua.report.tables import Table, text_table
 from residua.report.text import escape, safe_json
+from residua.report.verdict import verdict
 from residua.words import listing
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ __all__ = ["Section", "Table", "render", "write_demo_page", "write_page"]
 
 @dataclass(frozen=True, eq=False)
 class Section:
-    """A part of a page: text, a table and a diagnosis, each of them optional.
+    """A part of a page: text, a table, a diagnosis and commands, each of them optional.
 
     All text is shown as it is; none of it is taken as HTML.
 
@@ -40,6 +41,10 @@ class Section:
     actual : sequence of str, or str, or None
         The faults that were really there (an empty sequence: none); the summary then says whether the
         diagnosis is right. ``None`` if that is not known.
+    commands : sequence of str, or str
+        Command lines, below the text, each on a line of its own with a button that copies it.
+    folded : bool
+        Whether only the heading and the verdict are shown until the reader opens the section.
     """
 
     heading: str
@@ -47,6 +52,8 @@ class Section:
     paragraphs: Sequence[str] | str = ()
     table: Table | None = None
     actual: Sequence[str] | str | None = None
+    commands: Sequence[str] | str = ()
+    folded: bool = False
 
 
 def write_page(diagnosis: Diagnosis, path: str | Path, *, title: str | None = None) -> Path:
@@ -78,7 +85,9 @@ def write_page(diagnosis: Diagnosis, path: str | Path, *, title: str | None = No
 def write_demo_page(
     sections: Sequence[Section], path: str | Path, title: str, *, introduction: Sequence[str] | str = ()
 ) -> Path:
-    """Write one page with several diagnoses, a summary of them on top and each filter described once.
+    """Write one page with several diagnoses: a verdict and a summary on top, and each filter described once.
+
+    The verdict on top is that of the first diagnosis that is not folded.
 
     Parameters
     ----------
@@ -110,36 +119,53 @@ def render(sections: Sequence[Section], title: str, introduction: Sequence[str] 
     """
     shown = [(k, s) for k, s in enumerate(sections, 1) if s.diagnosis is not None]
     filters = _filters(sections)
-    body = [f"<header><h1>{escape(title)}</h1>{paragraphs(introduction)}</header>"]
+    body = [f"<header><h1>{escape(title)}</h1>"]
+    if len(shown) > 1:
+        body.append(_first_verdict(shown))
+    body.append(f"{paragraphs(introduction)}</header>")
     if len(shown) > 1:
         body.append(
             summary_html(
                 [
                     (k, s.heading, s.diagnosis, None if s.actual is None else _names(s.actual))
                     for k, s in shown
-                    if s.diagnosis
+                    if s.diagnosis is not None
                 ]
             )
         )
     data = []
     for k, section in enumerate(sections, 1):
-        body.append(f'<section id="s{k}">')
-        if section.heading:
-            body.append(f"<h2>{escape(section.heading)}</h2>")
-        body.append(paragraphs(section.paragraphs))
+        parts = [paragraphs(section.paragraphs), commands(section.commands)]
         if section.table is not None:
-            body.append(text_table(section.table))
+            parts.append(text_table(section.table))
         if section.diagnosis is not None:
             charts = chart_data(section.diagnosis)
             link = _filter_number(filters, section.diagnosis) if len(filters) > 1 else 0
-            body.append(diagnosis_html(section.diagnosis, charts, number=len(data), filter_number=link))
+            parts.append(diagnosis_html(section.diagnosis, charts, number=len(data), filter_number=link))
             data.append(charts)
-        body.append("</section>")
+        body.append(f'<section id="s{k}">{_around(section, "".join(parts))}</section>')
     for k, (generator, users) in enumerate(filters, 1):
         used = listing(h for h in users if h) if len(filters) > 1 else ""
         body.append(filter_html(generator, number=k, several=len(filters) > 1, used_by=used))
     body.append(footer())
     return document(title, "\n".join(body), safe_json({"diagnoses": data}))
+
+
+def _first_verdict(shown: Sequence[tuple[int, Section]]) -> str:
+    """Return the verdict of the first diagnosis that is not folded, with a link to its section."""
+    k, section = next(((k, s) for k, s in shown if not s.folded), shown[0])
+    assert section.diagnosis is not None
+    link = f'<p class="muted">Case: <a href="#s{k}">{escape(section.heading or f"Diagnosis {k}")}</a></p>'
+    return verdict_html(verdict(section.diagnosis), link)
+
+
+def _around(section: Section, content: str) -> str:
+    """Return what a section shows, with its heading; folded below heading and verdict where it is to be."""
+    heading = f"<h2>{escape(section.heading)}</h2>" if section.heading else ""
+    if not section.folded:
+        return heading + content
+    outcome = "" if section.diagnosis is None else f" <span>{escape(verdict(section.diagnosis).headline)}</span>"
+    return f'<details class="case"><summary>{heading}{outcome}</summary>{content}</details>'
 
 
 def _filters(sections: Sequence[Section]) -> list[tuple[ResidualGenerator, list[str]]]:
@@ -171,6 +197,11 @@ def paragraphs(text: Sequence[str] | str) -> str:
     return "".join(f"<p>{escape(paragraph)}</p>" for paragraph in _names(text))
 
 
+def commands(lines: Sequence[str] | str) -> str:
+    """Return command lines, each whole on a line of its own, escaped."""
+    return "".join(f'<pre class="command"><code>{escape(line)}</code></pre>' for line in _names(lines))
+
+
 def _version() -> str:
     from importlib import metadata  # slow to import, and needed only here
 
@@ -180,7 +211,7 @@ def _version() -> str:
         return "of unknown version"
 
 
-def footer(complete: str = "This file is complete in itself and loads nothing from elsewhere.") -> str:
+def footer(complete: str = "This file is self-contained and loads nothing from the network.") -> str:
     """Return what stands at the end of every page."""
     return (
         f'<footer class="muted">Made by residua {escape(_version())}. Charts: uPlot by Leon Sorokin, MIT licence '
@@ -206,7 +237,7 @@ class Kit:
         Whether it says that it has no icon, so that a browser does not ask its server for one.
     """
 
-    scripts: tuple[str, ...] = ("guard.js", "uplot.min.js", "axes.js", "page.js")
+    scripts: tuple[str, ...] = ("guard.js", "uplot.min.js", "axes.js", "reading.js", "page.js")
     styles: tuple[str, ...] = ("uplot.min.css", "page.css")
     connect: str = ""
     icon: bool = False
@@ -248,7 +279,7 @@ def document(title: str, body: str, data: str, kit: Kit = REPORT) -> str:
 <main>
 {body}
 </main>
-<noscript><p>The charts of this page are drawn by its own script, which is switched off here.</p></noscript>
+<noscript><p>The charts need JavaScript, which is switched off here.</p></noscript>
 <script type="application/json" id="residua-data">{data}</script>
 <!-- uPlot 1.6.32
 {licence}-->

@@ -58,10 +58,11 @@ def direction_picture(
     if not drawn and not length:
         return ""
     half = _SIZE / 2
-    hint = '<p class="muted screen">Drag the picture to turn it.</p>' if n == 3 else ""
+    hint = '<p class="muted screen">Drag the picture, or use the arrow keys, to turn it.</p>' if n == 3 else ""
+    focus = ' tabindex="0"' if n == 3 else ""
     return (
         f'<div><svg class="picture" data-axes="{n}" data-turn="{_TURN}" data-tilt="{_TILT}" '
-        f'viewBox="{-half:g} {-half:g} {_SIZE} {_SIZE}" width="{_SIZE}" height="{_SIZE}" role="img" '
+        f'viewBox="{-half:g} {-half:g} {_SIZE} {_SIZE}" width="{_SIZE}" height="{_SIZE}" role="img"{focus} '
         f'aria-label="Signature directions in the space of the residuals">{"".join(parts)}</svg>{hint}</div>'
     )
 

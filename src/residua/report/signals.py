@@ -51,29 +51,28 @@ def _chart(diagnosis: Diagnosis, name: str, role: str, column: int, bins: Bins) 
 
 
 def signal_text(diagnosis: Diagnosis) -> str:
-    """Say what the prediction of the model is, and for which outputs there is none."""
+    """Return the meaning of the predictions, and the outputs without one."""
     if not len(diagnosis.signals):
         return ""
     plant = diagnosis.generator.plant
     predicted = diagnosis.predictions
     if not predicted:
         return (
-            "The filter of this monitor makes residuals without predicting an output, so what was measured stands here "
-            "alone; the residuals tell how it differs from the model."
+            "This filter predicts no output, so only the measurements are shown; the residuals show how they differ "
+            "from the model."
         )
     text = (
-        "Model: what the filter expected of an output from everything measured up to the sample before (and the inputs "
-        "of the sample itself). It follows the measurements, so a small lasting gap between the lines is what counts: "
-        "the residual below is that gap, enlarged."
+        "Model: the filter's prediction of each output from all earlier samples and the present inputs. It follows the "
+        "measurements, so look for a small gap that lasts: the residual below is that gap, enlarged."
     )
     without = [name for name in plant.outputs if name not in predicted]
-    return text + (f" No prediction is made of {some(without)}." if without else "")
+    return text + (f" The filter predicts no {some(without)}." if without else "")
 
 
 def shown_text(diagnosis: Diagnosis) -> str:
-    """Say which outputs are drawn first, where not all are."""
+    """Return the outputs that are drawn first, where not all are."""
     order = signal_order(diagnosis)
     if len(order) <= SHOWN_SIGNALS or diagnosis.main_alarm is None:
         return ""
     names = listing(diagnosis.generator.plant.outputs[j] for j in order[:SHOWN_SIGNALS])
-    return f" Drawn first: {names}, which moved the most in the main alarm."
+    return f" Drawn first: {names}, which moved most in the main alarm."

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from residua.decide.alarm import Candidate
 from residua.decide.statement import angle, capital, left_out_text, longest_alarms, ranked, sizes_text, tied_name
 from residua.design.core.evidence import Evidence, format_pole
-from residua.monitor.fault_learning import learnt_table
+from residua.monitor.fault_learning import LearntFaults
 from residua.monitor.visible_sizes import DETECTABLE, HEADER
 from residua.report.choosing import SHOWN_FAULTS
 from residua.report.text import escape
@@ -55,8 +55,8 @@ def visible_table(diagnosis: Diagnosis) -> str:
     if check is None or not check.visible:
         return ""
     caption = (
-        "The smallest constant faults that this monitor sees in nine of ten cases, by its fit. Deviations are those "
-        f"of the channel in the fit; detectable: as long as it lasts, at {DETECTABLE:g} deviations or less."
+        "The smallest constant faults that this monitor detects in nine of ten cases. Deviations: standard deviations "
+        f"of the channel in the fit. Detectable: in alarm while it lasts, at {DETECTABLE:g} deviations or fewer."
     )
     rows = [list(map(escape, one.cells)) for one in check.visible[:MAX_ROWS]]
     return html_table([capital(name) for name in HEADER], rows, caption=caption)
@@ -69,9 +69,13 @@ def text_table(table: Table) -> str:
 
 
 def html_table(header: Sequence[str], rows: Iterable[Sequence[str]], *, caption: str = "", kind: str = "") -> str:
-    """Return a table from cells that are HTML already; a cell that starts with ``<td`` or ``<th`` is kept whole."""
+    """Return a table from cells that are HTML already; a cell that starts with ``<td`` or ``<th`` is kept whole.
+
+    Of the kind ``"cards"``, each row becomes a list of names and values on a narrow screen.
+    """
     head = "".join(f'<th scope="col">{cell}</th>' for cell in header)
-    body = "".join("<tr>" + "".join(_wrapped(c) for c in row) + "</tr>\n" for row in rows)
+    names = header if kind == "cards" else [""] * len(header)
+    body = "".join("<tr>" + "".join(map(_wrapped, row, names)) + "</tr>\n" for row in rows)
     title = f'<p class="caption">{caption}</p>' if caption else ""
     return (
         f'{title}<div class="scroll"><table class="{kind}"><thead><tr>{head}</tr></thead>\n'
@@ -103,7 +107,7 @@ def alarm_table(diagnosis: Diagnosis) -> str:
     probable = any(c.probability is not None for alarm in diagnosis.alarms for c in alarm.candidates)
     weight = "Probability" if probable else "Score"
     header = ["Alarm", *ALARM_TIMES, "Most likely", weight, "Next", weight, "How sure"]
-    return html_table(header, rows) + left_out_note(diagnosis)
+    return html_table(header, rows, kind="cards") + left_out_note(diagnosis)
 
 
 def left_out_note(diagnosis: Diagnosis) -> str:
@@ -154,7 +158,7 @@ def candidate_table(diagnosis: Diagnosis) -> str:
         rows.append([str(k), _name(c.name), bar, *map(_num, [*numbers, *sizes])])
     header = ["Rank", "Fault", "", *(("Probability", "p alone", "p against the first") if probable else ("Score",))]
     header += ["2 ln likelihood ratio", "Arrived"] if matched else []
-    header += [] if scored_alone or probable else ["Angle off signature", "Distance"]
+    header += [] if scored_alone or probable else ["Angle to signature", "Distance"]
     header += ["Estimated size"] if sized else []
     title = "Candidates of the main alarm" if len(diagnosis.alarms) > 1 else "Candidates"
     more = len(rows) - SHOWN_FAULTS
@@ -169,7 +173,7 @@ def candidate_table(diagnosis: Diagnosis) -> str:
 
 def learnt_faults_html(diagnosis: Diagnosis) -> str:
     """Return the table of the faults that were learnt from recordings, and how the main alarm lies to each."""
-    table = learnt_table(diagnosis.isolation)
+    table = LearntFaults(diagnosis.learnt_faults)
     if not table:
         return ""
     header, rows = table.cells()
@@ -177,19 +181,19 @@ def learnt_faults_html(diagnosis: Diagnosis) -> str:
     matches = {m.fault: m for m in main.learnt} if main is not None else {}
     cells = [[f'<td class="name">{escape(row[0])}</td>', *map(escape, row[1:])] for row in rows]
     if matches:
-        header = [*header, "main alarm off it", "accounted for"]
+        header = [*header, "angle to main alarm", "angle allowed"]
         for row, learnt in zip(cells, table, strict=True):
             one = matches.get(learnt.name)
             row += ["–", "–"] if one is None else [f"{one.angle:.2g}°", f"{one.allowed:.2g}°"]
     text = (
-        "Learnt from recordings of them. A cone holds the direction with 95 % confidence; what one recording cannot "
-        "show is how much one occurrence differs from the next."
+        "Learnt from recordings of these faults. A cone contains the direction with 95 % confidence; one recording "
+        "cannot show how much the next occurrence will differ."
     )
     return f"<h3>Learnt faults</h3><p>{text}</p>{html_table([one[:1].upper() + one[1:] for one in header], cells)}"
 
 
 def structure_table(generator: ResidualGenerator) -> str:
-    """Return who fires when what fails: one row per fault, one column per residual, or per member of a bank."""
+    """Return the residuals, or members of a bank, that respond to each fault: one row per fault."""
     if not generator.faults:
         return '<p class="muted">The plant has no faults.</p>'
     names, fires_for, what = generator.residuals, generator.structure, "residuals"
@@ -200,13 +204,15 @@ def structure_table(generator: ResidualGenerator) -> str:
     rows = []
     for j, fault in enumerate(generator.faults):
         cells = [
-            '<td class="on" title="fires">●</td>' if fires else '<td class="off" title="stays zero">·</td>'
+            '<td class="on" title="responds">●</td>' if fires else '<td class="off" title="stays zero">·</td>'
             for fires in fires_for[:, j]
         ]
         rows.append([f'<th scope="row">{escape(fault)}</th>', *cells])
-    header = ["What fails", *(f"<span>{escape(name)}</span>" for name in names)]
+    header = ["Fault", *(f"<span>{escape(name)}</span>" for name in names)]
     kind = "matrix upright" if len(names) > 8 else "matrix"
-    return html_table(header, rows, caption=f"Which {what} answer to which fault (● fires, · stays zero)", kind=kind)
+    return html_table(
+        header, rows, caption=f"Which {what} respond to which fault (● responds, · stays zero)", kind=kind
+    )
 
 
 def _structure_in_short(faults: Sequence[str], names: Sequence[str], fires_for: NDArray[np.bool_], what: str) -> str:
@@ -221,8 +227,8 @@ def _structure_in_short(faults: Sequence[str], names: Sequence[str], fires_for: 
     for members in sorted(patterns.values(), key=len, reverse=True):
         text = _pattern_text(fires_for[:, members[0]], names, what)
         rows.append([_name(some((faults[j] for j in members), SHOWN_FAULTS)), escape(text)])
-    caption = f"Which {what} answer to which fault, {len(faults)} faults in {len(rows)} patterns"
-    header = ["What fails", "What answers"]
+    caption = f"Which {what} respond to which fault: {len(faults)} faults in {len(rows)} patterns"
+    header = ["Faults", capital(what)]
     if len(rows) <= SHOWN_FAULTS:
         return html_table(header, rows, caption=caption)
     return f'<details class="more"><summary>{escape(caption)}</summary>{html_table(header, rows)}</details>'
@@ -259,7 +265,7 @@ def similarity_table(labels: Sequence[str], values: NDArray[np.float64], observe
 
 
 def evidence_html(evidence: Evidence) -> str:
-    """Return what a design proves about itself, as tables and lists."""
+    """Return the checks of a design as tables and lists."""
     poles = [
         [label, _num(_poles(values))]
         for label, values in (
@@ -313,7 +319,7 @@ def _num(text: str) -> str:
 
 def time_cell(text: str) -> str:
     """Return the cell of a time, or of an interval in two lines; never broken within a time."""
-    return f'<td class="num time">{text.replace(" to ", " to<br>")}</td>'
+    return f'<td class="num time">{text.replace(" to ", " to <br>")}</td>'
 
 
 def _name(text: str) -> str:
@@ -330,5 +336,7 @@ def _cell(value: object) -> str:
     return f"<td>{escape('' if value is None else value)}</td>"
 
 
-def _wrapped(cell: str) -> str:
-    return cell if cell.startswith(("<td", "<th")) else f"<td>{cell}</td>"
+def _wrapped(cell: str, name: str) -> str:
+    whole = cell if cell.startswith(("<td", "<th")) else f"<td>{cell}</td>"
+    empty = " data-empty" * whole.endswith(">–</td>")
+    return whole.replace("<td", f'<td data-name="{name}"{empty}', 1) if name else whole

@@ -23,19 +23,19 @@ _TOLD = 5
 _SURE = 0.9
 
 BEGAN_RULE = (
-    "The interval in which it began holds for a change of the residual that begins as a step, a ramp or the square of "
-    "time, in noise that goes on as before. A fault that no residual answers to at first, since a control loop makes "
-    "up for it, or that grows out of the noise in another way, may have begun well before the interval."
+    "The interval in which it began assumes that the residual starts to move as a step, a ramp or the square of time, "
+    "in unchanged noise. A fault may have begun well before it if a control loop compensates for it at first, or if it "
+    "grows out of the noise in another way."
 )
 
 #: Fraction of the samples outside of what was learnt from which on that is the answer.
 _MOSTLY = 0.5
-_UNLIKE = "The data are unlike those of the fit, in other units or at another operating point."
+_UNLIKE = "The data differ from those of the fit: other units, or another operating point."
 
 #: What is said of an alarm by certified thresholds.
 CERTAIN = (
-    "The thresholds are certified: without a fault no plant of the uncertainty set goes over them while the "
-    "disturbances keep their bounds."
+    "The thresholds are certified: without a fault, no plant of the uncertainty set exceeds them while the "
+    "disturbances keep within their bounds."
 )
 
 
@@ -105,7 +105,7 @@ def _verdict(diagnosis: Diagnosis) -> Verdict:
         )
     if diagnosis.unjudged:
         want = "code" if diagnosis.codes else "signature"
-        sentences.append(f"This monitor may not see {some(diagnosis.unjudged)}: without a {want} in it.")
+        sentences.append(f"This monitor may miss {some(diagnosis.unjudged)}: it has no {want} for it.")
     check = diagnosis.fit_check
     if diagnosis.outside > _MOSTLY:
         return Verdict("outside", f"Cannot tell: {_outside(diagnosis)}.", tuple(sentences))
@@ -117,8 +117,9 @@ def _verdict(diagnosis: Diagnosis) -> Verdict:
 
 
 def _outside(diagnosis: Diagnosis) -> str:
-    """Say which part of a recording lies outside of what was learnt."""
-    return f"{percent(round(100 * diagnosis.outside), 100)} of the samples lie outside of what the monitor has learnt"
+    """Return how much of a recording lies outside of the learnt range."""
+    share = percent(round(100 * diagnosis.outside), 100)
+    return f"{share} of the samples lie outside the range that the monitor has learnt"
 
 
 def _largest(diagnosis: Diagnosis, rows: int = 1 << 18) -> float:
@@ -137,7 +138,7 @@ def _fault(diagnosis: Diagnosis) -> Verdict:
     assert main is not None
     sentences = [
         f"{capital(began_text(main, clock))}.",
-        f"The statistic first went over its threshold and stayed at {clock.at(_crossed(main, diagnosis))}; "
+        f"The statistic is over its threshold from {clock.at(_crossed(main, diagnosis))} on; "
         f"{raised_text(main, clock)}, {_end(main.ended, clock)}.",
     ]
     if main.fired:
@@ -155,7 +156,7 @@ def _fault(diagnosis: Diagnosis) -> Verdict:
     sentences += [*_sized(main), *_not_apart(diagnosis, main)]
     if diagnosis.unjudged:
         want = "code" if diagnosis.codes else "signature"
-        sentences.append(f"Without a {want} in this monitor, so never named: {some(diagnosis.unjudged)}.")
+        sentences.append(f"Never named, because this monitor has no {want} for it: {some(diagnosis.unjudged)}.")
     if len(diagnosis.alarms) > 1:
         sentences.append(f"This is the longest of {len(diagnosis.alarms):,} alarms.")
     return Verdict("fault", headline, tuple(sentences), said.confidence, said.margin, said.present, said.rules)
@@ -168,7 +169,7 @@ def _not_apart(diagnosis: Diagnosis, main: Alarm) -> list[str]:
         return []
     more = f"; and {len(others) - _TOLD} more groups" if len(others) > _TOLD + 1 else ""
     shown = others[: _TOLD if more else None]
-    return [f"Not told apart here either: {'; '.join(map(some, shown))}{more}."]
+    return [f"Other faults that this monitor cannot tell apart: {'; '.join(map(some, shown))}{more}."]
 
 
 def _sized(alarm: Alarm) -> list[str]:

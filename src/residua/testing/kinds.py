@@ -165,8 +165,8 @@ def _recording(
     v = rng.multivariate_normal(np.zeros(len(R)), R, samples)
     x, y = np.zeros(plant.n_states), np.empty((samples, plant.n_outputs))
     for k in range(samples):
-        y[k] = plant.C @ x + plant.Du @ u[k] + plant.Df @ f[k] + v[k]
-        x = plant.A @ x + plant.Bu @ u[k] + plant.Bf @ f[k] + w[k]
+        y[k] = plant.C @ x + plant.D @ u[k] + plant.Df @ f[k] + v[k]
+        x = plant.A @ x + plant.B @ u[k] + plant.Bf @ f[k] + w[k]
     return u, y
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from residua.errors import FileFormatError, SettingError
 from residua.number_kinds import KNOWN_OR_NOT
 from residua.records import float_in, float_out, list_in, record, table_in, text_in, texts_in, whole_in
+from residua.shown import Shown, notes
 from residua.validate.campaign_file import read_runs, write_runs
 from residua.validate.comparison import Comparison, compared
 from residua.validate.delays import Delays, delays_of
@@ -55,8 +56,8 @@ class CaseFacts:
         return f"{self.fault}, {self.shape}{sized}"
 
 
-@dataclass(frozen=True, eq=False)
-class Campaign:
+@dataclass(frozen=True, eq=False, repr=False)
+class Campaign(Shown):
     """The result of a campaign. Prints as its tables.
 
     Runs are independent of each other. Run number ``k`` draws the same noise in every case, and without a fault.
@@ -281,6 +282,12 @@ class Campaign:
         return tuple(out)
 
     # ------------------------------------------------------------------- output
+
+    def _parts(self) -> list[str]:
+        facts = [f"false-alarm rate {self.false_alarm_rate()} of the fault-free samples"]
+        facts.append(f"mean time between false alarms {self.time_between_false_alarms()} s")
+        fits = [str(one) for one in self.detection_probabilities() if len(one.sizes) > 1]
+        return [notes(facts), *self.table()._parts(), notes([*fits, *self.notes])]
 
     def __str__(self) -> str:
         rate, apart = self.false_alarm_rate(), self.time_between_false_alarms()

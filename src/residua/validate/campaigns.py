@@ -61,8 +61,8 @@ def campaign(
 
     Every run is simulated once without a fault, which gives the false alarms, and once for each scenario and size,
 
-    .. math:: x_{k+1} = A x_k + B_u u_k + B_d d_k + B_f f_k + B_w w_k, \qquad
-       y_k = C x_k + D_u u_k + D_d d_k + D_f f_k + D_w w_k
+    .. math:: x_{k+1} = A x_k + B u_k + B_d d_k + B_f f_k + B_w w_k, \qquad
+       y_k = C x_k + D u_k + D_d d_k + D_f f_k + D_w w_k
 
     from the operating point on, with the same noise: run ``k`` of one campaign and of another with the same seed have
     the same draws, which makes paired comparisons of monitors (:meth:`Campaign.compare`).

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.shown import Shown
 from residua.validate.figure_table import FigureTable
 from residua.validate.intervals import Estimate, bootstrap
 from residua.validate.runs import RunFigures
@@ -44,8 +45,8 @@ class PairedCase:
     delay: Estimate
 
 
-@dataclass(frozen=True)
-class Comparison:
+@dataclass(frozen=True, repr=False)
+class Comparison(Shown):
     """Two campaigns on the same draws, the first less the second. Prints as a table.
 
     Attributes

@@ -19,6 +19,7 @@ from residua.errors import NotFittedError, SettingError
 from residua.linear.systems.recursion import run_filter
 from residua.monitor.monitor import Monitor
 from residua.progress import Progress, progress_of
+from residua.shown import Shown, line_chart, notes
 from residua.tolerances import SAME
 from residua.validate.figure_table import FigureTable
 from residua.validate.intervals import CONFIDENCE, UNKNOWN, Estimate, bootstrap, check_confidence, wilson
@@ -71,8 +72,8 @@ class SmallestFault:
     asymptote: float
 
 
-@dataclass(frozen=True, eq=False)
-class Detectability:
+@dataclass(frozen=True, eq=False, repr=False)
+class Detectability(Shown):
     """How small a fault a monitor sees; :func:`residua.decide.detectability`. Prints as a table.
 
     Attributes
@@ -151,6 +152,14 @@ class Detectability:
         column = len(delays) - 1 if within is None else _nearest(delays, within)
         sizes, shares = self.curves[fault]
         return sizes.copy(), shares[:, column].copy()
+
+    def _parts(self) -> list[str]:
+        first = next(iter(self.curves))
+        sizes, shares = self.power(first)
+        ends = (f"size {number(float(sizes[0]))}", f"size {number(float(sizes[-1]))}")
+        label = f"{first}: probability of detection within {number(self.delays[-1])} s, by its size"
+        chart = line_chart(sizes, shares, label=label, limit=1 - self.miss_rate, ends=ends)
+        return [*self.table()._parts(), chart, notes(self.notes)]
 
     def __str__(self) -> str:
         missed = f"{100 * self.miss_rate:g} % missed at most" if self.miss_rate else "none missed"

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from residua.errors import MissingExtraError, SettingError
+from residua.shown import Bar, Shown, table
 from residua.validate.intervals import Estimate
 from residua.visible import echo
 from residua.words import number
 
 
-@dataclass(frozen=True)
-class FigureTable:
+@dataclass(frozen=True, repr=False)
+class FigureTable(Shown):
     """A table of figures. Prints with columns in line.
 
     Attributes
@@ -62,11 +63,24 @@ class FigureTable:
         """Return the rows as text."""
         return [[_text(value) for value in row] for row in self.rows]
 
+    def _headline(self) -> str:
+        return f"{len(self.rows)} rows of {', '.join(self.header)}"
+
+    def _parts(self) -> list[str]:
+        rows = [[_shown(name, value) for name, value in zip(self.header, row, strict=True)] for row in self.rows]
+        return [table(self.header, rows)]
+
     def __str__(self) -> str:
         lines: Sequence[Sequence[str]] = [self.header, *self.cells()]
         width = [max(len(line[c]) for line in lines) for c in range(len(self.header))]
         joined = ("  ".join(cell.ljust(w) for cell, w in zip(line, width, strict=True)) for line in lines)
         return "\n".join(line.rstrip() for line in joined)
+
+
+def _shown(name: str, value: Any) -> Any:
+    """Return a cell for a notebook: shares with a bar."""
+    is_share = isinstance(value, Estimate) and not name.endswith("]") and 0 <= value.value <= 1
+    return Bar(value.value, str(value)) if is_share else value
 
 
 def _text(value: Any) -> str:

@@ -154,7 +154,7 @@ def channel_of(fault: str, plant: Plant, what: str = "") -> tuple[str, int]:
         return "y", int(d.argmax())
     if kind == "actuator" and component in plant.inputs:
         i = plant.inputs.index(component)
-        own, command = (np.concatenate(pair) for pair in ((plant.Bf[:, j], d), (plant.Bu[:, i], plant.Du[:, i])))
+        own, command = (np.concatenate(pair) for pair in ((plant.Bf[:, j], d), (plant.B[:, i], plant.D[:, i])))
         if (np.abs(own - command) <= RESPONSE_ROUNDING * np.abs(command)).all():
             return "u", i
     raise SettingError(

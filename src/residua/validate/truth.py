@@ -73,14 +73,14 @@ def truth_of(plant: Plant, dt: float, controller: StateSpace | None, samples: in
     """
     p = (plant if plant.is_discrete else plant.discretize(dt)).explicit()
     n, m = p.n_states, len(p.inputs)
-    B = np.hstack([p.Bu, p.Bd, p.Bw])
-    Dy = np.hstack([p.Du, p.Dd, p.Dw])
+    B = np.hstack([p.B, p.Bd, p.Bw])
+    Dy = np.hstack([p.D, p.Dd, p.Dw])
     D = np.vstack([np.hstack([np.eye(m), np.zeros((m, B.shape[1] - m))]), Dy])
     A, C, Bf = p.A, np.vstack([np.zeros((m, n)), p.C]), p.Bf
     if controller is not None:
         c = fitting_controller(p, controller)
-        A = np.block([[p.A, p.Bu @ c.C], [c.B @ p.C, c.A + c.B @ p.Du @ c.C]])
-        C = np.block([[np.zeros((m, n)), c.C], [p.C, p.Du @ c.C]])
+        A = np.block([[p.A, p.B @ c.C], [c.B @ p.C, c.A + c.B @ p.D @ c.C]])
+        C = np.block([[np.zeros((m, n)), c.C], [p.C, p.D @ c.C]])
         B, Bf = np.vstack([B, c.B @ Dy]), np.vstack([Bf, c.B @ p.Df])
     Df = np.vstack([np.zeros((m, len(p.faults))), p.Df])
     radius = float(np.abs(np.linalg.eigvals(A)).max(initial=0.0))

@@ -15,6 +15,7 @@ from residua.decide.norm_threshold import NormTest, NormThreshold
 from residua.errors import SettingError
 from residua.monitor.monitor import Monitor
 from residua.progress import Progress, progress_of
+from residua.shown import Shown
 from residua.validate.campaign_result import Campaign
 from residua.validate.campaigns import campaign, plan_of
 from residua.validate.figure_table import FigureTable
@@ -58,8 +59,8 @@ class TuningCandidate:
     campaign: Campaign = field(repr=False)
 
 
-@dataclass(frozen=True, eq=False)
-class Tuning:
+@dataclass(frozen=True, eq=False, repr=False)
+class Tuning(Shown):
     """The outcome of :func:`tune`. Prints as a table, the best first.
 
     Attributes

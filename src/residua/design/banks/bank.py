@@ -22,6 +22,7 @@ from residua.linear import StateSpace
 from residua.linear.systems.state_space import stack_systems
 from residua.plant import Plant
 from residua.plant.comparable_units import canonical_units
+from residua.shown import Shown
 from residua.tolerances import LEAKAGE, POLYNOMIAL_LEAKAGE
 from residua.words import counted
 
@@ -34,7 +35,7 @@ MOST_STATES = 4000
 
 @has_rates()
 @dataclass(frozen=True, eq=False, repr=False)
-class Bank:
+class Bank(Shown):
     """Residual generators that each ignore some faults, so that who fires names the fault.
 
     Attributes

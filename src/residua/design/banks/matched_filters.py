@@ -16,6 +16,7 @@ from residua.design.core.responses import steady_responses
 from residua.design.observers.kalman_filter import kalman_filter
 from residua.errors import DesignError
 from residua.plant import Plant
+from residua.shown import Shown
 from residua.tolerances import RESPONSE_ROUNDING, above_rounding
 
 #: A response that far from where it settles, as a fraction of its peak, is still under way.
@@ -25,7 +26,7 @@ _MOST_NUMBERS = 10**7
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class MatchedFilters:
+class MatchedFilters(Shown):
     r"""The responses that the innovations are matched with, one for each fault and each arrival time.
 
     Attributes

@@ -53,9 +53,9 @@ def explicit_parts(plant: Plant) -> ExplicitParts:
     units = descriptor_units(
         plant.A,
         plant.E,
-        np.hstack([plant.Bu, plant.Bd, plant.Bf]),
+        np.hstack([plant.B, plant.Bd, plant.Bf]),
         plant.C,
-        np.hstack([plant.Du, plant.Dd, plant.Df]),
+        np.hstack([plant.D, plant.Dd, plant.Df]),
     )
     R, S, Y = units.equations[:, None], units.states, units.outputs[:, None]
     A, C = R * plant.A * S, Y * plant.C * S
@@ -175,9 +175,9 @@ def quotient_filter(plant: Plant, parts: ExplicitParts, quotient: Quotient, gain
     Ky, Hy = K[:, :n_y] * parts.outputs * used, read[:, :n_y] * parts.outputs * used
     system = StateSpace(
         F,
-        np.hstack([T @ plant.Bu - Ky @ plant.Du, Ky]),
+        np.hstack([T @ plant.B - Ky @ plant.D, Ky]),
         -quotient.C,
-        np.hstack([-V @ plant.Bu - Hy @ plant.Du, Hy]),
+        np.hstack([-V @ plant.B - Hy @ plant.D, Hy]),
         dt=plant.dt,
         inputs=signal_names(plant),
         outputs=[f"r{i + 1}" for i in range(len(Hy))],

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.linear.subspaces.rank import RankDecision
+from residua.shown import Shown
 from residua.words import unit_of_rates
 
 #: How the decoupling of a sampled design calls what sampling costs, after the name of the group of inputs.
@@ -36,8 +37,8 @@ def _empty() -> NDArray[np.complex128]:
     return np.zeros(0, dtype=complex)
 
 
-@dataclass(frozen=True, eq=False)
-class Evidence:
+@dataclass(frozen=True, eq=False, repr=False)
+class Evidence(Shown):
     """The checks that a design has passed, with their numbers.
 
     Attributes

@@ -270,9 +270,9 @@ def _generator(
     read = without_rounding(S0, parts.C, frame.inverse)  # measurements that repeat one another need no state
     system = StateSpace(
         whole[:k, :k],
-        np.hstack([T @ plant.Bu - own @ plant.Du, own]),
+        np.hstack([T @ plant.B - own @ plant.D, own]),
         -read[:, :k],
-        np.hstack([-S @ plant.Du, S]),
+        np.hstack([-S @ plant.D, S]),
         dt=plant.dt,
         inputs=signal_names(plant),
         outputs=[f"r{i + 1}" for i in range(len(S))],

@@ -123,8 +123,8 @@ def ignored_columns(plant: Plant, insensitive_to: Iterable[str | int] | str, *, 
     named = [plant.faults[i] for i in arrays.positions(insensitive_to, plant.faults, "fault")]
     watched = plant.faults_as_disturbances(named)
     n = plant.n_states
-    B_all = np.hstack([plant.Bu, plant.Bd, plant.Bf])
-    units = descriptor_units(plant.A, None, B_all, plant.C, np.hstack([plant.Du, plant.Dd, plant.Df]))
+    B_all = np.hstack([plant.B, plant.Bd, plant.Bf])
+    units = descriptor_units(plant.A, None, B_all, plant.C, np.hstack([plant.D, plant.Dd, plant.Df]))
     R, Y = units.equations[:, None], units.outputs[:, None]
     A, C = R * plant.A * units.states, Y * plant.C * units.states
     unknown = np.vstack([R * watched.Bd, Y * watched.Dd])

@@ -27,7 +27,7 @@ class Compensation:
     Attributes
     ----------
     gain : ndarray, shape (inputs, faults)
-        ``Gamma``, with ``Bu Gamma`` nearest to ``Bf``.
+        ``Gamma``, with ``B Gamma`` nearest to ``Bf``.
     faults : tuple of str
     left : mapping of str to float
         For each fault the fraction of its effect on the states that no input undoes, in balanced units: 0 for an
@@ -42,7 +42,7 @@ class Compensation:
 def compensation_gain(plant: Plant, faults: Iterable[str] | str | None = None) -> Compensation:
     r"""Return the input that undoes faults in the state equation, as far as inputs can.
 
-    :math:`\Gamma = B_u^+ B_f` in balanced units of the states.
+    :math:`\Gamma = B^+ B_f` in balanced units of the states.
 
     Parameters
     ----------
@@ -74,13 +74,13 @@ def compensation_gain(plant: Plant, faults: Iterable[str] | str | None = None) -
     if not plant.inputs:
         raise DesignError("this plant has no control input that could compensate a fault")
     columns = arrays.positions(faults, plant.faults, "fault")
-    u = descriptor_units(plant.A, plant.E, np.hstack([plant.Bu, plant.Bf]), plant.C, np.hstack([plant.Du, plant.Df]))
-    Bu, Bf = u.equations[:, None] * plant.Bu, u.equations[:, None] * plant.Bf[:, columns]
-    size = np.linalg.norm(Bu, axis=0)
+    u = descriptor_units(plant.A, plant.E, np.hstack([plant.B, plant.Bf]), plant.C, np.hstack([plant.D, plant.Df]))
+    B, Bf = u.equations[:, None] * plant.B, u.equations[:, None] * plant.Bf[:, columns]
+    size = np.linalg.norm(B, axis=0)
     size = np.where(size > 0, size, 1.0)
-    gain = np.linalg.pinv(Bu / size, rcond=1e-9) @ Bf / size[:, None]
+    gain = np.linalg.pinv(B / size, rcond=1e-9) @ Bf / size[:, None]
     whole = np.linalg.norm(Bf, axis=0)
-    rest = np.linalg.norm(Bf - Bu @ gain, axis=0) / np.where(whole > 0, whole, 1.0)
+    rest = np.linalg.norm(Bf - B @ gain, axis=0) / np.where(whole > 0, whole, 1.0)
     rest = np.where(rest > RESPONSE_ROUNDING, rest, 0.0)
     names = tuple(plant.faults[i] for i in columns)
     return Compensation(gain, names, {name: float(part) for name, part in zip(names, rest, strict=True)})
@@ -159,7 +159,7 @@ def closed_loop(
     if acts_on == "states":
         reads = (np.zeros((n, p)), np.eye(n), np.zeros((n, m)))
     elif virtual:
-        reads = (np.zeros((p, p)), estimator.plant.C, estimator.plant.Du)
+        reads = (np.zeros((p, p)), estimator.plant.C, estimator.plant.D)
     else:
         reads = (np.eye(p), np.zeros((p, n)), np.zeros((p, m)))
     return _connected(plant, joint, len(faults), K, Gamma, reads)

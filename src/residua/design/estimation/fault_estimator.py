@@ -120,7 +120,7 @@ class FaultEstimator:
         """
         p, x = self.plant, self.state(u, y, dt=dt)
         signals = stack_signals(p, u, y)
-        return x @ p.C.T + signals[..., : len(p.inputs)] @ p.Du.T
+        return x @ p.C.T + signals[..., : len(p.inputs)] @ p.D.T
 
     def residual_generator(self) -> ResidualGenerator:
         """Return the estimates as residuals: zero while nothing fails, whatever the decoupled disturbances do."""
@@ -434,7 +434,7 @@ def _realised(
 
 def _on_signals(plant: Plant, on_y0: NDArray, dynamics: NDArray) -> NDArray:
     """Return a gain on ``y - D u`` and one on ``-B u`` as one on ``[u, y]``."""
-    return np.hstack([sum_without_rounding((-dynamics, plant.Bu), (-on_y0, plant.Du)), on_y0])
+    return np.hstack([sum_without_rounding((-dynamics, plant.B), (-on_y0, plant.D)), on_y0])
 
 
 def _missed(

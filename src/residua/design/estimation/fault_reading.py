@@ -135,7 +135,7 @@ def _reading_what_it_needs(X: NDArray, M: NDArray, wanted: NDArray, rtol: float)
 
 
 def _scaled(plant: Plant) -> _Scaled:
-    u = descriptor_units(plant.A, plant.E, np.hstack([plant.Bu, plant.Bd]), plant.C, np.hstack([plant.Du, plant.Dd]))
+    u = descriptor_units(plant.A, plant.E, np.hstack([plant.B, plant.Bd]), plant.C, np.hstack([plant.D, plant.Dd]))
     R, S, Y = u.equations[:, None], u.states, u.outputs[:, None]
     E = np.eye(plant.n_states) if plant.E is None else R * plant.E * S
     B, D = R * plant.Bd, Y * plant.Dd

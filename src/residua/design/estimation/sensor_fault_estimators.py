@@ -14,12 +14,13 @@ from residua.design.estimation.fault_estimator import FaultEstimator, fault_esti
 from residua.errors import AccuracyError, DesignError
 from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
+from residua.shown import Shown
 from residua.words import counted
 
 
 @has_rates()
-@dataclass(frozen=True, eq=False)
-class SensorFaultEstimators(Mapping[str, FaultEstimator]):
+@dataclass(frozen=True, eq=False, repr=False)
+class SensorFaultEstimators(Shown, Mapping[str, FaultEstimator]):
     """Fault estimators by the name of the sensor that each is for; a mapping.
 
     Each assumes that its own sensor alone is faulty. Which one is right shows in

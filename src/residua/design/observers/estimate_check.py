@@ -47,7 +47,7 @@ def check_estimate(observer: Observer, *, limit: float = 3e-7) -> float:
     if not n or not (plant.inputs or plant.disturbances):
         return 0.0
     # the error as a residual of a plant whose states are outputs too: the estimate minus these
-    seen = Plant(plant.A, plant.Bu, np.vstack([plant.C, np.eye(n)]), _above(plant.Du, n), E=plant.E, dt=plant.dt)
+    seen = Plant(plant.A, plant.B, np.vstack([plant.C, np.eye(n)]), _above(plant.D, n), E=plant.E, dt=plant.dt)
     moving = np.flatnonzero(np.any(plant.Bd, axis=0) | np.any(plant.Dd, axis=0))
     seen = seen.with_disturbances({f"d{i + 1}": (plant.Bd[:, i], _above(plant.Dd[:, i], n)) for i in moving})
     B = np.hstack([estimate.B, np.zeros((estimate.n_states, n))])

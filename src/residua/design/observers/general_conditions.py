@@ -53,7 +53,7 @@ def condition_errors(plant: Plant, m: GeneralMatrices) -> dict[str, float]:
     units = _units(plant)
     A, E, C = plant.A, np.eye(plant.n_states) if plant.E is None else plant.E, plant.C
     s, y, e = units.states, 1 / units.outputs, 1 / units.equations
-    u = 1 / _sizes(plant.Bu, plant.Du, units)
+    u = 1 / _sizes(plant.B, plant.D, units)
     d = 1 / _sizes(plant.Bd, plant.Dd, units)
     TE, TE_terms = m.T @ E, np.abs(m.T) @ np.abs(E)
     own = _row_sizes(TE_terms, s)
@@ -63,11 +63,11 @@ def condition_errors(plant: Plant, m: GeneralMatrices) -> dict[str, float]:
     floor = 1e-4 * _terms(third, s).max(axis=1, initial=0.0) / (size_A or 1.0) if np.any(m.V) else np.zeros(len(m.Ls))
     conditions = (
         (m.T @ A - m.M @ TE - m.N @ C, [(m.T, A, e), (m.M, TE, np.where(own > 0, own, 1.0)), (m.N, C, y)], s, None),
-        (m.T @ plant.Bu - m.N @ plant.Du - m.J, [(m.T, plant.Bu, e), (m.N, plant.Du, y), (m.J, None, None)], u, None),
+        (m.T @ plant.B - m.N @ plant.D - m.J, [(m.T, plant.B, e), (m.N, plant.D, y), (m.J, None, None)], u, None),
         (m.Ls @ TE + m.Ly @ C + m.V @ A, third, s, None),
         (
-            m.Lu + m.Ly @ plant.Du + m.V @ plant.Bu,
-            [(m.Lu, None, None), (m.Ly, plant.Du, y), (m.V, plant.Bu, e)],
+            m.Lu + m.Ly @ plant.D + m.V @ plant.B,
+            [(m.Lu, None, None), (m.Ly, plant.D, y), (m.V, plant.B, e)],
             u,
             floor,
         ),
@@ -114,7 +114,7 @@ def fault_columns(plant: Plant, m: GeneralMatrices) -> tuple[NDArray[np.float64]
 
 
 def _units(plant: Plant) -> DescriptorUnits:
-    B, D = np.hstack([plant.Bu, plant.Bd, plant.Bf]), np.hstack([plant.Du, plant.Dd, plant.Df])
+    B, D = np.hstack([plant.B, plant.Bd, plant.Bf]), np.hstack([plant.D, plant.Dd, plant.Df])
     return descriptor_units(plant.A, plant.E, B, plant.C, D)
 
 
@@ -147,7 +147,7 @@ def state_map(plant: Plant, m: GeneralMatrices, *, decouples: bool, control: boo
         E = np.eye(len(A)) if plant.E is None else R * plant.E * S
         rows = [(np.eye(len(M)), A, N @ C)]
         if control:
-            rows.append((np.eye(len(M)), R * plant.Bu, m.J + m.N @ plant.Du))
+            rows.append((np.eye(len(M)), R * plant.B, m.J + m.N @ plant.D))
         if plant.E is None:  # otherwise the algebraic equations may help to fulfil it
             rows.append((m.Ls, E, -(m.Ly / Y) @ C))
         if decouples and plant.disturbances:
@@ -164,7 +164,7 @@ def state_map(plant: Plant, m: GeneralMatrices, *, decouples: bool, control: boo
 
 def _error_with(plant: Plant, m: GeneralMatrices, T: NDArray, *, decouples: bool, control: bool) -> float:
     """Return the largest error of a condition with a state map; ``Lu``, which has nothing to do with it, left out."""
-    J = m.J if control else T @ plant.Bu - m.N @ plant.Du
+    J = m.J if control else T @ plant.B - m.N @ plant.D
     errors = condition_errors(plant, static_map(plant, replace(m, T=T, J=J)))
     asked = [CONDITIONS[i] for i in ((0, 1, 2, 4) if decouples else (0, 1, 2))]
     return max(errors.get(name, 0.0) for name in asked)

@@ -34,14 +34,15 @@ from residua.linear.poles.spectrum import describe_modes
 from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.rank import RankDecision, decide_rank, equilibrated
 from residua.plant import Plant
+from residua.shown import Shown
 from residua.tolerances import LEAKAGE
 
 REFERENCE = "Gertler (1991), Automatica 27(4), eqs. (3-11), (3-13), (4-8) and (4-15) to (4-20)"
 
 
 @has_rates(M=1, J=1, N=1, V=-1, first_response=1)
-@dataclass(frozen=True, eq=False)
-class GeneralForm(GeneralMatrices):
+@dataclass(frozen=True, eq=False, repr=False)
+class GeneralForm(Shown, GeneralMatrices):
     r"""A residual generator in the general form, with the conditions that make it one.
 
     .. math:: \dot s = M s + J u + N y, \qquad r = L_s s + L_u u + L_y y
@@ -306,7 +307,7 @@ def _of_matrices(plant: Plant, entries: dict[str, Any], decouples: bool) -> Resi
     r = len(Ls)
     Ly = matrix(entries["Ly"], "Ly", (r, p), what="residuals x outputs")
     J = np.zeros((k, m)) if entries["J"] is None else matrix(entries["J"], "J", (k, m), what="order x inputs")
-    Lu = -Ly @ plant.Du if entries["Lu"] is None else matrix(entries["Lu"], "Lu", (r, m), what="residuals x inputs")
+    Lu = -Ly @ plant.D if entries["Lu"] is None else matrix(entries["Lu"], "Lu", (r, m), what="residuals x inputs")
     _require_stable(M, plant.dt, "M")
     form = GeneralMatrices(np.zeros((k, n)), M, J, N, Ls, Lu, Ly, np.zeros((r, n)))
     if entries["T"] is not None:
@@ -315,9 +316,9 @@ def _of_matrices(plant: Plant, entries: dict[str, Any], decouples: bool) -> Resi
         T = state_map(plant, form, decouples=decouples, control=entries["J"] is not None)
     form = static_map(plant, replace(form, T=T))
     if entries["J"] is None:
-        form = replace(form, J=T @ plant.Bu - N @ plant.Du)
+        form = replace(form, J=T @ plant.B - N @ plant.D)
     if entries["Lu"] is None:
-        form = replace(form, Lu=-Ly @ plant.Du - form.V @ plant.Bu)
+        form = replace(form, Lu=-Ly @ plant.D - form.V @ plant.B)
     errors = _checked(plant, form, decouples, solved=entries["T"] is None)
     system = StateSpace(
         M,

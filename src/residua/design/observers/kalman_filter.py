@@ -19,6 +19,7 @@ from residua.linear.systems.array_cache import cached_by_contents
 from residua.linear.systems.balancing import without_rounding
 from residua.plant import Plant
 from residua.plant.comparable_units import canonical_units
+from residua.wrong_guesses import guessed
 
 _BOTH = "give both kinds, with_noise(process=..., measurement=...)"
 
@@ -33,6 +34,7 @@ _BOTH = "give both kinds, with_noise(process=..., measurement=...)"
     noise="least",
     time_course="constant",
 )
+@guessed("kalman_filter")
 @in_own_time()
 def kalman_filter(plant: Plant) -> ResidualGenerator:
     r"""Use the innovations of the stationary Kalman filter as residuals.

@@ -98,13 +98,13 @@ class Observer:
     @property
     def G(self) -> NDArray[np.float64]:
         """``T B``: how control inputs enter the observer."""
-        return without_rounding(self.T, self.plant.Bu)
+        return without_rounding(self.T, self.plant.B)
 
     @property
     def _entrance(self) -> NDArray[np.float64]:
         """How controls and measurements enter, ``[T B - K D, K]``: of a control that is decoupled nothing is left."""
         p = self.plant
-        return np.hstack([sum_without_rounding((self.T, p.Bu), (-self.K, p.Du)), self.K])
+        return np.hstack([sum_without_rounding((self.T, p.B), (-self.K, p.D)), self.K])
 
     @property
     def A1(self) -> NDArray[np.float64]:
@@ -133,7 +133,7 @@ class Observer:
         """The observer as a system from control inputs and outputs to the state estimate."""
         p = self.plant
         J = np.zeros((p.n_states, p.n_states)) if self.J is None else self.J
-        direct = sum_without_rounding((-self.H, p.Du), (-J, p.Bu))
+        direct = sum_without_rounding((-self.H, p.D), (-J, p.B))
         return StateSpace(
             self.F,
             self._entrance,
@@ -186,8 +186,8 @@ class Observer:
             raise DesignError(self._why_blind())
         keep = alive if self.V is not None or alive.all() else alive | self._copies(states, through)
         # of a control that enters nothing rounding would be all that there is
-        sizes = terms @ np.abs(p.Du) + (np.abs(V) + np.abs(read) @ np.abs(J)) @ np.abs(p.Bu)
-        direct = above_rounding(-through @ p.Du - static @ p.Bu, sizes)[keep]
+        sizes = terms @ np.abs(p.D) + (np.abs(V) + np.abs(read) @ np.abs(J)) @ np.abs(p.B)
+        direct = above_rounding(-through @ p.D - static @ p.B, sizes)[keep]
         through, states, static = through[keep], states[keep], static[keep]
         system = StateSpace(
             self.F,

@@ -267,7 +267,7 @@ class PerfectObserver:
         """``Gv`` of ``X = sum N^i Gv v^(i)``, with ``v`` the control inputs and all outputs."""
         p = self.plant
         spread = np.eye(p.n_outputs)[self.rows]
-        return np.hstack([-(self.T @ p.Bu + self.L @ p.Du[self.rows]), self.L @ spread])
+        return np.hstack([-(self.T @ p.B + self.L @ p.D[self.rows]), self.L @ spread])
 
     def _state_polynomial(self) -> list[NDArray[np.float64]]:
         return self._polynomial(slice(0, self.plant.n_states))
@@ -305,7 +305,7 @@ class PerfectObserver:
         """Return the coefficients of the residual in its own signals ``(u, y)``."""
         p, rows = self.plant, self.rows
         spread = np.eye(p.n_outputs)[rows]
-        F = np.block([[-p.Bu, np.zeros((p.n_states, p.n_outputs))], [-p.Du[rows], spread]])
+        F = np.block([[-p.B, np.zeros((p.n_states, p.n_outputs))], [-p.D[rows], spread]])
         return self._residual(self._known, F)
 
     def _residual_of(self, B: NDArray, D: NDArray) -> list[NDArray[np.float64]]:
@@ -490,7 +490,7 @@ def _designed(
         gain = least_order_gain(R, S, n, rtol=rtol, bandwidth=scale)
     else:
         check_singular(plant, rtol)
-        inputs = np.vstack([plant.Bu, plant.Du[rows]])
+        inputs = np.vstack([plant.B, plant.D[rows]])
         gain = full_rank_gain(R, S, n, inputs=inputs, rtol=rtol, bandwidth=scale, seed=seed)
     left = gain.W if least_order else output_error_rows(gain, len(rows))
     blank = Evidence("perfect observer")

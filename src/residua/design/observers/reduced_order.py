@@ -101,7 +101,7 @@ def _reduced(
     G = _through_outputs(plant, used)
     # an equation, or an output, that a measured disturbance leaves nothing of would be evened up from its rounding
     A, C = sum_without_rounding((np.eye(n), plant.A), (-G, plant.C)), without_rounding(free.T, plant.C)
-    drive = np.hstack([plant.Bu, plant.Bd])
+    drive = np.hstack([plant.B, plant.Bd])
     u = descriptor_units(A, plant.E, drive, C, np.zeros((free.shape[1], drive.shape[1])))
     R, S = u.equations[:, None], u.states
     As, Es = R * A * S, R * (np.eye(n) if plant.E is None else plant.E) * S

@@ -21,6 +21,7 @@ from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.linear.subspaces.reachability import without_unobservable
 from residua.linear.systems.balancing import descriptor_units
 from residua.plant import Plant
+from residua.shown import Shown
 from residua.tolerances import TINY
 
 #: Two responses are parallel when they miss each other by less than this, relative, at every frequency.
@@ -84,8 +85,8 @@ class RowTransformation:
 
 
 @has_rates()
-@dataclass(frozen=True, eq=False)
-class Equivalence:
+@dataclass(frozen=True, eq=False, repr=False)
+class Equivalence(Shown):
     """What one generator is to another.
 
     True in a condition when the generators are equivalent. Prints the transformation, or what keeps them apart.

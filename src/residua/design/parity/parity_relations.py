@@ -243,7 +243,7 @@ def chow_willsky_matrices(plant: Plant, order: int) -> tuple[NDArray[np.float64]
         powers.append(powers[-1] @ plant.A)
     Q = {}
     for role, B, D in (
-        ("control", plant.Bu, plant.Du),
+        ("control", plant.B, plant.D),
         ("fault", plant.Bf, plant.Df),
         ("disturbance", plant.Bd, plant.Dd),
     ):

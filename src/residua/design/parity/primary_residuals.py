@@ -129,9 +129,9 @@ def _with_the_poles_of(plant: Plant, names: list[str]) -> ResidualGenerator:
     n, m = plant.n_states, plant.n_outputs
     system = StateSpace(
         plant.A,
-        np.hstack([plant.Bu, np.zeros((n, m))]),
+        np.hstack([plant.B, np.zeros((n, m))]),
         -plant.C,
-        np.hstack([-plant.Du, np.eye(m)]),
+        np.hstack([-plant.D, np.eye(m)]),
         dt=plant.dt,
         inputs=signal_names(plant),
         outputs=names,

@@ -30,8 +30,8 @@ def realize_relation(
     In the basis :math:`N_0 = 1, N_{j+1} = (z - \lambda_{j+1}) N_j` the relation has the coefficients ``q_j`` and
     ``p_j``; the state ``j`` obeys
 
-    .. math:: \xi_j^+ = \lambda_j \xi_j + \xi_{j-1} + q_j y - (p_j B_u + q_j D_u) u, \qquad
-              r = \xi_{k-1} + q_k y - (p_k B_u + q_k D_u) u
+    .. math:: \xi_j^+ = \lambda_j \xi_j + \xi_{j-1} + q_j y - (p_j B + q_j D) u, \qquad
+              r = \xi_{k-1} + q_k y - (p_k B + q_k D) u
 
     so that its poles stand on the diagonal, exact whatever the order. Conjugate poles make sections of order two.
 
@@ -56,7 +56,7 @@ def realize_relation(
     M = np.diag(basis.real[:k]) + np.eye(k, k=-1)
     for j in np.flatnonzero(basis.imaginary[:k]):  # the first of a conjugate pair
         M[j, j + 1] = -basis.links[j + 1]
-    U = -(p @ plant.Bu + q @ plant.Du)
+    U = -(p @ plant.B + q @ plant.D)
     B, D = np.hstack([U[:k], q[:k]]), np.hstack([U[k:], q[k:]])
     C = np.eye(k)[-1:] if k else np.zeros((1, 0))
     # what the filter remembers of the plant has a size too: a state that its inputs reach by rounding only has no other

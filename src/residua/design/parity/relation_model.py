@@ -29,10 +29,10 @@ _MOST_OF_ONE_POLE = 7
 
 @dataclass(frozen=True, eq=False)
 class RelationModel:
-    r"""The equations of a plant, :math:`[zE - A;\, -C]\, x = [B_u;\, 0] u + \dots - [0;\, I] y`.
+    r"""The equations of a plant, :math:`[zE - A;\, -C]\, x = [B;\, 0] u + \dots - [0;\, I] y`.
 
     A relation is a combination ``x(z) = [p(z), q(z)]`` of their rows with ``x [zE - A; -C] = 0``: it says
-    :math:`q y - (p B_u + q D_u) u = (p B_f + q D_f) f + (p B_d + q D_d) d`.
+    :math:`q y - (p B + q D) u = (p B_f + q D_f) f + (p B_d + q D_d) d`.
 
     Attributes
     ----------

@@ -28,6 +28,7 @@ from residua.linear.systems.balancing import descriptor_units, power_of_two
 from residua.plant import Plant
 from residua.plant.comparable_units import PlantUnits, canonical_units
 from residua.plant.input_output_entries import in_other_time
+from residua.shown import Shown
 from residua.tolerances import POLYNOMIAL_LEAKAGE, RESIDUE, above_rounding
 from residua.words import counted
 
@@ -43,11 +44,11 @@ Poles = Sequence[complex] | ArrayLike | Mapping[str, Sequence[complex]]
 
 
 @has_rates()
-@dataclass(frozen=True, eq=False)
-class ParityRelations:
+@dataclass(frozen=True, eq=False, repr=False)
+class ParityRelations(Shown):
     r"""Polynomial equations between inputs and outputs that hold while nothing fails, one per residual.
 
-    .. math:: r^* = q(z)\, y - \left( p(z) B_u + q(z) D_u \right) u, \qquad p(z)\,(zE - A) = q(z)\, C
+    .. math:: r^* = q(z)\, y - \left( p(z) B + q(z) D \right) u, \qquad p(z)\,(zE - A) = q(z)\, C
 
     seen from the faults :math:`r^* = (p B_f + q D_f) f`. In sampled time ``z`` is the shift: the moving-average form
     reads the last ``order + 1`` samples. In continuous time it is the derivative ``s``: only the relation divided by a
@@ -98,7 +99,7 @@ class ParityRelations:
     @property
     def input_rows(self) -> PolynomialMatrix:
         """The polynomials on the control inputs, shape (residuals, inputs)."""
-        return -self._response("u")
+        return -self._response("")
 
     @property
     def fault_rows(self) -> PolynomialMatrix:
@@ -151,7 +152,7 @@ class ParityRelations:
             powers = self.size ** -np.arange(row.order + 1.0)[:, None]
             P[: row.order + 1, i], Q[: row.order + 1, i] = one.p * powers, one.q * powers
         powers = self.size ** np.arange(most + 1.0)[:, None, None]
-        units = descriptor_units(self.plant.A, self.plant.E, self.plant.Bu, self.plant.C, self.plant.Du).outputs
+        units = descriptor_units(self.plant.A, self.plant.E, self.plant.B, self.plant.C, self.plant.D).outputs
         heights = np.abs(Q) * powers / units
         rounding = heights < RESIDUE * heights.max(axis=(0, 2), initial=0.0)[:, None]
         return PolynomialMatrix(P), PolynomialMatrix(np.where(rounding, 0.0, Q))

@@ -96,9 +96,9 @@ class JsonLines(ThreadedSource):
             for line in split(self._pieces()):
                 lines += 1
                 if line is None:
-                    self.put(Message(self, b"", time.time(), settings.plant, refused="size"))
+                    self.put(Message(self, b"", time.time(), settings.plant, refused="size", line=lines))
                 elif line.strip():
-                    self.put(Message(self, line, time.time(), settings.plant))
+                    self.put(Message(self, line, time.time(), settings.plant, line=lines))
             self.say(True, f"has ended, after {lines:,} lines")
         except OSError as error:
             self.say(False, f"cannot be read: {error.strerror or error}")

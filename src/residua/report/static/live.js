@@ -47,13 +47,13 @@
     const name = event.name || "not isolated", sure = event.sure ? " (" + event.sure + ")" : "";
     switch (event.kind) {
       case "raised": return "Alarm: " + name + sure;
-      case "renamed": return "Now put down to " + name + sure;
-      case "confirmed": return "Still put down to " + name + sure;
+      case "renamed": return "Now attributed to " + name + sure;
+      case "confirmed": return "Still attributed to " + name + sure;
       case "ended": return event.part_of != null ? "Part of the alarm of " + when(event.part_of) + ": " + name : "Alarm over: " + name;
       case "standing": return "Alarm lasts to the end of the data: " + name + sure;
-      case "missing": return "Not watched: values are missing" + (event.channels && event.channels.length ? " (" + event.channels.join(", ") + ")" : "");
-      case "back": return "Watched again: values are back";
-      case "clock": return "The clock of the plant has gone back: its data are refused until it is past the last sample";
+      case "missing": return "Not monitored: values are missing" + (event.channels && event.channels.length ? " (" + event.channels.join(", ") + ")" : "");
+      case "back": return "Monitored again: values are back";
+      case "clock": return "The clock of the plant went back: its data are refused until they pass the last sample";
       default: return event.kind;
     }
   }
@@ -64,8 +64,8 @@
     const now = refused ? "refused" : broken ? "lost" : heard ? "live" : "connecting";
     if (body.dataset.state !== now) body.dataset.state = now;
     put(find("#status"), {
-      refused: "Not let in any more: open the address that residua live printed when it started",
-      lost: "Connection lost since " + clock(heard) + "; trying again, nothing is skipped",
+      refused: "Access refused: open the address that residua live printed at its start",
+      lost: "Connection lost since " + clock(heard) + "; reconnecting, no event is lost",
       live: "Live, " + clock(heard),
       connecting: "Connecting",
     }[now]);
@@ -239,11 +239,11 @@
     put(card.querySelector(".mark"), MARKS[counts.fault ? "fault" : counts.quiet ? "quiet" : "waiting"]);
     put(card.querySelector(".words"), counts.fault
       ? (counts.fault === 1 ? "A fault in 1 of " : "Faults in " + number(counts.fault) + " of ") + plants(counts.all)
-      : counts.all ? (counts.quiet ? "No fault in " + (counts.quiet === counts.all ? plants(counts.all) : number(counts.quiet) + " of " + plants(counts.all)) : "Waiting for data of " + plants(counts.all)) : "No plant yet");
+      : counts.all ? (counts.quiet ? "No fault in " + (counts.quiet === counts.all ? plants(counts.all) : number(counts.quiet) + " of " + plants(counts.all)) : "Waiting for data from " + plants(counts.all)) : "No plant yet");
     const words = [];
     if (counts.fault && counts.quiet) words.push("no fault in " + number(counts.quiet));
     if (counts.missing) words.push("data missing in " + number(counts.missing));
-    if (counts.waiting && (counts.fault || counts.quiet)) words.push("waiting for data of " + number(counts.waiting));
+    if (counts.waiting && (counts.fault || counts.quiet)) words.push("waiting for data from " + number(counts.waiting));
     lines(card.querySelector("ul"), words.length ? [capital(words.join(", "))] : []);
 
     rows(find("table.plants tbody"), list, plantRow);
@@ -304,7 +304,7 @@
     put(tag, row.state === "fault" ? row.sure || "" : "");
     tag.hidden = !tag.textContent;
     lines(card.querySelector("ul"), [...(now ? now.lines.slice(1) : []), ...one.notes]);
-    put(facts, [one.model, "step " + short(one.dt) + " s", number(row.rows) + " samples", row.time == null ? "none yet" : "the last one of " + when(row.time) + (row.age > OLD ? ", which came " + long(row.age) + " ago" : "")].join(" · "));
+    put(facts, [one.model, "step " + short(one.dt) + " s", number(row.rows) + " samples", row.time == null ? "none yet" : "the last at " + when(row.time) + (row.age > OLD ? ", received " + long(row.age) + " ago" : "")].join(" · "));
     const alarms = [...one.alarms].reverse();
     find("#alarms").replaceChildren(...(alarms.length ? alarms.map(alarm) : [make("p", "None.", "muted")]));
   }
@@ -314,7 +314,7 @@
     who.append(make("span", one.name || "A fault, not isolated"));
     if (one.sure) who.append(" ", make("span", one.sure, "tag"));
     const times = "Raised " + at(one.raised) + (one.onset == null ? "" : ", first over its threshold " + at(one.onset)) +
-      (one.ended == null ? "; it lasts" : "; over " + at(one.ended));
+      (one.ended == null ? "; ongoing" : "; over " + at(one.ended));
     box.append(who, make("p", times, "muted"));
     if (one.lines.length > 1) { const ul = make("ul"); lines(ul, one.lines.slice(1)); box.append(ul); }
     if (one.candidates.length)

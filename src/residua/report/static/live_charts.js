@@ -2,6 +2,7 @@
 const residuaLiveCharts = (function () {
   "use strict";
   const { day, clockTime, clockTicks, short, ticks, drawThreshold, colours: readColours } = residuaAxes;
+  const { words, speak, fill, attach } = residuaReading;
   const HEIGHT = { statistic: 220, residual: 160, signal: 150 };
   const SHOWN = 6;
   const find = (selector) => document.querySelector(selector);
@@ -85,14 +86,14 @@ const residuaLiveCharts = (function () {
     const axis = { stroke: () => colours.muted, grid: { stroke: () => colours.grid, width: 1 },
       ticks: { stroke: () => colours.grid, width: 1 }, font: "12px system-ui, sans-serif",
       labelFont: "12px system-ui, sans-serif", labelSize: 18 };
-    const words = { statistic: "statistic", residual: "residual", signal: "value" }[entry.kind];
+    const quantity = { statistic: "statistic", residual: "residual", signal: "value" }[entry.kind];
     const clock = data.dated;
     return {
-      width, height: HEIGHT[entry.kind], padding: [8, 14, 0, 0],
+      width, height: HEIGHT[entry.kind], padding: [8, 18, 0, 0],
       scales: { x: { time: clock, range: (u, min, max) => (min == null ? data.ends : [min, max]) }, y: { range: range(entry) } },
       axes: [
         { ...axis, label: clock ? "" : "time [s]", labelSize: clock ? 0 : 18, size: clock ? 44 : 30, values: clock ? clockTicks : ticks },
-        { ...axis, label: words + " [" + (entry.unit || "–") + "]", size: 62, values: ticks, space: 24 },
+        { ...axis, label: quantity + " [" + (entry.unit || "–") + "]", size: 62, values: ticks, space: 24 },
       ],
       series: [{}, { scale: "y", width: 1.25, stroke: () => colours.series[0] }],
       tzDate: (ts) => uPlot.tzDate(new Date(ts * 1000), "Etc/UTC"),
@@ -101,14 +102,15 @@ const residuaLiveCharts = (function () {
         sync: { key: "residua", setSeries: false, scales: ["x", null],
           filters: { pub: (type) => type === "mousemove" || type === "mouseleave" } } },
       hooks: { drawClear: [below(entry)], draw: [above(entry)], setCursor: [(u) => read(entry, u)],
+        setScale: [(u, key) => { if (key === "x") fill(entry); }],
         setSelect: [(u) => { if (u.select.width > 0) hold(u.posToVal(u.select.left, "x"), u.posToVal(u.select.left + u.select.width, "x")); }] },
     };
   }
 
   function read(entry, u) {
-    const k = u.cursor.idx, value = k == null ? null : u.data[1][k];
-    entry.readout.textContent = k == null ? latest(entry)
-      : told(u.data[0][k]) + ": " + (value == null ? "no value" : short(value) + (entry.unit ? " " + entry.unit : ""));
+    if (!entry.plot) return;
+    entry.readout.textContent = u.cursor.idx == null ? latest(entry) : words(entry, u.cursor.idx);
+    if (document.activeElement === entry.place) speak(entry);
   }
 
   function latest(entry) {
@@ -138,6 +140,9 @@ const residuaLiveCharts = (function () {
     name.textContent = entry.title;
     caption.append(name, entry.readout);
     made.append(caption, entry.place);
+    Object.assign(entry, { names: [entry.title], told, zoom: hold, whole, spans: () => data.spans });
+    entry.place.setAttribute("aria-label", entry.title + " over time");
+    attach(entry);
     into.append(made);
   }
 
@@ -183,7 +188,7 @@ const residuaLiveCharts = (function () {
     }
     const [min, max] = view || data.ends;
     entry.plot.setScale("x", { min, max });
-    if (entry.plot.cursor.idx == null || entry.plot.cursor.left < 0) entry.readout.textContent = latest(entry);
+    if (entry.plot.cursor.idx == null || entry.plot.cursor.left < 0) { entry.readout.textContent = latest(entry); speak(entry); }
   }
 
   // Show a plant as the server tells of it; charts of the same series only get their new values.

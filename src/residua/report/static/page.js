@@ -1,6 +1,7 @@
 (function () {
   "use strict";
   const { day, clockTime, clockTicks, short, ticks, drawThreshold } = residuaAxes;
+  const { sample, words, speak, fill, attach } = residuaReading;
   const root = document.documentElement;
   const page = JSON.parse(document.getElementById("residua-data").textContent);
   const HEIGHT = { residual: 160, statistic: 220, member: 160, scores: 240, signal: 160 };
@@ -146,14 +147,14 @@
     const several = chart.names.length > 1;
     const label = chart.axis || (chart.unit ? names[chart.kind] + " [" + chart.unit + "]" : names[chart.kind]);
     return {
-      width, height: HEIGHT[chart.kind], padding: [8, 14, 0, 0],
+      width, height: HEIGHT[chart.kind], padding: [8, 18, 0, 0],
       scales: { x: { time: clock, range: (u, min, max) => (min == null ? data.ends : [min, max]) }, y: yScale(chart, data) },
       axes: [
         { ...axis, label: clock ? "" : time, labelSize: clock ? 0 : 18, size: clock ? 44 : 30, values: clock ? clockTicks : ticks },
         { ...axis, label, size: 62, values: chart.log ? undefined : ticks, space: 24 },
       ],
       series: [
-        { label: time, value: (u, v) => told(data, v) },
+        { label: "At", value: (u, v) => told(data, v) },
         ...chart.names.map((name, k) => ({
           label: name, scale: "y", width: chart.kind === "scores" || (several && k) ? 1.75 : 1.25, value: (u, v) => short(v),
           stroke: () => colours.series[k % 8], dash: k >= 8 ? [6, 3 + 3 * Math.floor(k / 8)] : undefined,
@@ -165,17 +166,17 @@
         sync: { key: "residua" + data.id, setSeries: false, scales: ["x", null],
           filters: { pub: (type) => type === "mousemove" || type === "mouseleave" } } },
       hooks: { drawClear: [below(chart, data)], draw: [above(chart, data), () => count(entry)],
-        setCursor: [(u) => read(entry, u)],
-        setScale: [(u, key) => { if (key === "x") zoom(data, u.scales.x.min, u.scales.x.max); }] },
+        setCursor: [() => read(entry)],
+        setScale: [(u, key) => { if (key === "x") { zoom(data, u.scales.x.min, u.scales.x.max); fill(entry); } }] },
     };
   }
 
-  // Time and value under the cursor, beside the title of charts with one line.
-  function read(entry, u) {
-    if (!entry.readout) return;
-    const k = u.cursor.idx, value = k == null ? null : u.data[1][k];
-    const at = k == null ? "" : told(entry.data, u.data[0][k]) + ": ";
-    entry.readout.textContent = at && at + (value == null ? "no value" : short(value) + (entry.chart.unit ? " " + entry.chart.unit : ""));
+  // Time and value under the cursor, or of the last sample: in the legend, or beside the title of a chart with one line.
+  function read(entry) {
+    if (!entry.plot) return;
+    if (entry.readout) entry.readout.textContent = entry.plot.data[0].length ? words(entry, sample(entry.plot)) : "";
+    else if (entry.plot.cursor.idx == null) entry.plot.setLegend({ idx: sample(entry.plot) });
+    if (document.activeElement === entry.place) speak(entry);
   }
 
   function count(entry) {
@@ -200,9 +201,12 @@
     const width = entry.place.clientWidth;
     if (!width || entry.place.closest("details:not([open])")) return;
     if (entry.plot) entry.plot.destroy();
+    entry.plot = null;
     const { data } = entry;
     entry.plot = new uPlot(options(entry, width), [data.times, ...values(entry.chart)], entry.place);
     if (data.view !== data.ends) entry.plot.setScale("x", { min: data.view[0], max: data.view[1] });
+    read(entry);
+    speak(entry);
   }
 
   function start() {
@@ -216,7 +220,10 @@
       data.entries = [];
       block.querySelectorAll("figure.chart").forEach((figure) => {
         const chart = data.charts[Number(figure.dataset.chart)];
-        const entry = { chart, data, place: figure.querySelector(".plot"), readout: figure.querySelector(".readout") };
+        const entry = { chart, data, place: figure.querySelector(".plot"), readout: figure.querySelector(".readout"),
+          names: chart.names, unit: chart.unit, told: (v) => told(data, v), zoom: (a, b) => zoom(data, a, b),
+          whole: () => zoom(data, ...data.ends), spans: () => ({ ...data.spans, alarm: chart.alarms || data.spans.alarm }) };
+        attach(entry);
         data.entries.push(entry);
         everything.push(entry);
         const box = figure.querySelector("input.log");
@@ -227,10 +234,10 @@
         draw(entry);
       });
       block.querySelector("button.all").addEventListener("click", () => zoom(data, ...data.ends));
-      block.querySelectorAll("details").forEach((details) => details.addEventListener("toggle", () => {
-        if (details.open) data.entries.filter((e) => !e.plot && details.contains(e.place)).forEach(draw);
-      }));
     });
+    document.querySelectorAll("details").forEach((details) => details.addEventListener("toggle", () => {
+      if (details.open) everything.filter((e) => !e.plot && details.contains(e.place)).forEach(draw);
+    }));
     // uPlot draws in a microtask, so the time is taken after those.
     Promise.resolve().then(() => Promise.resolve()).then(() => {
       root.dataset.drawMs = (performance.now() - began).toFixed(1);
@@ -256,7 +263,7 @@
   let closed = [];
   window.addEventListener("beforeprint", () => {
     root.dataset.print = "yes";
-    closed = [...document.querySelectorAll("details:not([open])")];
+    closed = [...document.querySelectorAll("details:not([open], .values)")];
     closed.forEach((d) => { d.open = true; });
     readColours();
     resize(680);
@@ -293,6 +300,14 @@
         text.setAttribute("x", reach * x); text.setAttribute("y", reach * y);
       });
     }
+    svg.addEventListener("keydown", (event) => {
+      const [across, down] = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key] || [];
+      if (across == null) return;
+      event.preventDefault();
+      turn += across / 8;
+      tilt = Math.max(-1.5, Math.min(1.5, tilt + down / 8));
+      place();
+    });
     svg.addEventListener("pointerdown", (event) => svg.setPointerCapture(event.pointerId));
     svg.addEventListener("pointermove", (event) => {
       if (!event.buttons) return;
@@ -302,5 +317,26 @@
     });
   });
 
+  // A link to a folded part opens it.
+  function unfold() {
+    const part = location.hash.length > 1 && document.getElementById(location.hash.slice(1));
+    const folded = part && part.querySelector(":scope > details");
+    if (folded) folded.open = true;
+  }
+  window.addEventListener("hashchange", unfold);
+
+  // A command is copied as one line; where the browser keeps its clipboard shut, it is selected.
+  document.querySelectorAll("pre.command").forEach((line) => {
+    const button = document.createElement("button"), code = line.querySelector("code");
+    Object.assign(button, { type: "button", textContent: "Copy", className: "screen" });
+    button.setAttribute("aria-label", "Copy " + code.textContent);
+    button.addEventListener("click", () => {
+      getSelection().selectAllChildren(code);
+      if (navigator.clipboard) navigator.clipboard.writeText(code.textContent).then(() => { button.textContent = "Copied"; }, () => {});
+    });
+    line.append(button);
+  });
+
   start();
+  unfold();
 })();

@@ -21,6 +21,7 @@ from residua.robust.bounds import RobustPeakNorm, robust_peak_norm
 from residua.robust.sets.uncertain_loop import check_members_stable, loop_parameters, residual_over_set
 from residua.robust.sets.uncertain_plant import UncertainPlant
 from residua.robust.sets.uncertain_system import UncertainSystem
+from residua.shown import Shown
 
 Vector = NDArray[np.float64]
 #: Frequencies at which a system is looked at that is too slow for an ellipsoid, in parts of half the sample rate.
@@ -35,7 +36,7 @@ _DECOUPLED, _ROUNDED = 1e-8, 1e-13
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class CertifiedThreshold:
+class CertifiedThreshold(Shown):
     r"""What the residual of no member exceeds while disturbances and bounded faults keep to their sizes.
 
     .. math:: J_{th} = J_{rw} + \sum_k \kappa_k J_{rf_k}

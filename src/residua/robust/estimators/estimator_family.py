@@ -156,7 +156,7 @@ def _even_parts(plant: Plant, decoupled: tuple[str, ...]) -> ExplicitParts:
     units = reached_units(UncertainSystem(plant.A, none, B, none.T, plant.C, None, D, low=[], high=[], dt=plant.dt))
     if not n or np.ptp(np.log2(units)) <= _EVEN:
         return explicit_parts(aim)
-    driven = {name: frozen(getattr(aim, name) / units[:, None]) for name in ("Bu", "Bd", "Bf", "Bw")}
+    driven = {name: frozen(getattr(aim, name) / units[:, None]) for name in ("B", "Bd", "Bf", "Bw")}
     scaled = aim._with(A=frozen(aim.A * units / units[:, None]), C=frozen(aim.C * units), **driven)
     parts = explicit_parts(scaled)
     return replace(parts, equations=parts.equations / units)

@@ -64,7 +64,7 @@ class ExpectedSignals:
         )
         k, p = len(L), len(plant.inputs)
         rho = float(np.exp(-plant.dt / self.correlation_time)) if self.correlation_time else 0.0
-        B, D = np.hstack([plant.Bu, plant.Bd]), np.hstack([plant.Du, plant.Dd])
+        B, D = np.hstack([plant.B, plant.Bd]), np.hstack([plant.D, plant.Dd])
         Bw, Dw = (plant.Bw, plant.Dw) if self.noise else (plant.Bw[:, :0], plant.Dw[:, :0])
         w = Bw.shape[1]
         A = np.block([[plant.A, B], [np.zeros((k, n)), rho * np.eye(k)]])

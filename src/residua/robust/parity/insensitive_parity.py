@@ -26,6 +26,7 @@ from residua.robust.parity.insensitive_running import (
 )
 from residua.robust.parity.model_sensitivity import Equations, Model, checked_parameters, equations_of
 from residua.robust.parity.window_filter import window_filter, window_poles
+from residua.shown import Shown
 
 #: What may be left of an expected change of a parameter, in units of the noise, is half of this.
 REST = 0.1
@@ -37,8 +38,8 @@ OTHER = "another fault"
 _APART = 1e-6
 
 
-@dataclass(frozen=True, eq=False)
-class InsensitiveParity:
+@dataclass(frozen=True, eq=False, repr=False)
+class InsensitiveParity(Shown):
     r"""Residuals that each ignore some parameters, to first order, whatever the inputs do.
 
     Not a :class:`ResidualGenerator`: what is taken off depends on the data. It never changes; :meth:`block` maps a

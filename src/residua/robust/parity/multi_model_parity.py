@@ -20,6 +20,7 @@ from residua.robust.parity.best_ratios import best_ratios
 from residua.robust.parity.expected_signals import ExpectedSignals, Sizes
 from residua.robust.parity.plant_variants import plant_family, probabilities
 from residua.robust.parity.window_filter import window_filter, window_poles
+from residua.shown import Shown
 from residua.tolerances import RESPONSE_ROUNDING, ROUNDING, TINY
 
 _METHOD = "parity relations for several models"
@@ -27,8 +28,8 @@ _METHOD = "parity relations for several models"
 _NOMINAL_LEAK = "leak (rms), nominal model"
 
 
-@dataclass(frozen=True, eq=False)
-class MultiModelParity:
+@dataclass(frozen=True, eq=False, repr=False)
+class MultiModelParity(Shown):
     r"""The most robust relations over a window of samples of several models.
 
     Attributes

@@ -27,6 +27,7 @@ from residua.plant.comparable_units import PlantUnits, own_units
 from residua.plant.input_output_model import InputOutputModel
 from residua.robust.parity.best_ratios import best_ratios
 from residua.robust.parity.expected_signals import ExpectedSignals, Sizes, size_factor
+from residua.shown import Shown
 
 _METHOD = "optimal parity relations"
 _REFERENCE = "Gertler (1991), eq. (6-6); Frank and Wuennenberg (1989)"
@@ -35,8 +36,8 @@ _BLIND = 1e-9
 
 
 @has_rates()
-@dataclass(frozen=True, eq=False)
-class OptimalParity:
+@dataclass(frozen=True, eq=False, repr=False)
+class OptimalParity(Shown):
     r"""Exact relations in the order of their index :math:`|w^T Q_f| / |w^T Q_d|`.
 
     Attributes
@@ -422,9 +423,9 @@ def variant_columns(
         )
     driven = ExpectedSignals(inputs, None, states, time).driven(plant)
     S = driven.begin("the plant")
-    whole = np.block([[plant.A, plant.Bu, plant.Bd], [plant.C, plant.Du, plant.Dd]])
+    whole = np.block([[plant.A, plant.B, plant.Bd], [plant.C, plant.D, plant.Dd]])
     differences = [
-        (np.block([[one.A, one.Bu, one.Bd], [one.C, one.Du, one.Dd]]) - whole) @ S / np.sqrt(len(plants))
+        (np.block([[one.A, one.B, one.Bd], [one.C, one.D, one.Dd]]) - whole) @ S / np.sqrt(len(plants))
         for one in plants
     ]
     columns = np.hstack(differences)

@@ -20,6 +20,7 @@ from residua.design.parity.relation_model import relation_model
 from residua.errors import AccuracyError, DesignError, ModelError, SettingError
 from residua.plant import Plant
 from residua.robust.parity.model_sensitivity import Model, checked_parameters
+from residua.shown import Shown
 from residua.tolerances import TINY
 
 Respond = Callable[[Plant], NDArray[np.float64]]
@@ -27,8 +28,8 @@ Respond = Callable[[Plant], NDArray[np.float64]]
 _DEVIATIONS = 3.0
 
 
-@dataclass(frozen=True, eq=False)
-class EquationChoice:
+@dataclass(frozen=True, eq=False, repr=False)
+class EquationChoice(Shown):
     r"""Equations chosen for isolation, with what errors of the parameters do to each.
 
     Attributes

@@ -14,6 +14,7 @@ from residua.linear.poles.spectrum import spectral_radius
 from residua.plant.plant import Plant
 from residua.robust.sets.perturbation import UncertainParameter, factored
 from residua.robust.sets.uncertain_plant import ChannelBlock, UncertainPlant, make_uncertain_plant, visited_values
+from residua.shown import Shown
 
 Matrix = NDArray[np.float64]
 #: Points inside of the box of parameters that are evaluated besides its corners.
@@ -23,13 +24,13 @@ _MANY = 10.0
 #: What rounding may do to an entry, relative to the terms that it is the sum of.
 _ROUNDED = 1e-13
 #: What the affine form describes, and what it takes from the nominal plant.
-_MOVING, _FIXED = ("A", "Bu", "C", "Du", "Bd", "Dd", "Bf", "Df"), ("E", "Bw", "Dw")
+_MOVING, _FIXED = ("A", "B", "C", "D", "Bd", "Dd", "Bf", "Df"), ("E", "Bw", "Dw")
 #: What plants of a list must have in common besides: the relations that are made of lists count on it.
 _DIRECTIONS = ("Bd", "Dd", "Bf", "Df")
 
 
-@dataclass(frozen=True, eq=False)
-class Linearisation:
+@dataclass(frozen=True, eq=False, repr=False)
+class Linearisation(Shown):
     """What an affine form of a plant leaves out, over all points at which both were evaluated.
 
     Attributes
@@ -188,7 +189,7 @@ def _all_matrices(plant: Plant) -> dict[str, Matrix]:
 
 
 def _stacked_from(matrices: Mapping[str, Matrix]) -> Matrix:
-    upper, lower = ([matrices[name] for name in names] for names in (("A", "Bu", "Bd", "Bf"), ("C", "Du", "Dd", "Df")))
+    upper, lower = ([matrices[name] for name in names] for names in (("A", "B", "Bd", "Bf"), ("C", "D", "Dd", "Df")))
     return np.block([upper, lower])
 
 
@@ -214,7 +215,7 @@ def _rounding(plants: Sequence[Plant], rtol: float) -> dict[str, Matrix]:
     for name, size in sizes.items():
         beside = np.minimum(size.max(axis=1, initial=0.0, keepdims=True), size.max(axis=0, initial=0.0, keepdims=True))
         if name != "E":
-            left, right = (sizes["C"] if name[0] in "CD" else A), (A if name in "AC" else sizes["B" + name[1]])
+            left, right = (sizes["C"] if name[0] in "CD" else A), (A if name in "AC" else sizes["B" + name[1:]])
             beside = np.maximum(beside, left @ ways @ right)
         out[name] = rtol * size + _ROUNDED * beside
     return out

@@ -80,7 +80,7 @@ def close_loop(plant: UncertainPlant, controller: StateSpace) -> UncertainPlant:
         raise ModelError("the plant has a matrix E: plant.explicit() first, and perturbations of that plant")
     controller = fitting_controller(p, controller)
     Ac, Bc, Cc = controller.A, controller.B, controller.C
-    A = np.block([[p.A, p.Bu @ Cc], [Bc @ p.C, Ac + Bc @ p.Du @ Cc]])
+    A = np.block([[p.A, p.B @ Cc], [Bc @ p.C, Ac + Bc @ p.D @ Cc]])
     poles = np.linalg.eigvals(A).astype(complex)
     unstable = poles[~is_stable_mode(poles, p.dt)]
     if unstable.size:
@@ -91,7 +91,7 @@ def close_loop(plant: UncertainPlant, controller: StateSpace) -> UncertainPlant:
     loop = Plant(
         A,
         np.zeros((len(A), 0)),
-        np.hstack([p.C, p.Du @ Cc]),
+        np.hstack([p.C, p.D @ Cc]),
         dt=p.dt,
         outputs=p.outputs,
         states=_apart(p.states, controller.states),

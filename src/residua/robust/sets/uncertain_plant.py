@@ -205,9 +205,9 @@ class UncertainPlant:
         plant = self.nominal
         return plant._with(
             A=frozen(plant.A - Hx @ self.Gx),
-            Bu=frozen(plant.Bu - Hx @ self.Gu),
+            B=frozen(plant.B - Hx @ self.Gu),
             C=frozen(plant.C - Hy @ self.Gx),
-            Du=frozen(plant.Du - Hy @ self.Gu),
+            D=frozen(plant.D - Hy @ self.Gu),
             Bd=frozen(plant.Bd - Hx @ self.Gd),
             Dd=frozen(plant.Dd - Hy @ self.Gd),
             Bf=frozen(plant.Bf - Hx @ self.Gf),
