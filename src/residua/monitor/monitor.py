@@ -264,14 +264,12 @@ class Monitor(Guessed, Shown):
         """Fit mean, covariance and threshold to one or several fault-free recordings.
 
         The last fifth of every recording is held out: used neither for the covariance nor for the threshold.
-        ``print(monitor.fit_check)`` says how rare false alarms are, and how many of these samples are in alarm. Where
-        that contradicts the rate aimed at, with 97.5 % confidence, or the residuals change within a recording (a step
-        or a drift in what was taken for fault-free), the notes of every diagnosis say so, with what to do.
+        ``monitor.fit_check`` has the rate of false alarms, and the alarms among these samples. Where they contradict
+        the rate aimed at, or residuals change within a recording, every diagnosis has a note with the remedy.
 
-        Several (flights, days, batches) each have a start of their own, over which the filter settles, and nothing is
-        summed or counted from one to the next. A finite-horizon test has thresholds alone, and a fit
-        does not change thresholds that are certified or set by the user: it compares the recording with them, and
-        ``norm_test.basis`` then says how close it came.
+        Several (flights, days, batches) each have a start of their own, over which the filter settles. A finite-horizon
+        test has thresholds alone. A fit does not change thresholds that are certified or set by the user: it compares
+        the recording with them, for ``norm_test.basis``.
 
         Parameters
         ----------
