@@ -287,15 +287,14 @@ class Monitor(Guessed, Shown):
         false_alarm_rate : float, optional
             Fraction of fault-free samples in alarm aimed at; when omitted that of the test, or 5 / rows, 1e-4 to 1e-2.
         held_out : float
-            Part of the usable samples of each recording, the last ones, that only checks the fit; 0: none. Where that
-            would be under thirty samples, or under two windows of the test, none are, and the basis says so; nor for
-            thresholds that data do not change. Once the check is seen, a fit with ``held_out=0`` uses all samples:
-            what only the last part shows of normal operation is no part of the model otherwise.
+            Last part of the usable samples of each recording, which only checks the fit; none where that would be under
+            thirty samples or two windows of the test. After the check, a fit with ``held_out=0`` uses all samples.
         transient : int or "auto"
             Samples at the start of each recording, counted with those over which the filter settles, that the fit
             leaves out. ``"auto"``: those over which the norm of the residuals is larger than in the rest
-            (:func:`residua.decide.stationarity.changes`); half of the recording at most. A start is then no part of
-            normal operation, and raises alarms: set ``settle`` where it should not.
+            (:func:`residua.decide.stationarity.changes`), half of the recording at most. Starts raise alarms then.
+        force : bool
+            Fit recordings that look faulty, too (``fit_check.looks_faulty``).
 
         Returns
         -------
