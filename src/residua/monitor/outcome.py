@@ -14,6 +14,7 @@ from residua.decide.isolation import Isolation, Named, Naming, Seen, last_over, 
 from residua.decide.member_bounds import MemberBounds
 from residua.decide.test import ResidualTest, Tested
 from residua.design import ResidualGenerator
+from residua.design.core.evidence import AFFINE_FORM
 from residua.monitor.beginning import with_beginnings
 from residua.monitor.diagnosis import Diagnosis
 from residua.monitor.explaining import explainer_of, with_words
@@ -25,7 +26,6 @@ from residua.monitor.specification import FilterState, Specification
 from residua.monitor.starting import MOVED_FROM
 from residua.plant import Plant
 from residua.recording.levels import rows_apart, units_of
-from residua.robust.estimators.certified_threshold import AFFINE_FORM
 from residua.words import percent
 
 #: Part of a recording that is not judged for want of values, from which on a note says so.
