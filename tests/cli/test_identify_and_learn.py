@@ -207,7 +207,7 @@ def test_learn_warns_where_the_plant_changes_later(tmp_path: Path, residua: Resi
 def test_learn_guesses_inputs_and_says_so(logs: Path, tmp_path: Path, residua: Residua) -> None:
     status, out, _ = residua("learn", logs / "normal.csv", logs / "other.csv", "-o", tmp_path / "m.json")
     assert status == 0
-    assert "inputs: pump (guessed, for they hold their values; name them to be sure)" in out
+    assert "inputs: pump (guessed: they keep their values; name them to be sure)" in out
     plant = rs.Monitor.load(tmp_path / "m.json").design.plant
     assert (plant.inputs, plant.outputs) == (("pump",), ("level 1", "level 2"))
     status, out, _ = residua("learn", logs / "normal.csv", "--inputs", "none", "-o", tmp_path / "m.json")

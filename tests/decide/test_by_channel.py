@@ -123,7 +123,7 @@ def test_an_alarm_of_the_model_alone_is_a_poor_match() -> None:
     assert said.confidence == POOR
     assert said.headline.startswith("A fault was found, alarm raised at 300 s, a poor match: no channel is off by ")
     assert "only the prediction of the model; nearest is" in said.lines[0]
-    assert said.sentences[0].startswith("Off: the model's prediction alone")
+    assert said.sentences[0].startswith("Deviation from the model's prediction only")
 
 
 def test_faults_of_several_channels_are_never_named() -> None:
@@ -156,5 +156,5 @@ def test_another_test_is_refused() -> None:
 
 def test_it_says_how_it_names() -> None:
     assert found(1, 8.0).settings["isolation"] == (
-        "the channel that is furthest off in its thresholds, over 100 samples at most"
+        "the channel with the largest deviation in thresholds, over 100 samples at most"
     )

@@ -141,11 +141,11 @@ def test_hidden_lags_of_which_rounding_may_have_made_unstable_ones_are_no_fact()
     found = rs.linear.detectability(A, C)
     assert not found
     assert found.undecided
-    with pytest.raises(AccuracyError, match="cannot be told: rounding may have moved the mode"):
+    with pytest.raises(AccuracyError, match="is undecidable: rounding may have moved the mode"):
         rs.linear.place_observer_margin(A, C, 1.0)
     plant = rs.Plant(A, np.zeros((10, 0)), C).with_disturbances({"wind": np.linalg.pinv(C)[:, 0]})
     answer = rs.analysis.unknown_input_observer_existence(plant)
-    assert "cannot be told: rounding may have moved the invariant zero" in answer.reasons[0]
+    assert "is undecidable: rounding may have moved the invariant zero" in answer.reasons[0]
 
 
 def test_hidden_lags_that_feedback_makes_unstable_are_a_fact() -> None:

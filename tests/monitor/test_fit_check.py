@@ -73,7 +73,7 @@ def test_a_last_part_that_is_unlike_is_said_with_what_to_do(tmp_path: Path) -> N
     assert any(said in note and "too many for 1 in 100: " in note for note in notes)
     watch.run(None, white(4, 100)).to_html(tmp_path / "page.html")
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
-    assert "False alarms: 1 in 100 samples promised, " in page
+    assert "False alarms: 1 in 100 samples expected, " in page
     assert f"the fit: {said}" in page
     assert monitor().fit(None, white(3, 3000)).fit_check.notes == ()  # pyright: ignore
 
@@ -191,17 +191,20 @@ def test_rows_that_are_held_out_carry_nothing() -> None:
     [
         (
             FitCheck(HeldOut(8000, 0, 8e3, 5e-4), aimed=5e-4, promised=7e-4),
-            "promised, 0 of 8,000 held-out samples in alarm",
+            "expected, 0 of 8,000 held-out samples in alarm",
         ),
         (FitCheck(None, aimed=5e-4, promised=5e-4), "promised, no samples held out"),
-        (FitCheck(HeldOut(800, 1, 800.0, 5e-4), aimed=5e-4), "aimed at, 1 of 800 held-out samples in alarm (1 in 800)"),
+        (
+            FitCheck(HeldOut(800, 1, 800.0, 5e-4), aimed=5e-4),
+            "requested, 1 of 800 held-out samples in alarm (1 in 800)",
+        ),
         (
             FitCheck(None, rows=1234, aimed=5e-4, promised=2e-3),
-            "aimed at, 1 in 500 promised as far as 1,234 samples can show, no samples held out",
+            "requested, 1 in 500 confirmed by 1,234 samples, no samples held out",
         ),
         (
             FitCheck(None, rows=60, aimed=5e-4, promised=1.0),
-            "aimed at, which 60 samples are too few to promise, no samples held out",
+            "requested; 60 samples are too few to confirm it: use a longer log or a higher rate, no samples held out",
         ),
     ],
 )

@@ -359,7 +359,7 @@ def test_two_learnt_faults_that_look_the_same_are_said_to() -> None:
     monitor.learn_fault("again", None, seen)
     notes = told(monitor, seen).notes
     assert any(
-        re.search(r"leak and again cannot be told apart by their directions: .*° between them", n) for n in notes
+        re.search(r"leak and again have directions too close to distinguish: .*° between them", n) for n in notes
     )
 
 

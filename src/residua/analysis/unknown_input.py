@@ -226,7 +226,7 @@ def _settled_fixed_poles(
 
 def _cannot_be_told(pair: str, zero: str) -> str:
     return (
-        f"whether {pair} is detectable cannot be told: rounding may have moved {zero}, one of several near one place, "
+        f"whether {pair} is detectable is undecidable: rounding may have moved {zero}, one of several near one place, "
         "across the boundary of stability; add a sensor"
     )
 

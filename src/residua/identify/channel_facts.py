@@ -95,9 +95,7 @@ class ChannelFacts:
         """Raise where values are so large that nothing can be computed from their squares."""
         vast = [name for name, one in zip(self.channels, self.deviation, strict=True) if not np.isfinite(one)]
         if vast:
-            raise DataError(
-                f"{listed(vast)}: values so large that their squares overflow; mark what is no value as NaN"
-            )
+            raise DataError(f"{listed(vast)}: values so large that their squares overflow; mark missing values as NaN")
 
     def check_rows(self) -> None:
         """Raise where there is one row: in it nothing can move, whatever the channels are."""

@@ -125,7 +125,7 @@ class FitCheck(Shown, Record):
             return ""
         best = min(self.visible, key=lambda one: one.lasting / (one.deviation if one.deviation > 0 else 1.0))
         return (
-            f"this monitor sees no fault that lasts: at best {best.fault}, from {best.text(best.lasting)} on; it needs "
+            f"this monitor detects no lasting fault: at best {best.fault}, from {best.text(best.lasting)} on; it needs "
             "a better model, more sensors, or longer fault-free recordings"
         )
 
@@ -140,13 +140,13 @@ class FitCheck(Shown, Record):
             return ""
         said = f"{one_in(self.aimed)} samples "
         if self.promised is None:
-            said += "aimed at"
+            said += "requested"
         elif within_tolerance(self.promised, self.aimed):
-            said += "promised"
+            said += "expected"
         elif self.promised <= _WORTH_SAYING:
-            said += f"aimed at, {one_in(self.promised)} promised as far as {self.rows:,} samples can show"
+            said += f"requested, {one_in(self.promised)} confirmed by {self.rows:,} samples"
         else:
-            said += f"aimed at, which {self.rows:,} samples are too few to promise"
+            said += f"requested; {self.rows:,} samples are too few to confirm it: use a longer log or a higher rate"
         return f"false alarms: {said}, {self.held_out or 'no samples held out'}"
 
     @property
@@ -193,7 +193,7 @@ class FitCheck(Shown, Record):
             return ()
         return (
             f"the residuals of healthy data wander {number(variance**0.5, 2)} times as far as noise would: the model "
-            'misses some of the plant\'s dynamics, or a drift, and names are "too early" or a "poor match" more often; '
+            'misses some of the plant\'s dynamics, or a drift, and "too early" and "poor match" are more frequent; '
             "identify the plant anew, estimate its noise from data, or add a disturbance",
         )
 
@@ -221,10 +221,10 @@ _TWENTY, _WANDERS = 1 + BLOCKS.index(20), 4.0
 #: Fraction in alarm up to which a promise is worth to be said.
 _WORTH_SAYING = 0.1
 _CAUSES = (
-    "the last part is not like what comes before (a drift, another load), or the recording is too short; fit to a "
+    "the last part differs from the rest (a drift, another load), or the recording is too short; fit to a "
     "longer one, or to several"
 )
-_CHANGES = "the recording does not stay as it begins"
+_CHANGES = "the recording changes after its start"
 
 
 __all__ = ["FitCheck"]
