@@ -163,7 +163,7 @@ class FitCheck(Shown, Record):
         """The reason for which the recordings are hardly fault-free throughout; empty where there is none.
 
         More of the held-out samples are in alarm than ten times the rate aimed at, with 97.5 % confidence, or a mean
-        steps by three standard deviations or more and does not come back. Without samples held out nothing is checked.
+        changes far (:meth:`residua.decide.stationarity.Change.large`). Nothing is checked without samples held out.
         """
         held = self.held_out
         if held is None:
@@ -175,14 +175,7 @@ class FitCheck(Shown, Record):
                 f"{held.alarmed:,} of {held.samples:,} held-out samples are in alarm, the first at sample "
                 f"{held.sample:,}{where}, where {one_in(held.asked)} was asked"
             )
-        step = next((one for one in self.changes if one.is_step), None)
-        if step is None:
-            return ""
-        where = f" of recording {step.recording}" if several else ""
-        return (
-            f"the mean of {step.residuals[0]!r} steps by {number(step.size, 2)} standard deviations at sample "
-            f"{step.sample:,} of {step.samples:,}{where}, and {step.samples - step.sample:,} samples follow"
-        )
+        return next(filter(None, (one.large(several) for one in self.changes)), "")
 
     def require_fault_free(self) -> None:
         """Raise :class:`residua.errors.DataError` where the recordings look faulty."""
