@@ -973,7 +973,7 @@ squares_of_columns(const double *restrict columns, double *restrict total, Py_ss
     if (FEW(k)) {
         for (Py_ssize_t i = 0; i < time; i++) {
             double sum = 0.0;
-            for (Py_ssize_t j = 0; j < k; j++)
+            UNROLLED for (Py_ssize_t j = 0; j < k; j++)
                 sum += columns[j * time + i] * columns[j * time + i];
             total[i] = sum;
         }
@@ -997,7 +997,7 @@ columns_along(const isolation_plan *n, const double *restrict columns, double *r
             weight[j] = part[j * n->room];
         for (Py_ssize_t i = 0; i < time; i++) {
             double sum = 0.0;
-            for (Py_ssize_t j = 0; j < k; j++)
+            UNROLLED for (Py_ssize_t j = 0; j < k; j++)
                 sum += columns[j * time + i] * weight[j];
             along[i] = sum;
         }
@@ -1205,8 +1205,11 @@ clear_means(const isolation_plan *n, double *means, const piece *p, double *colu
     if (FEW(k) && time >= 8 && all_set(p->usable, time)) {
         double *const squares = columns + k * time, least = INFINITY;
         for (Py_ssize_t j = 0; j < k; j++)
-            for (Py_ssize_t i = 0; i < time; i++)
-                columns[j * time + i] = p->q[i * down + j * across];
+            if (p->apart)
+                memcpy(columns + j * time, p->q + j * across, (size_t)time * sizeof(double));
+            else
+                for (Py_ssize_t i = 0; i < time; i++)
+                    columns[j * time + i] = p->q[i * k + j];
         squares_of_columns(columns, squares, time, k);
         for (Py_ssize_t i = 0; i < time; i++)
             least = squares[i] < least ? squares[i] : least;
@@ -1232,22 +1235,17 @@ INLINE void
 name_by_direction(const isolation_plan *n, window_row row, const piece *p, double *part, double *columns, Py_ssize_t k)
 {
     const Py_ssize_t time = p->time;
-    if (p->apart || !n->window || (p->scores != NULL && time > 1)) {
-        if (!n->window)
-            clear_means(n, row.values, p, columns, k);
-        else
-            spread_sums_of_judged(row, n->window, p->q, columns, p->usable, time, k, p->apart ? 1 : k,
-                                  p->apart ? p->apart : 1, 1, time);
-        if (p->scores != NULL && !score_lines(n, p, columns, part, k))
-            score_columns(n, p, columns, k);
-        for (Py_ssize_t j = 0; j < k; j++) /* what is kept of the last sample */
-            p->sums[(time - 1) * k + j] = columns[j * time + time - 1];
-        return;
-    }
-    sums_of_judged(row, n->window, p, k);
-    if (p->scores != NULL)
-        for (Py_ssize_t i = 0; i < time; i++)
-            score_sample(n, p->sums + i * k, p->usable[i], part, p->scores + i * n->groups, k);
+    if (!n->window)
+        clear_means(n, row.values, p, columns, k);
+    else
+        spread_sums_of_judged(row, n->window, p->q, columns, p->usable, time, k, p->apart ? 1 : k,
+                              p->apart ? p->apart : 1, 1, time);
+    if (p->scores != NULL && time == 1)
+        score_sample(n, columns, p->usable[0], part, p->scores, k);
+    else if (p->scores != NULL && !score_lines(n, p, columns, part, k))
+        score_columns(n, p, columns, k);
+    for (Py_ssize_t j = 0; j < k; j++) /* what is kept of the last sample */
+        p->sums[(time - 1) * k + j] = columns[j * time + time - 1];
 }
 
 #endif
