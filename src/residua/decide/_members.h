@@ -92,15 +92,19 @@ INLINE void
 norms_by_column(const test_plan *t, piece *p, part_piece *m)
 {
     const Py_ssize_t time = p->time, parts = t->parts;
-    double *const squares = m->columns + (t->nr + 1) * time;
+    double *const squares = m->columns + (t->nr + 1) * time, *restrict const largest = p->statistic;
     roots(squares, parts * time);
     for (Py_ssize_t part = 0; part < parts; part++) {
         const double *restrict norm = squares + part * time;
         const double limit = t->limits[part];
-        for (Py_ssize_t i = 0; i < time; i++) {
-            const double ratio = norm[i] / limit;
-            p->statistic[i] = part == 0 || ratio > p->statistic[i] ? ratio : p->statistic[i];
-        }
+        if (part == 0)
+            for (Py_ssize_t i = 0; i < time; i++)
+                largest[i] = norm[i] / limit;
+        else
+            for (Py_ssize_t i = 0; i < time; i++) {
+                const double ratio = norm[i] / limit;
+                largest[i] = ratio > largest[i] ? ratio : largest[i];
+            }
         for (Py_ssize_t i = 0; i < time; i++)
             m->statistics[i * parts + part] = norm[i];
     }
