@@ -193,7 +193,7 @@ def test_rows_that_are_held_out_carry_nothing() -> None:
             FitCheck(HeldOut(8000, 0, 8e3, 5e-4), aimed=5e-4, promised=7e-4),
             "expected, 0 of 8,000 held-out samples in alarm",
         ),
-        (FitCheck(None, aimed=5e-4, promised=5e-4), "promised, no samples held out"),
+        (FitCheck(None, aimed=5e-4, promised=5e-4), "expected, no samples held out"),
         (
             FitCheck(HeldOut(800, 1, 800.0, 5e-4), aimed=5e-4),
             "requested, 1 of 800 held-out samples in alarm (1 in 800)",
