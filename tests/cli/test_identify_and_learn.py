@@ -200,7 +200,7 @@ def test_learn_warns_where_the_plant_changes_later(tmp_path: Path, residua: Resi
     status, out, err = residua(*learn, "--force")
     assert status == 0  # 1 is an alarm of run
     assert re.search(r"(39|40)\d of 4[89]\d held-out samples in alarm", out)
-    assert err.startswith("warning: the fit: the log does not hold all that is normal: its last quarter is 8")
+    assert err.startswith("warning: the fit: the log does not cover normal operation: its last quarter is 8")
     assert "too many for 1 in " in err
 
 
@@ -230,14 +230,14 @@ def test_learn_refuses_a_monitor_that_sees_nothing(tmp_path: Path, residua: Resi
     path = write_csv(tmp_path / "walk.csv", np.hstack([np.arange(1500.0)[:, None], walk]), "time,level")
     status, out, err = residua("learn", path, "-o", tmp_path / "m.json")
     assert (status, out) == (2, "")
-    assert "sees no fault that lasts" in err
+    assert "detects no lasting fault" in err
     assert "--force" in err
     assert not (tmp_path / "m.json").exists()
     assert residua("learn", path, "-o", tmp_path / "m.json", "--force")[0] == 0
     quiet = write_csv(tmp_path / "quiet.csv", np.hstack([np.arange(900.0)[:, None], walk[:900]]), "time,level")
     status, out, _ = residua("run", tmp_path / "m.json", quiet)
     assert status == 0
-    assert "Cannot tell: this monitor sees no fault that lasts" in out
+    assert "Cannot tell: this monitor detects no lasting fault" in out
     assert residua("run", tmp_path / "m.json", quiet, "--strict")[0] == 4
 
 

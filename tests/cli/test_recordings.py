@@ -178,7 +178,7 @@ def test_a_faulty_recording_is_fitted_by_force_alone(made: Path, tmp_path: Path,
     fit = ("fit", made / "design.json", path, "-o", tmp_path / "m.json")
     assert_error(
         residua(*fit),
-        "this looks like no fault-free recording: the mean of 'r level 1' steps by ",
+        "this does not look like a fault-free recording: the mean of 'r level 1' steps by ",
         " at sample 700 of 1,500; leave the faulty rows out;",
         "or give --force",
     )

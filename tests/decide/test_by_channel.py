@@ -66,7 +66,7 @@ def test_a_name_by_channels_is_never_said_alone() -> None:
     assert said.lines == ("either a sensor or something not listed",)
     assert said.headline == "Fault found: either a sensor or something not listed, alarm raised at 300 s."
     assert said.sentences[0].startswith("Deviation from the other channels: a")
-    assert " times as far off as a sensor." in said.sentences[0]
+    assert "a sensor deviates most, b sensor " in said.sentences[0]
     assert "at least 0.6 times as far off" in said.rules
 
 
@@ -78,7 +78,7 @@ def test_channels_that_are_as_far_off_are_named_too() -> None:
     said = diagnosis.statement(alarm)
     assert said.lines == ("either a sensor, b sensor or something not listed",)
     assert said.sentences == (
-        "Deviation from the other channels: a and b; b sensor is 0.85 times as far off as a sensor.",
+        "Deviation from the other channels: a and b; a sensor deviates most, b sensor 85 % as far.",
     )
 
 

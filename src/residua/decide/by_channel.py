@@ -20,7 +20,7 @@ from residua.design import ResidualGenerator
 from residua.errors import FileFormatError, SettingError
 from residua.number_kinds import INDEX, NumberKind
 from residua.recording.clock import Clock
-from residua.words import listing, number
+from residua.words import listing
 
 #: Samples from the beginning of an alarm over which channels are compared.
 _COMPARED = 100
@@ -111,7 +111,7 @@ class ChannelNames(Isolation):
         )
         if len(candidates) > 1:
             following = candidates[1]
-            said += f"; {following.name} is {number(following.score, 2)} times as far off as {candidates[0].name}"
+            said += f"; {candidates[0].name} deviates most, {following.name} {100 * following.score:.0f} % as far"
         return statement_by_word(alarm, word, clock, (f"{said}.",), _RULES, alarm.margin)
 
     @property

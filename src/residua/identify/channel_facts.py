@@ -116,8 +116,8 @@ class ChannelFacts:
         if still:
             left = [name for name in self.channels if name not in still]
             wrong.append(
-                f"{listed(still)} never {'moves' if len(still) == 1 else 'move'}: the data cannot say what a channel "
-                f"does that stands still; leave {'it' if len(still) == 1 else 'them'} out "
+                f"{listed(still)} never {'moves' if len(still) == 1 else 'move'}: a constant channel carries no "
+                f"information; leave {'it' if len(still) == 1 else 'them'} out "
                 f"(there are {listed(left) if left else 'no others'})"
             )
         if same:

@@ -98,7 +98,7 @@ class FitCheck(Shown, Record):
             return ""
         least = sorted(self.explained, key=lambda one: one.share)
         more = f", and {counted(len(least) - _TOLD, 'other')} more" if len(least) > _TOLD else ""
-        named = ", ".join(f"{one.output} {100 * max(one.share, 0.0):.2g} %" for one in least[:_TOLD])
+        named = ", ".join(f"{one.output} {100 * max(one.share, 0.0):.3g} %" for one in least[:_TOLD])
         return f"explained of outputs, one sample ahead: {named}{more}"
 
     @property
@@ -181,8 +181,9 @@ class FitCheck(Shown, Record):
         """Raise :class:`residua.errors.DataError` where the recordings look faulty."""
         if self.looks_faulty:
             raise DataError(
-                f"this looks like no fault-free recording: {self.looks_faulty}; leave the faulty rows out; where all "
-                "rows are normal, fit several recordings that have such changes more than once, or give force=True"
+                f"this does not look like a fault-free recording: {self.looks_faulty}; leave the faulty rows out; "
+                "where all rows are normal, fit several recordings that have such changes more than once, or give "
+                "force=True"
             )
 
     @property

@@ -275,9 +275,9 @@ def learn(
     picked = next(one for one in tried if one.form == chosen)
     if picked.false_alarms > _FAULTY_FROM and not force:
         raise DataError(
-            f"this looks like no fault-free log: its last quarter is {percent_of(picked.false_alarms)} in alarm by "
-            "what came before; leave the faulty rows out; where all rows are normal, learn from a longer log, or from "
-            "several, or give force=True"
+            f"this does not look like a fault-free log: its last quarter is {percent_of(picked.false_alarms)} in alarm "
+            "by what came before; leave the faulty rows out; where all rows are normal, learn from a longer log, or "
+            "from several, or give force=True"
         )
     if picked.false_alarms > _NOT_NORMAL_FROM * rate:
         cautions.insert(0, (
