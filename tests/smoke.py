@@ -1,7 +1,8 @@
-"""An installed residua at work, from outside its source: ``python -I smoke.py``.
+"""An installed residua at work, from outside its source: ``python -I smoke.py [compiled]``.
 
 It needs NumPy and SciPy alone, designs, calibrates, runs, steps and saves, and prints as its last line whether the
-compiled kernel ran and a hash of the residuals, which is the same with and without the kernel.
+compiled kernel ran and a hash of the residuals, which is the same with and without the kernel. With ``compiled`` it
+fails where the kernel is not there, as of a wheel whose compiler failed.
 """
 
 import hashlib
@@ -43,7 +44,9 @@ def main() -> None:
         check(page.stat().st_size > 10_000, "the report page is empty")
     check(np.array_equal(again.residuals, diagnosis.residuals), "the saved monitor gives other residuals")
     digest = hashlib.sha256(np.ascontiguousarray(diagnosis.residuals).tobytes()).hexdigest()[:16]
-    print(f"residua {rs.__version__}", "compiled" if compiled() else "numpy", digest)
+    kernel = "compiled" if compiled() else "numpy"
+    check(sys.argv[1:] in ([], [kernel]), f"expected {sys.argv[1:]}, not {kernel}")
+    print(f"residua {rs.__version__}", kernel, digest)
 
 
 if __name__ == "__main__":

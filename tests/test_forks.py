@@ -241,7 +241,7 @@ def test_a_fleet_that_is_forked_in_the_middle_of_a_block_says_so(monkeypatch: py
         return True
 
     monkeypatch.setattr(FleetBlock, "_follow_block", waits)
-    thread = threading.Thread(target=fleet.run, args=(u[None], y[None]))
+    thread = threading.Thread(target=fleet.update, args=(u[None], y[None]))
     thread.start()
     is_within.wait()
     try:

@@ -146,7 +146,7 @@ def test_every_public_result_that_prints_as_lines_is_shown() -> None:
         module = importlib.import_module(f"residua.{room}")
         for name in dir(module):
             cls = getattr(module, name)
-            prints = inspect.isclass(cls) and vars(cls).get("__str__")
+            prints = vars(cls).get("__str__") if inspect.isclass(cls) else None
             if prints and 'n".join' in inspect.getsource(prints) and not issubclass(cls, (Shown, tuple)):
                 missing.append(f"{room}.{name}")
     assert missing == []

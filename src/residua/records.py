@@ -93,13 +93,12 @@ def float_in(value: Any, where: str, kind: NumberKind = FINITE) -> float:
 
 def array_out(value: NDArray) -> dict[str, Any]:
     """Return an array as its shape and its numbers in order."""
-    kind = _KINDS[value.dtype.kind]
+    kind, flat = _KINDS[value.dtype.kind], value.ravel().tolist()
     if kind == "complex":
-        flat: list[Any] = [[float_out(z.real), float_out(z.imag)] for z in value.ravel()]
-    elif kind == "float" and not np.isfinite(value).all():
-        flat = [float_out(x) for x in value.ravel()]
-    else:
-        flat = value.ravel().tolist()
+        flat = [[float_out(z.real), float_out(z.imag)] for z in flat]
+    elif kind == "float":
+        for k in np.flatnonzero(~np.isfinite(value)).tolist():
+            flat[k] = float_out(flat[k])
     return {"shape": list(value.shape), kind: flat}
 
 

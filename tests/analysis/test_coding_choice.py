@@ -104,7 +104,7 @@ def test_what_no_method_separates_shares_a_code() -> None:
     assert (found.quality, found.quality_of_groups) == ("none", "strong")
     np.testing.assert_array_equal(found.structure[:, 0], found.structure[:, 2])
     assert not found.structure[:, 3].any()
-    for name, why in (("a", "tells it from a2"), ("hidden", "no residual sees it")):
+    for name, why in (("a", "distinguishes it from a2"), ("hidden", "no residual sees it")):
         with pytest.raises(DesignError, match=why):
             choose(twins(), require=name)
     assert choose(twins(), require="b").quality_of_groups == "strong"

@@ -64,7 +64,7 @@ def test_inseparable_faults_count_as_one() -> None:
     assert (found.quality, found.quality_of_groups) == ("none", "strong")
     assert found.distance == 2
     assert found.canonical
-    assert "no method tells apart: a, b" in str(found)
+    assert "no method distinguishes: a, b" in str(found)
     assert "seen by no residual of any method: d" in str(found)
 
 

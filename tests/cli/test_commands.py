@@ -476,7 +476,9 @@ def test_a_fit_does_not_complain_of_a_rate_out_of_reach(
 
 def test_a_fit_warns_where_the_held_out_part_contradicts(made: Path, tmp_path: Path, residua: Residua) -> None:
     path = write_csv(tmp_path / "changed.csv", simulate(3000, 4, sensor=0.5, from_=2700))
-    status, _, err = residua("fit", made / "design.json", path, "-o", tmp_path / "m.json")
+    fit = ("fit", made / "design.json", path, "-o", tmp_path / "m.json")
+    assert_error(residua(*fit), "--force")
+    status, _, err = residua(*fit, "--force")
     assert status == 0
     assert err.startswith("warning: the fit: ")
     assert "held-out samples in alarm" in err

@@ -16,7 +16,16 @@ import residua as rs
 from cli_examples import Residua, assert_error
 from residua.analysis import coding
 from residua.cli import methods
-from residua.cli.option_types import Form, form_of, parse_matrix, parse_names, parse_number, parse_rate, parse_whole
+from residua.cli.option_types import (
+    Form,
+    form_of,
+    parse_matrix,
+    parse_names,
+    parse_number,
+    parse_rate,
+    parse_rows,
+    parse_whole,
+)
 from residua.design.catalogue import methods as registered
 from residua.design.core.method import METHODS
 from residua.design.core.options import Option
@@ -97,7 +106,7 @@ def test_what_is_designed_can_be_fitted_and_run(name: str, made: Path, tmp_path:
 def written(form: Form) -> list[str]:
     """Return texts of a form, by what stands for its value."""
     texts = {
-        "LIST": ["01,10"] if form.name == "rows" else ["0.5,0.25"],
+        "LIST": ["01,10"] if form.read is parse_rows else ["0.5,0.25"],
         "MATRIX": ["1,2;3,4"],
         "RATE": ["0.5"],
         "NUMBER": ["0.5"],
@@ -142,7 +151,7 @@ def test_every_option_of_a_method_reaches_its_function(
     assert form is not None
     calls = spied(name)
     others = needed(name)
-    flag = methods.option_name(form.name or option.name)
+    flag = methods.flag(option)
     if flag in others:
         at = others.index(flag)
         others = others[:at] + others[at + 2 :]
@@ -300,7 +309,7 @@ def test_what_is_chosen_from_the_plant_is_chosen_once(
         chosen.append(options)
         return real(*given, **options)
 
-    monkeypatch.setattr("residua.design.core.needs.choose", choose)
+    monkeypatch.setattr("residua.design.banks.structured_bank.choose", choose)
     status, _, err = residua("design", made / "plant.toml", "-o", tmp_path / "m.json", "--method", "perfect-observer")
     assert status == 2
     assert "--method structured-bank" in err

@@ -68,7 +68,7 @@ def test_ctrl_c_ends_it_in_order_and_the_next_run_goes_on(tmp_path: Path) -> Non
     run.stdin.flush()
     second = command(path)
     assert second.returncode == 2
-    assert "another run has this store" in second.stderr
+    assert "another run uses this store" in second.stderr
     time.sleep(1.0)
     run.send_signal(signal.SIGINT)
     output, errors = run.communicate(timeout=60)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gzip
 import json
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -113,3 +115,75 @@ def test_columns_as_text(made: Path, residua: Residua) -> None:
     status, _, err = residua("run", made / "monitor.json", made / "faulty.csv", "--columns", "a=x,b")
     assert status == 2
     assert "CHANNEL=COLUMN" in err
+
+
+# ------------------------------------------------------------------ wrong inputs
+
+
+def renamed(path: Path, made: Path, header: str, **cells: str) -> Path:
+    """Write the faulty recording with other names, and other words in its rows."""
+    lines = (made / "faulty.csv").read_text(encoding="utf-8").splitlines()
+    lines[0] = header
+    for row, cell in cells.items():
+        number = int(row.removeprefix("row"))
+        lines[number] = f"{lines[number].rsplit(',', 1)[0]},{cell}"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    return path
+
+
+WRONG = {
+    "names": (
+        "log.csv", "time,pump,tank level 1,tank level 2",
+        "missing columns 'level 1' (did you mean 'tank level 1'?), 'level 2' (did you mean 'tank level 2'?)",
+        'choose by --columns "level 1=tank level 1,level 2=tank level 2"',
+    ),
+    "ambiguous": (
+        "log.csv", "time,pump,Level 1,LEVEL_1", "'level 1' (may be 'Level 1' or 'LEVEL_1')",
+        'choose by --columns "level 1=Level 1,level 2=LEVEL_1"',
+    ),
+    "commas": (
+        "log.csv", 'time,pump,"level 1, top",level 2', "did you mean 'level 1, top'?",
+        "choose by --columns '\"level 1=level 1, top\"'",
+    ),
+    "sheet": ("log.xlsx", "", "this is a spreadsheet: save the sheet as CSV (UTF-8), and give that"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", WRONG)
+def test_a_wrong_recording_is_said_with_what_to_do(made: Path, tmp_path: Path, residua: Residua, kind: str) -> None:
+    name, header, *parts = WRONG[kind]
+    outcome = residua("run", made / "monitor.json", renamed(tmp_path / name, made, header))
+    assert_error(outcome, *parts)
+    if kind in ("names", "commas"):
+        option = shlex.split(outcome[2][outcome[2].index("--columns") :])
+        assert residua("run", made / "monitor.json", tmp_path / name, *option)[0] == 1
+
+
+def test_marks_and_spellings_are_read_with_a_note(made: Path, tmp_path: Path, residua: Residua) -> None:
+    header = "Time [s],Pump,LEVEL 1 [cm],level_2 (cm)"
+    path = renamed(tmp_path / "log.csv", made, header, row5="Bad", row6="No Data", row7="aus")
+    outcome = residua("run", made / "monitor.json", path)
+    assert_error(outcome, "expected a number, got 'aus'; if that stands for a missing value, give --missing \"aus\"")
+    status, out, _ = residua("run", made / "monitor.json", path, "--missing", "aus", "--missing", "-9999")
+    assert status == 1
+    assert "matched by name but for case, blanks and units: 'pump' is 'Pump', 'level 1' is 'LEVEL 1 [cm]'" in out
+    assert "taken as missing values: 'Bad' once in 'level_2 (cm)'" in out
+    packed = tmp_path / "log.csv.gz"
+    packed.write_bytes(gzip.compress(path.read_bytes()))
+    assert residua("run", made / "monitor.json", packed, "--missing", "aus")[0] == 1
+
+
+def test_a_faulty_recording_is_fitted_by_force_alone(made: Path, tmp_path: Path, residua: Residua) -> None:
+    path = write_csv(tmp_path / "bad.csv", simulate(1500, 4, sensor=0.5, from_=700))
+    fit = ("fit", made / "design.json", path, "-o", tmp_path / "m.json")
+    assert_error(
+        residua(*fit),
+        "this does not look like a fault-free recording: the mean of 'r level 1' steps by ",
+        " at sample 700 of 1,500; leave the faulty rows out;",
+        "or give --force",
+    )
+    assert not (tmp_path / "m.json").exists()
+    assert residua(*fit, "--force")[0] == 0
+    late = write_csv(tmp_path / "late.csv", simulate(1500, 4, sensor=0.5, from_=1275))
+    outcome = residua("fit", made / "design.json", late, "-o", tmp_path / "m.json")
+    assert_error(outcome, "held-out samples are in alarm, the first at sample 1,27", "or give --force")

@@ -32,7 +32,7 @@ def test_codes_lists_what_is_attainable_and_chooses(made: Path, residua: Residua
     status, out, err = residua("codes", made / "plant.toml")
     assert (status, err) == (0, "")
     assert "two tanks: 3 of 3 rows attainable; 2 independent residuals" in out
-    assert "no method tells apart: pump actuator, leak" in out
+    assert "no method distinguishes: pump actuator, leak" in out
     assert out.endswith("as an option: --structure 011,100\n")
 
 

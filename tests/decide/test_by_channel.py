@@ -65,8 +65,8 @@ def test_a_name_by_channels_is_never_said_alone() -> None:
     assert said.confidence == EITHER
     assert said.lines == ("either a sensor or something not listed",)
     assert said.headline == "Fault found: either a sensor or something not listed, alarm raised at 300 s."
-    assert said.sentences[0].startswith("Off what the others say: a")
-    assert " times as far off as a sensor." in said.sentences[0]
+    assert said.sentences[0].startswith("Deviation from the other channels: a")
+    assert "a sensor deviates most, b sensor " in said.sentences[0]
     assert "at least 0.6 times as far off" in said.rules
 
 
@@ -77,7 +77,9 @@ def test_channels_that_are_as_far_off_are_named_too() -> None:
     alarm = replace(longest(diagnosis), candidates=candidates, fired=("a", "b"), word=None)
     said = diagnosis.statement(alarm)
     assert said.lines == ("either a sensor, b sensor or something not listed",)
-    assert said.sentences == ("Off what the others say: a and b; b sensor is 0.85 times as far off as a sensor.",)
+    assert said.sentences == (
+        "Deviation from the other channels: a and b; a sensor deviates most, b sensor 85 % as far.",
+    )
 
 
 @pytest.mark.parametrize("column", [0, 1])
@@ -121,9 +123,11 @@ def test_an_alarm_of_the_model_alone_is_a_poor_match() -> None:
     assert alarm.fired == (MODEL,)
     said = diagnosis.statement(replace(alarm, word=None))
     assert said.confidence == POOR
-    assert said.headline.startswith("A fault was found, alarm raised at 300 s, a poor match: no channel is off by ")
-    assert "only the prediction of the model; nearest is" in said.lines[0]
-    assert said.sentences[0].startswith("Off: the model's prediction alone")
+    assert said.headline.startswith(
+        "A fault was found, alarm raised at 300 s, a poor match: no single channel deviates"
+    )
+    assert "only the model's prediction; nearest is" in said.lines[0]
+    assert said.sentences[0].startswith("Deviation from the model's prediction only")
 
 
 def test_faults_of_several_channels_are_never_named() -> None:
@@ -156,5 +160,5 @@ def test_another_test_is_refused() -> None:
 
 def test_it_says_how_it_names() -> None:
     assert found(1, 8.0).settings["isolation"] == (
-        "the channel that is furthest off in its thresholds, over 100 samples at most"
+        "the channel with the largest deviation in thresholds, over 100 samples at most"
     )

@@ -440,7 +440,7 @@ def test_raised_thresholds_are_higher_by_the_factor_and_say_so() -> None:
     plain, more = fitted(STATIC).norm_test, fitted(STATIC, (("a", 2.0), (MODEL, 3.0))).norm_test
     assert np.allclose(more.limits, plain.limits * [1.0, 2.0, 1.0])
     assert np.allclose(more.model.thresholds, 3 * plain.model.thresholds)
-    assert "raised by the check on rows held out: a 2 times, prediction of the model 3 times" in more.basis
+    assert "raised by the check on held-out rows: a 2 times, prediction of the model 3 times" in more.basis
     one, two = (fitted(STATIC, raised).norm_test.part_names for raised in ((), (("a", 2.0),)))
     assert one == two == (MODEL, "u", "a", "b")
 

@@ -157,7 +157,7 @@ def test_too_few_for_any_promise_is_said() -> None:
     rng = np.random.default_rng(5)
     test = fitted(rng.standard_normal((300, 3)), window=100)
     assert test.promised == 1
-    assert "promise no rate" in test.basis
+    assert "too short to confirm a rate" in test.basis
     with pytest.raises(DataError, match="at least 200"):
         fitted(rng.standard_normal((150, 3)), window=100)
 

@@ -268,7 +268,7 @@ def test_residuals_that_foretell_each_other_exactly_are_tested_at_the_designed_r
     test = rs.decide.CUSUM(mean_time_between_false_alarms=500)
     monitor = rs.Monitor(rs.design.robust_detection_filter(engine), test=test)
     monitor.fit(np.zeros((20_000, 1)), y[:20_000])
-    assert "2 combinations of residuals foretold exactly" in monitor.norm_test.basis
+    assert "2 combinations of residuals predicted exactly" in monitor.norm_test.basis
     alarm = monitor.run(np.zeros((10_000, 1)), y[20_000:]).alarm
     raised = int((alarm[1:] & ~alarm[:-1]).sum())
     assert 8 <= raised <= 36  # 20 expected: 99 of 100 runs, and what 20,000 samples leave uncertain
@@ -281,7 +281,7 @@ def test_what_is_foretold_exactly_does_not_depend_on_how_many_samples_say_so(sam
     y = system.simulate(rng.standard_normal((samples, system.n_inputs)))
     test = rs.decide.EWMA(mean_time_between_false_alarms=500)
     monitor = rs.Monitor(rs.design.robust_detection_filter(engine), test=test).fit(np.zeros((samples, 1)), y)
-    assert "; 2 combinations of residuals foretold exactly" in monitor.norm_test.basis
+    assert "; 2 combinations of residuals predicted exactly" in monitor.norm_test.basis
 
 
 @pytest.mark.parametrize(
@@ -307,7 +307,7 @@ def test_what_is_foretold_exactly_has_no_tails(settings: rs.decide.TestSettings,
         return np.hstack([e[1:], 0.5 * e[:-1] @ before + e[1:] @ now])
 
     monitor = rs.Monitor(given(4), test=settings, isolate=None).fit(None, residuals(2_000))
-    assert "2 combinations of residuals foretold exactly" in monitor.norm_test.basis
+    assert "2 combinations of residuals predicted exactly" in monitor.norm_test.basis
     assert "heavy tails" in monitor.norm_test.basis
     rate = monitor.fit_check.held_out.asked
     assert monitor.run(None, residuals(20_000)).alarm.mean() < 4 * rate

@@ -153,7 +153,7 @@ def test_a_method_of_ones_own_is_everywhere(
     wanted = own(read, times=5.0).residual_generator().system
     assert all((getattr(saved, k) == getattr(wanted, k)).all() for k in "ABCD")
     assert main([*command, "--keep"]) == 0
-    assert main(["design", "--help"]) == 0
+    assert main(["design", "--help", "gain-of-three"]) == 0
     assert "How much faster." in " ".join(capsys.readouterr().out.split())
 
 

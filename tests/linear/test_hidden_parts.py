@@ -142,7 +142,7 @@ def test_hidden_lags_of_which_rounding_may_have_made_unstable_ones_are_no_fact()
     found = rs.linear.detectability(A, C)
     assert not found
     assert found.undecided
-    with pytest.raises(AccuracyError, match="cannot be told: rounding may have moved the mode"):
+    with pytest.raises(AccuracyError, match="is undecidable: rounding may have moved the mode"):
         rs.linear.place_observer_margin(A, C, 1.0)
 
 

@@ -299,7 +299,7 @@ def test_health_of_a_run_that_does_not_answer(running, view, monkeypatch):
         answer = web.get("/health")
     over.set()
     assert answer.status_code == 503
-    assert "gave no answer" in answer.json()["reasons"][0]
+    assert "did not answer" in answer.json()["reasons"][0]
 
 
 def test_metrics_are_those_of_the_view(standing):

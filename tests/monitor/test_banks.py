@@ -406,7 +406,7 @@ def test_a_fault_without_a_code_is_said() -> None:
     monitor = rs.Monitor(silent, test=NormThreshold(window=10))
     found = run(monitor, *recording(sampled_plant(0), faults={"y2 sensor": 2.0}))
     assert found.unjudged == ("y4 sensor",)
-    assert "for want of a code: y4 sensor" in str(found)
+    assert "it lacks a code: y4 sensor" in str(found)
 
 
 def test_an_empty_recording_is_no_accident() -> None:

@@ -234,6 +234,7 @@ def test_several_models() -> None:
     own = [other.statistic[1, -1], one.statistic[0, -1], other.statistic[0, -1], one.statistic[1, -1]]
     assert np.array_equal(tick.statistic, own, equal_nan=True)
     blocks = fleet.update({"pumps": u[[1, 3], 20:]}, {"pumps": y[[1, 3], 20:]})
+    assert isinstance(blocks, dict)
     assert list(blocks) == ["pumps"]
     again = rs.Fleet.restore(fleet.snapshot(), {"pumps": monitor("norm"), "valves": monitor("CUSUM")})
     assert again.plants == fleet.plants
@@ -303,7 +304,8 @@ def taken() -> bytes:
         (lambda b: b"", "no snapshot"),
         (lambda b: b"PK" + b[2:], "no snapshot"),
         (lambda b: b[:100] + bytes([b[100] ^ 1]) + b[101:], "was changed"),
-        (lambda b: b[:8] + b"\x02" + b[9:], "version 2, this residua reads version 3"),
+        (lambda b: b[:8] + b"\x02" + b[9:], "version 2, this residua reads version 3: start the fleet without it"),
+        (lambda b: b[:8] + b"\x09" + b[9:], "version 9, this residua reads version 3: upgrade residua"),
         (lambda b: b + b"x", "was changed"),
     ],
 )
@@ -449,7 +451,8 @@ def test_recordings_by_plant_give_the_diagnoses_of_a_monitor(kind: str) -> None:
     found = fleet.run({plant: (u[p], y[p]) for p, plant in enumerate(ids) if plant != "b"})
     assert list(found) == ["a", "c"]
     for plant, one in found.items():
-        alone = monitor(kind).run(u[ids.index(plant)], y[ids.index(plant)])
+        p = ids.index(str(plant))
+        alone = monitor(kind).run(u[p], y[p])
         assert isinstance(alone, rs.Diagnosis)
         assert one.alarms == alone.alarms
         assert np.array_equal(one.statistic, alone.statistic, equal_nan=True)

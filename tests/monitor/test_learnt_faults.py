@@ -359,7 +359,7 @@ def test_two_learnt_faults_that_look_the_same_are_said_to() -> None:
     monitor.learn_fault("again", None, seen)
     notes = told(monitor, seen).notes
     assert any(
-        re.search(r"leak and again cannot be told apart by their directions: .*° between them", n) for n in notes
+        re.search(r"leak and again have directions too close to distinguish: .*° between them", n) for n in notes
     )
 
 
@@ -375,7 +375,7 @@ def test_of_one_residual_it_is_said_that_every_alarm_has_the_learnt_name() -> No
     faulty = rows[:200] + np.outer(np.arange(200) >= 100, [0.0, 2.0])
     diagnosis = monitor.learn_fault("leak", None, faulty).run(None, faulty)
     assert isinstance(diagnosis, rs.Diagnosis)
-    assert any("every alarm is put down to leak" in note for note in diagnosis.notes)
+    assert any("every alarm is attributed to leak" in note for note in diagnosis.notes)
 
 
 def test_what_shows_no_fault_is_refused() -> None:

@@ -374,4 +374,4 @@ def test_a_channel_that_is_missing_throughout_is_named() -> None:
     y[:, 0], y[::2, 0], y[1::2, 1] = data[:, 1], np.nan, np.nan
     diagnosis = monitor.run(data[:, :1], y)
     assert not isinstance(diagnosis, list)
-    assert diagnosis.why_undecided == "every sample misses a value ('y1' is missing most often, at 150)"
+    assert diagnosis.why_undecided == "every sample has a missing value ('y1' is missing most often, at 150)"

@@ -280,7 +280,7 @@ def test_an_empty_recording_is_no_accident() -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda c: c.update(version=99), "schema version 99"),
+        (lambda c: c.update(version=99), r"version 99, this residua reads version \d+: upgrade residua"),
         (lambda c: c.update(format="other"), "not a monitor"),
         (lambda c: c.pop("design"), "'design' is missing"),
         (lambda c: c["design"]["system"]["A"].update(shape=[5, 5]), "numbers"),

@@ -268,7 +268,7 @@ def test_without_thresholds_fit_chooses_them() -> None:
     assert 0 < found.false_alarm_fraction < 0.05
     assert test.promised is not None
     assert test.promised > 0.045, "the windows of this recording are too few for that rate, and fit says so"
-    assert "1 in 33 samples aimed at, 1 in 10 promised as far as 64,915 samples" in str(monitor.fit_check)
+    assert "1 in 33 samples requested, 1 in 10 confirmed by 64,915 samples" in str(monitor.fit_check)
     assert found.settings["test"].startswith("finite-horizon peak test, window 60 samples (0.6 s), thresholds fitted")
 
 

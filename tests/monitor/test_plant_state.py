@@ -140,10 +140,10 @@ def test_restarts_of_many_plants_at_once_have_the_bits_of_numpy(
         tick = one.tick(tuple(order.tolist()), u[order, k], y[order, k])
     cuts = (58, 62, 130)
     for start, stop in zip((0, *cuts), cuts, strict=False):
-        made = blocks.run(u[:, start:stop], y[:, start:stop])
+        made = blocks.update(u[:, start:stop], y[:, start:stop])
     monkeypatch.setattr(fused, "_kernel", None)
     plain = fleet(150, max_hold=4, **settings)
-    expected = plain.run(u, y)
+    expected = plain.update(u, y)
     assert state_of(plain).filter.resets.min() == 1
     same(state_of(one), state_of(plain), "state")
     same(state_of(blocks), state_of(plain), "state")

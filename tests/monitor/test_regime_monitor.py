@@ -107,9 +107,9 @@ def test_an_alarm_counts_in_its_own_mode(monitor: rs.RegimeMonitor) -> None:
 def test_rows_of_other_modes_are_no_missing_values(monitor: rs.RegimeMonitor) -> None:
     """Nobody is told to fill them in; of values that are missing in the mode they are, by their part of it."""
     rows = switched(39, visits((0, 0, 200), (1, 0, 400), (1, 1, 200)))
-    assert not any("for want of values" in note for note in monitor.run(None, rows).notes)
+    assert not any("because values are missing" in note for note in monitor.run(None, rows).notes)
     rows[200:600:10, 3] = np.nan
-    notes = [note for note in monitor.run(None, rows).notes if "for want of values" in note]
+    notes = [note for note in monitor.run(None, rows).notes if "because values are missing" in note]
     assert len(notes) == 1
     assert notes[0].startswith("with fan = 1, heating = 0: ")
     assert "40 samples miss one (channel 'load' at 40 of them" in notes[0]

@@ -131,7 +131,7 @@ def test_a_settled_fault_is_named_with_what_it_looks_like(
     assert code_table(found).count('<span class="tag">read</span>') == 1
     if len(named) > 1:
         assert "once constant (exact)" in str(found)
-        assert f"cannot be told apart here: {named[0]}, {named[1]} once constant" in str(found)
+        assert f"not distinguishable here: {named[0]}, {named[1]} once constant" in str(found)
     monitor.save(tmp_path / "m.json")
     again = rs.Monitor.load(tmp_path / "m.json").run(u, y)
     assert isinstance(again, rs.Diagnosis)

@@ -12,7 +12,8 @@ import pytest
 from typer.testing import CliRunner
 
 import residua as rs
-from residua.cli import app as commands
+from residua.cli import run_command
+from residua.cli.app import app
 from residua.decide import CUSUM, NormThreshold, PeakThreshold
 from residua.errors import DataError, FileFormatError, ResiduaError
 from residua.monitor import beginning, outcome, streaming
@@ -384,11 +385,11 @@ def test_the_command_says_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     MONITORS["direction"]().save(tmp_path / "m.json")
     answers = []
     for above, folder in ((10**9, "whole"), (0, "part")):
-        monkeypatch.setattr(commands, "STREAMED", above)
+        monkeypatch.setattr(run_command, "STREAMED", above)
         (tmp_path / folder).mkdir()
         monkeypatch.chdir(tmp_path / folder)
         outputs = ["--residuals", "r.csv", "--alarms", "a.jsonl", "--report", "p.html"]
-        said = CliRunner().invoke(commands.app, ["run", str(tmp_path / "m.json"), str(path), *outputs])
+        said = CliRunner().invoke(app, ["run", str(tmp_path / "m.json"), str(path), *outputs])
         content = {one.name: one.read_bytes() for one in (tmp_path / folder).iterdir()}
         answers.append((said.exit_code, said.output, content))
     assert answers[0] == answers[1]

@@ -161,7 +161,7 @@ def test_a_fleet_goes_on_as_it_was_made_when_its_monitor_is_fitted_anew() -> Non
     fleet, expected = (rs.Fleet(one, plants=["north"]) for one in (monitor, before))
     monitor.fit(u, y, false_alarm_rate=0.1)
     for one in (fleet, expected):
-        one.run(u[None], y[None])
+        one.update(u[None], y[None])
         one.add(["south"])
         one.tick(None, u[:2], y[:2])
     assert fleet.snapshot() == expected.snapshot()

@@ -61,7 +61,7 @@ def test_fleets() -> None:
     made, other = (rs.Fleet(monitor, plants=range(40)) for _ in range(2))
     same(made.tick(None, unaligned(u), unaligned(y)).statistic, other.tick(None, u, y).statistic)
     blocks = u.reshape(40, 1, -1).repeat(30, axis=1), y.reshape(40, 1, -1).repeat(30, axis=1)
-    same(made.run(*map(unaligned, blocks)).alarm, other.run(*blocks).alarm)  # type: ignore[union-attr]
+    same(made.update(*map(unaligned, blocks)).alarm, other.update(*blocks).alarm)  # type: ignore[union-attr]
     made.follow(range(40), *map(unaligned, blocks))
     other.follow(range(40), *blocks)
     assert made.snapshot() == other.snapshot()

@@ -90,13 +90,23 @@ def test_further_marks_are_texts_and_numbers(tmp_path: Path) -> None:
         read_recording(path, PLANT, missing=["", "x"])
 
 
+def test_marks_in_text_without_a_header(tmp_path: Path) -> None:
+    path = written(tmp_path / "data.dat", "0;1;Bad\n1;2;3\n2;No Data;4\n")
+    note = "taken as missing values: 'No Data' once in 'h1'; 'Bad' once in 'h2'"
+    assert read_recording(path, columns=["time", "h1", "h2"]).notes[1] == note
+    assert "'Bad' once in 'column3'" in read_recording(path, dt=1.0).notes[1]
+    assert "'Bad' once in 'line 3'" in read_recording(path, dt=1.0, transpose=True).notes[1]
+
+
 @pytest.mark.parametrize("make", [pd.DataFrame, pl.DataFrame])
 def test_marks_in_frames(make: Any) -> None:
     table = {"time": np.arange(30.0)} | dict(zip(CHANNELS, VALUES.T.tolist(), strict=True))
     table["h3"] = ["Bad Input", *map(str, VALUES[1:, 4])]
+    table["state"] = ["Bad", *["on"] * 29]
     recording = recording_from_frame(make(table), PLANT)
     assert recording.notes == ("taken as missing values: 'Bad Input' once in 'h3'",)
     np.testing.assert_array_equal(recording.y[1:], VALUES[1:, 2:])
+    assert recording_from_frame(make(table)).notes == ("columns of text, left out: 'state'", *recording.notes)
 
 
 def test_large_tables_and_streams_count_the_same(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -110,6 +120,17 @@ def test_large_tables_and_streams_count_the_same(monkeypatch: pytest.MonkeyPatch
     assert slow.notes == fast.notes == stream.notes
     np.testing.assert_array_equal(slow.y, fast.y)
     np.testing.assert_array_equal(slow.y, np.vstack([one.values for one in pieces])[:, 2:])
+
+
+def test_a_file_that_is_run_piece_by_piece_has_the_same_notes(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow")
+    path = written(tmp_path / "data.csv", text("time,q1,Q2,h1 [cm],h2,h3", last={3: "Bad", 4: "No Data"}))
+    monitor = rs.Monitor(rs.design.kalman_filter(PLANT.with_noise(process=1e-3, measurement=1e-2)))
+    pieces, whole = monitor.run_file(path), monitor.run(path)
+    assert isinstance(whole, rs.Diagnosis)
+    assert pieces.notes == whole.notes
+    assert any("'h1' is 'h1 [cm]'" in note for note in pieces.notes)
+    assert any("'Bad' once in 'h3'" in note for note in pieces.notes)
 
 
 # ------------------------------------------------------------------------ names

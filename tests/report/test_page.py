@@ -209,7 +209,7 @@ EDGES = {
             (d := diagnosis()),
             alarms=(replace(d.alarms[0], candidates=(Candidate(("a", "b"), 0.95, 0.3), Candidate(("c",), 0.94, 0.3))),),
         ),
-        "This monitor cannot tell a and b apart.",
+        "This monitor does not distinguish a and b.",
     ),
 }
 

@@ -21,8 +21,14 @@ from same_results.plants import Case, case
 #: The methods that the command line has had from the first.
 METHODS = (
     *("auto", "robust-detection-filter", "detection-filter", "kalman-filter", "unknown-input-observer"),
-    *("luenberger-observer", "sensor-fault-bank", "actuator-fault-bank", "structured-bank",
-    "structured-parity", "matched-filters"),
+    *(
+        "luenberger-observer",
+        "sensor-fault-bank",
+        "actuator-fault-bank",
+        "structured-bank",
+        "structured-parity",
+        "matched-filters",
+    ),
     "fault-estimator",
 )
 #: Generated plants that the commands see.

@@ -177,7 +177,7 @@ def _required(
         (k,) = (k for k, group in enumerate(names) if name in group)
         if len(names[k]) > 1:
             others = ", ".join(other for other in names[k] if other != name)
-            raise DesignError(f"'{name}' cannot be isolated: no method tells it from {others}; add a sensor")
+            raise DesignError(f"'{name}' cannot be isolated: no method distinguishes it from {others}; add a sensor")
         out.add(k)
     return out
 

@@ -188,7 +188,7 @@ class CodingSet(Shown):
         lines += [f"ignored by all residuals: {', '.join(self.ignored)}"] if self.ignored else []
         lines += [f"seen by no residual of any method: {', '.join(self.undetectable)}"] if self.undetectable else []
         lines += [f"seen by no residual: {', '.join(unseen)}"] if unseen else []
-        lines += [f"no method tells apart: {', '.join(group)}" for group in self.inseparable]
+        lines += [f"no method distinguishes: {', '.join(group)}" for group in self.inseparable]
         known = {frozenset(group) for group in self.inseparable}
         lines += [f"same code: {', '.join(group)}" for group in self.equal if frozenset(group) not in known]
         pairs = [

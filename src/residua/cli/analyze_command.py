@@ -42,7 +42,7 @@ def show_diagnosability(answer: Diagnosability) -> None:
             "detectable",
             "when constant",
             "cannot be told from",
-            "nor, when constant, from",
+            "nor, when constant",
         ],
         [
             [

@@ -109,7 +109,7 @@ MissingMarks = Annotated[
 
 def parse_columns(text: str) -> dict[str, str] | list[str]:
     """Return ``channel=column`` pairs as a mapping, names alone as a list; pairs with a comma stand in quotes."""
-    parts = [part.strip() for part in next(csv.reader([text], skipinitialspace=True), [""])]
+    parts = [part.strip() for part in next(csv.reader([text], skipinitialspace=True)) or [""]]
     if not all(parts):
         raise ValueError("a name is empty")
     pairs = [[half.strip() for half in part.split("=", 1)] for part in parts]

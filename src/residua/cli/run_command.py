@@ -29,6 +29,7 @@ from residua.monitor.diagnosis import Alarm
 from residua.monitor.inputs import settling_reason
 from residua.monitor.streaming import judged_file, write_outputs
 from residua.recording.table_writer import check_table
+from residua.report.document import found_values
 from residua.report.tables import alarm_times
 from residua.report.verdict import verdict
 from residua.words import number
@@ -132,7 +133,8 @@ def _judge(
         judged = bool(diagnosis.decided.any())
         status = _status(diagnosis, strict) if judged else ERROR
         if form == "json" and judged:
-            screen.print_json(diagnosis_values(diagnosis, path, status, written), indent=None)
+            found = {"recording": path, "status": status, **found_values(diagnosis), "written": written}
+            screen.print_json(found, indent=None)
         elif form == "text":
             show_diagnosis(diagnosis)
             if diagnosis.origin:
@@ -179,25 +181,6 @@ def _run(watch: Monitor, recording: Path, reading: Reading) -> Diagnosis:
         diagnosis = watch.run(data, progress=bar)
     assert isinstance(diagnosis, Diagnosis)
     return replace(diagnosis, notes=tuple(map(in_cli_words, diagnosis.notes)))
-
-
-def diagnosis_values(diagnosis: Diagnosis, path: Path, status: int, written: Iterable[Path]) -> dict[str, Any]:
-    """Return the diagnosis of a recording as values for JSON."""
-    words = verdict(diagnosis)
-    return {
-        "recording": path,
-        "status": status,
-        "verdict": words.kind,
-        "headline": words.headline,
-        "sentences": words.sentences,
-        "samples": len(diagnosis.time),
-        "judged": int(diagnosis.decided.sum()),
-        "incomplete": diagnosis.n_missing,
-        "times_from": str(diagnosis.origin) if diagnosis.origin else None,
-        "alarms": [alarm.to_dict(window=diagnosis.window) for alarm in diagnosis.alarms],
-        "notes": diagnosis.notes,
-        "written": list(written),
-    }
 
 
 def show_diagnosis(diagnosis: Diagnosis) -> None:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich import box
+from rich.cells import cell_len
 from rich.console import Console
 from rich.table import Table
 
@@ -49,22 +50,49 @@ def say(*lines: str) -> None:
 
 
 def show_table(header: Sequence[str], rows: Iterable[Sequence[object]], *, title: str = "") -> None:
-    """Print a table: with lines on a terminal, as plain columns elsewhere. Columns of numbers go right."""
+    """Print a table: with lines on a terminal, as plain columns elsewhere. Columns of numbers go right.
+
+    On a terminal that is too narrow to keep words whole, each row is a block of lines, one for each cell.
+    """
+    header = [visible(name) for name in header]
     cells = [[_text(value) for value in row] for row in rows]
     out = console()
     if title:
         out.print(visible(title))
     if not out.is_terminal:
-        for line in _columns([[visible(name) for name in header], *cells]):
+        for line in _columns([header, *cells]):
             out.print(line, soft_wrap=True)
         return
+    columns = list(zip(header, *cells, strict=True))
+    widths = _widths(columns, out.width)
+    if widths is None:
+        for row in cells:
+            lines = [f"{name}: {cell}" for name, cell in zip(header, row, strict=True) if cell != "-"]
+            out.print("\n  ".join(lines))
+        return
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for k, name in enumerate(map(visible, header)):
-        numeric = bool(cells) and all(_is_number(row[k]) for row in cells)
-        table.add_column(name, justify="right" if numeric else "left", overflow="fold")
+    for (name, *column), width in zip(columns, widths, strict=True):
+        numeric = bool(column) and all(map(_is_number, column))
+        table.add_column(name, justify="right" if numeric else "left", width=width)
     for row in cells:
         table.add_row(*row)
     out.print(table)
+
+
+def _widths(columns: Sequence[Sequence[str]], most: int) -> list[int] | None:
+    """Return the widths of columns in a table of so many characters, or ``None`` where a word would not fit."""
+    least = [max(map(cell_len, " ".join(column).split()), default=0) for column in columns]
+    whole = [max(map(cell_len, column)) for column in columns]
+    spare = most - sum(least) - 3 * len(columns) + 1  # rules and blanks between columns
+    if spare < 0:
+        return None
+    widths = list(least)
+    wanting = sorted(range(len(columns)), key=lambda k: whole[k] - least[k])
+    for left, k in zip(range(len(columns), 0, -1), wanting, strict=True):
+        more = min(whole[k] - least[k], spare // left)
+        widths[k] += more
+        spare -= more
+    return widths
 
 
 def _columns(rows: list[list[str]]) -> list[str]:

@@ -11,6 +11,14 @@
 #include <immintrin.h>
 #endif
 
+/* Whether a number is a constant of at most four: loops over so many unroll, and what they keep stays in registers. */
+#if defined(__GNUC__)
+#define FEW(k) (__builtin_constant_p(k) && (k) <= 4)
+#else
+#define FEW(k) ((k) <= 4)
+#endif
+#define UNROLLED _Pragma("GCC unroll 4") /* a loop over so few, within one over samples */
+
 #define LARGEST_WHITENED 1e120 /* as in residua.decide.whitened_norm */
 #define LARGEST_SQUARES 9e239  /* sums of squares up to here are of numbers up to there */
 #define FULL 2.0               /* as in residua.decide.cusum */
@@ -150,14 +158,14 @@ all_set(const flag *flags, Py_ssize_t count)
 INLINE void
 whitened_of(const test_plan *t, const double *r, double *q, Py_ssize_t nr, Py_ssize_t k)
 {
-    if (nr <= 4 && k <= 4) { /* constants: in registers, of rows that are padded with zeros */
+    if (FEW(nr) && FEW(k)) { /* of rows that are padded with zeros */
         double sum[4] = {0.0, 0.0, 0.0, 0.0};
-        for (Py_ssize_t i = 0; i < nr; i++) {
+        UNROLLED for (Py_ssize_t i = 0; i < nr; i++) {
             const double centred = r[i] - t->padded[i];
-            for (int j = 0; j < 4; j++)
+            UNROLLED for (int j = 0; j < 4; j++)
                 sum[j] += centred * t->padded[4 + 4 * i + j];
         }
-        for (Py_ssize_t j = 0; j < k; j++)
+        UNROLLED for (Py_ssize_t j = 0; j < k; j++)
             q[j] = sum[j];
         return;
     }
@@ -197,7 +205,7 @@ INLINE int
 squares_of_rows(const test_plan *t, const piece *p, Py_ssize_t nr, Py_ssize_t k)
 {
     double center[4], weight[4][4];
-    if (nr > 4 || k > 4 || !all_set(p->usable, p->time))
+    if (!FEW(nr) || !FEW(k) || !all_set(p->usable, p->time))
         return 0;
     for (Py_ssize_t j = 0; j < nr; j++) {
         center[j] = t->center[j];
@@ -251,10 +259,10 @@ turn_window(window_row row, Py_ssize_t window, Py_ssize_t k)
     *row.filled = 0;
     for (Py_ssize_t j = 0; j < k; j++)
         row.begun[j] = 0.0;
-    if (k <= 4) { /* in registers, where it is a constant */
+    if (FEW(k)) {
         double sum[4] = {0.0, 0.0, 0.0, 0.0};
         for (Py_ssize_t i = window - 1; i >= 0; i--)
-            for (Py_ssize_t j = 0; j < k; j++) {
+            UNROLLED for (Py_ssize_t j = 0; j < k; j++) {
                 const double value = row.values[i * k + j];
                 row.values[i * k + j] = sum[j];
                 sum[j] = i == window - 1 ? value : sum[j] + value;
@@ -279,13 +287,13 @@ fill_window(window_row row, Py_ssize_t at, const double *restrict v, double *res
             Py_ssize_t k, Py_ssize_t v_down, Py_ssize_t v_across, Py_ssize_t down, Py_ssize_t across)
 {
     double *place = row.values + at * k;
-    if (k <= 4) { /* what has begun stays in registers, where it is a constant */
+    if (FEW(k)) {
         double begun[4];
         Py_ssize_t i = 0;
-        for (Py_ssize_t j = 0; j < k; j++)
+        UNROLLED for (Py_ssize_t j = 0; j < k; j++)
             begun[j] = row.begun[j];
         if (at == 0) { /* from zero it would be 0 where this is -0 */
-            for (Py_ssize_t j = 0; j < k; j++) {
+            UNROLLED for (Py_ssize_t j = 0; j < k; j++) {
                 begun[j] = v[j * v_across];
                 sums[j * across] = place[j] + begun[j];
                 place[j] = begun[j];
@@ -293,13 +301,13 @@ fill_window(window_row row, Py_ssize_t at, const double *restrict v, double *res
             i = 1;
         }
         for (; i < some; i++)
-            for (Py_ssize_t j = 0; j < k; j++) {
+            UNROLLED for (Py_ssize_t j = 0; j < k; j++) {
                 const double value = v[i * v_down + j * v_across], before = place[i * k + j];
                 begun[j] += value;
                 place[i * k + j] = value;
                 sums[i * down + j * across] = before + begun[j];
             }
-        for (Py_ssize_t j = 0; j < k; j++)
+        UNROLLED for (Py_ssize_t j = 0; j < k; j++)
             row.begun[j] = begun[j];
         return;
     }
@@ -347,14 +355,9 @@ spread_sums_of_judged(window_row row, Py_ssize_t window, const double *v, double
                       Py_ssize_t time, Py_ssize_t k, Py_ssize_t v_down, Py_ssize_t v_across, Py_ssize_t down,
                       Py_ssize_t across)
 {
-    if (all_set(usable, time)) {
-        spread_sums(row, window, v, sums, time, k, v_down, v_across, down, across);
-        return;
-    }
     for (Py_ssize_t i = 0; i < time;) {
-        Py_ssize_t some = 0;
-        while (i + some < time && usable[i + some])
-            some++;
+        const flag *const end = memchr(usable + i, 0, (size_t)(time - i));
+        const Py_ssize_t some = end == NULL ? time - i : end - (usable + i);
         spread_sums(row, window, v + i * v_down, sums + i * down, some, k, v_down, v_across, down, across);
         for (i += some; i < time && !usable[i]; i++)
             for (Py_ssize_t j = 0; j < k; j++)
@@ -482,13 +485,13 @@ INLINE double
 crosier(const test_plan *t, const double *now, const double *e, double *then, Py_ssize_t k)
 {
     const double full = FULL * t->threshold;
-    for (Py_ssize_t j = 0; j < k; j++)
+    UNROLLED for (Py_ssize_t j = 0; j < k; j++)
         then[j] = now[j] + e[j];
     const double length = length_of(then, k), above = length - t->allowance;
     double left = above > 0.0 ? above : 0.0;
     left = left < full ? left : full;
     const double part = length > 0 ? left / length : 0.0;
-    for (Py_ssize_t j = 0; j < k; j++)
+    UNROLLED for (Py_ssize_t j = 0; j < k; j++)
         then[j] *= part;
     return left;
 }
@@ -497,14 +500,14 @@ INLINE double
 pignatiello_runger(const test_plan *t, const double *now, const double *e, double *then, Py_ssize_t k)
 {
     const double count = now[k] + 1, full = FULL * t->threshold;
-    for (Py_ssize_t j = 0; j < k; j++)
+    UNROLLED for (Py_ssize_t j = 0; j < k; j++)
         then[j] = now[j] + e[j];
     const double length = length_of(then, k), above = length - t->allowance * count;
     double left = above > 0.0 ? above : 0.0;
     if (isfinite(full)) {
         const double most = full + t->allowance * count;
         const double part = left > full ? most / (length > 0 ? length : 1.0) : 1.0;
-        for (Py_ssize_t j = 0; j < k; j++)
+        UNROLLED for (Py_ssize_t j = 0; j < k; j++)
             then[j] *= part;
         left = left < full ? left : full;
     }
@@ -967,10 +970,10 @@ score_sample(const isolation_plan *n, const double *sums, int usable, double *pa
 INLINE void
 squares_of_columns(const double *restrict columns, double *restrict total, Py_ssize_t time, Py_ssize_t k)
 {
-    if (k <= 4) { /* in registers, where it is a constant */
+    if (FEW(k)) {
         for (Py_ssize_t i = 0; i < time; i++) {
             double sum = 0.0;
-            for (Py_ssize_t j = 0; j < k; j++)
+            UNROLLED for (Py_ssize_t j = 0; j < k; j++)
                 sum += columns[j * time + i] * columns[j * time + i];
             total[i] = sum;
         }
@@ -988,13 +991,13 @@ columns_along(const isolation_plan *n, const double *restrict columns, double *r
               Py_ssize_t k, Py_ssize_t which)
 {
     const double *const part = n->padded + which;
-    if (k <= 4) {
+    if (FEW(k)) {
         double weight[4];
         for (Py_ssize_t j = 0; j < k; j++)
             weight[j] = part[j * n->room];
         for (Py_ssize_t i = 0; i < time; i++) {
             double sum = 0.0;
-            for (Py_ssize_t j = 0; j < k; j++)
+            UNROLLED for (Py_ssize_t j = 0; j < k; j++)
                 sum += columns[j * time + i] * weight[j];
             along[i] = sum;
         }
@@ -1172,8 +1175,8 @@ clear_means_of_piece(double *means, double clear, double *restrict chosen, Py_ss
     for (Py_ssize_t j = 0; j < LONG_MEANS * k; j++)
         now[j] = means[j];
     for (Py_ssize_t i = 0; i < time; i++)
-        for (int s = 0; s < LONG_MEANS; s++)
-            for (Py_ssize_t j = 0; j < k; j++) {
+        UNROLLED for (int s = 0; s < LONG_MEANS; s++)
+            UNROLLED for (Py_ssize_t j = 0; j < k; j++) {
                 now[s * k + j] = (1.0 - LONG_WEIGHTS[s]) * now[s * k + j] + LONG_WEIGHTS[s] * chosen[j * time + i];
                 rows[(s * k + j) * time + i] = now[s * k + j];
             }
@@ -1199,11 +1202,14 @@ INLINE void
 clear_means(const isolation_plan *n, double *means, const piece *p, double *columns, Py_ssize_t k)
 {
     const Py_ssize_t time = p->time, down = p->apart ? 1 : k, across = p->apart ? p->apart : 1;
-    if (k <= 4 && time >= 8 && all_set(p->usable, time)) {
+    if (FEW(k) && time >= 8 && all_set(p->usable, time)) {
         double *const squares = columns + k * time, least = INFINITY;
         for (Py_ssize_t j = 0; j < k; j++)
-            for (Py_ssize_t i = 0; i < time; i++)
-                columns[j * time + i] = p->q[i * down + j * across];
+            if (p->apart)
+                memcpy(columns + j * time, p->q + j * across, (size_t)time * sizeof(double));
+            else
+                for (Py_ssize_t i = 0; i < time; i++)
+                    columns[j * time + i] = p->q[i * k + j];
         squares_of_columns(columns, squares, time, k);
         for (Py_ssize_t i = 0; i < time; i++)
             least = squares[i] < least ? squares[i] : least;
@@ -1229,23 +1235,17 @@ INLINE void
 name_by_direction(const isolation_plan *n, window_row row, const piece *p, double *part, double *columns, Py_ssize_t k)
 {
     const Py_ssize_t time = p->time;
-    if (p->apart || !n->window || (p->scores != NULL && time > 1)) {
-        if (!n->window)
-            clear_means(n, row.values, p, columns, k);
-        else if (p->apart)
-            spread_sums_of_judged(row, n->window, p->q, columns, p->usable, time, k, 1, p->apart, 1, time);
-        else
-            spread_sums_of_judged(row, n->window, p->q, columns, p->usable, time, k, k, 1, 1, time);
-        if (p->scores != NULL && !score_lines(n, p, columns, part, k))
-            score_columns(n, p, columns, k);
-        for (Py_ssize_t j = 0; j < k; j++) /* what is kept of the last sample */
-            p->sums[(time - 1) * k + j] = columns[j * time + time - 1];
-        return;
-    }
-    sums_of_judged(row, n->window, p, k);
-    if (p->scores != NULL)
-        for (Py_ssize_t i = 0; i < time; i++)
-            score_sample(n, p->sums + i * k, p->usable[i], part, p->scores + i * n->groups, k);
+    if (!n->window)
+        clear_means(n, row.values, p, columns, k);
+    else
+        spread_sums_of_judged(row, n->window, p->q, columns, p->usable, time, k, p->apart ? 1 : k,
+                              p->apart ? p->apart : 1, 1, time);
+    if (p->scores != NULL && time == 1)
+        score_sample(n, columns, p->usable[0], part, p->scores, k);
+    else if (p->scores != NULL && !score_lines(n, p, columns, part, k))
+        score_columns(n, p, columns, k);
+    for (Py_ssize_t j = 0; j < k; j++) /* what is kept of the last sample */
+        p->sums[(time - 1) * k + j] = columns[j * time + time - 1];
 }
 
 #endif

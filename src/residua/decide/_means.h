@@ -50,9 +50,9 @@ larger_squares(const double *columns, Py_ssize_t apart, Py_ssize_t time, const d
         weight[j] = scaling[j];
     for (Py_ssize_t i = 0; i < time; i++) {
         double total = 0.0;
-        for (Py_ssize_t c = 0; c < k; c++) {
+        UNROLLED for (Py_ssize_t c = 0; c < k; c++) {
             double sum = 0.0;
-            for (Py_ssize_t j = 0; j < k; j++)
+            UNROLLED for (Py_ssize_t j = 0; j < k; j++)
                 sum += columns[j * apart + i] * weight[j * k + c];
             total += sum * sum;
         }
@@ -61,6 +61,19 @@ larger_squares(const double *columns, Py_ssize_t apart, Py_ssize_t time, const d
 }
 
 #define MOST_SLOW 3 /* long means of a piece that is run at once */
+
+/* Long means of samples that lie in columns, after each sample; they come into columns behind these. */
+INLINE void
+follow_means(double *now, const double *olds, const double *weights, double *restrict columns, Py_ssize_t time,
+             Py_ssize_t slow, Py_ssize_t k)
+{
+    for (Py_ssize_t i = 0; i < time; i++)
+        UNROLLED for (Py_ssize_t s = 0; s < slow; s++)
+            UNROLLED for (Py_ssize_t j = 0; j < k; j++) {
+                now[s * k + j] = olds[s] * now[s * k + j] + weights[s] * columns[j * time + i];
+                columns[((s + 1) * k + j) * time + i] = now[s * k + j];
+            }
+}
 
 /* The same of a piece in which all samples are seen and no mean is full, all samples at once; 0, and nothing is changed,
  * where one is. `squares` are those of the samples, which lie in columns. */
@@ -87,12 +100,10 @@ means_of_piece(const test_plan *t, double *means, const piece *p, const double *
         weights[s] = t->mean_weights[s + 1];
         olds[s] = 1.0 - weights[s];
     }
-    for (Py_ssize_t i = 0; i < time; i++)
-        for (Py_ssize_t s = 0; s < slow; s++)
-            for (Py_ssize_t j = 0; j < k; j++) {
-                now[s * k + j] = olds[s] * now[s * k + j] + weights[s] * columns[j * time + i];
-                columns[((s + 1) * k + j) * time + i] = now[s * k + j];
-            }
+    if (slow == 2) /* as a rule */
+        follow_means(now, olds, weights, columns, time, 2, k);
+    else
+        follow_means(now, olds, weights, columns, time, slow, k);
     for (Py_ssize_t i = 0; i < time; i++)
         longest[i] = 0.0;
     for (Py_ssize_t s = 0; s < slow; s++)
@@ -128,13 +139,11 @@ longest_means(const test_plan *t, double *means, const piece *p, Py_ssize_t k)
     const Py_ssize_t time = p->time;
     double *const columns = p->history, *const squares = columns + k * time, *const room = squares + time;
     int done = 0;
-    if (time >= 8 && k <= 4 && t->scales - 1 <= MOST_SLOW && all_set(p->usable, time)) {
-        if (p->apart)
-            done = means_of_piece(t, means, p, p->q, p->apart, p->statistic, room, k);
-        else {
+    if (FEW(k) && time >= 8 && t->scales - 1 <= MOST_SLOW && all_set(p->usable, time)) {
+        if (!p->apart)
             into_columns(p->e, time, columns, squares, k);
-            done = means_of_piece(t, means, p, columns, time, squares, room, k);
-        }
+        done = means_of_piece(t, means, p, p->apart ? p->q : columns, p->apart ? p->apart : time,
+                              p->apart ? p->statistic : squares, room, k);
     }
     for (Py_ssize_t i = 0; i < time && !done; i++) {
         const double *e = p->e + i * k;

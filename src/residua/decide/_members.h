@@ -92,15 +92,19 @@ INLINE void
 norms_by_column(const test_plan *t, piece *p, part_piece *m)
 {
     const Py_ssize_t time = p->time, parts = t->parts;
-    double *const squares = m->columns + (t->nr + 1) * time;
+    double *const squares = m->columns + (t->nr + 1) * time, *restrict const largest = p->statistic;
     roots(squares, parts * time);
     for (Py_ssize_t part = 0; part < parts; part++) {
         const double *restrict norm = squares + part * time;
         const double limit = t->limits[part];
-        for (Py_ssize_t i = 0; i < time; i++) {
-            const double ratio = norm[i] / limit;
-            p->statistic[i] = part == 0 || ratio > p->statistic[i] ? ratio : p->statistic[i];
-        }
+        if (part == 0)
+            for (Py_ssize_t i = 0; i < time; i++)
+                largest[i] = norm[i] / limit;
+        else
+            for (Py_ssize_t i = 0; i < time; i++) {
+                const double ratio = norm[i] / limit;
+                largest[i] = ratio > largest[i] ? ratio : largest[i];
+            }
         for (Py_ssize_t i = 0; i < time; i++)
             m->statistics[i * parts + part] = norm[i];
     }
@@ -280,43 +284,31 @@ agreements(const isolation_plan *n, const flag *code, int usable, double *scores
 INLINE int
 is_empty(window_row row, Py_ssize_t window, Py_ssize_t k)
 {
-    return all_within(row.values, window * k, 0.0) && all_within(row.begun, k, 0.0);
-}
-
-INLINE void
-quiet_codes(const isolation_plan *n, const part_row *row, const piece *p, part_piece *m)
-{
-    const Py_ssize_t members = n->k, time = p->time;
-    const int is_long = time >= 16; /* else it takes longer to look */
-    if (n->window > 1 && is_long && is_empty(row->counts, n->window, members))
-        *row->counts.filled = (*row->counts.filled + time) % n->window;
-    else if (n->window > 1) {
-        clear_doubles(m->ones, time * members);
-        moving_sums(row->counts, n->window, m->ones, m->counts, time, members);
-    }
-    for (Py_ssize_t j = 0; j < members; j++) {
-        row->since[j] = 0;
-        row->fired[j] = 0;
-    }
-    memset(m->code, 0, (size_t)(time * members));
-    if (p->scores != NULL)
-        for (Py_ssize_t i = 0; i < time * n->groups; i++)
-            p->scores[i] = NAN;
+    return window > 1 && all_within(row.values, window * k, 0.0) && all_within(row.begun, k, 0.0);
 }
 
 /* Which members count as fired over the window, and how well that agrees with each code. */
-INLINE void
+static void
 read_codes(const isolation_plan *n, const part_row *row, const piece *p, part_piece *m)
 {
-    const Py_ssize_t members = n->k;
+    const Py_ssize_t members = n->k, time = p->time;
+    const int may_skip = p->is_quiet && time >= 16; /* else it takes longer to look */
+    if (may_skip && is_empty(row->counts, n->window, members))
+        *row->counts.filled = (*row->counts.filled + time) % n->window;
+    else {
+        for (Py_ssize_t i = 0; i < time; i++)
+            for (Py_ssize_t j = 0; j < members; j++)
+                m->ones[i * members + j] = p->usable[i] && m->fired[i * members + j] ? 1.0 : 0.0;
+        moving_sums(row->counts, n->window, m->ones, m->counts, time, members);
+    }
     if (p->is_quiet) {
-        quiet_codes(n, row, p, m);
+        for (Py_ssize_t j = 0; j < members; j++)
+            row->since[j] = row->fired[j] = 0;
+        memset(m->code, 0, (size_t)(time * members));
+        for (Py_ssize_t i = 0; p->scores != NULL && i < time * n->groups; i++)
+            p->scores[i] = NAN;
         return;
     }
-    for (Py_ssize_t i = 0; i < p->time; i++)
-        for (Py_ssize_t j = 0; j < members; j++)
-            m->ones[i * members + j] = p->usable[i] && m->fired[i * members + j] ? 1.0 : 0.0;
-    moving_sums(row->counts, n->window, m->ones, m->counts, p->time, members);
     for (Py_ssize_t i = 0; i < p->time; i++) {
         const double *count = m->counts + i * members;
         const flag *fired = m->fired + i * members;

@@ -20,7 +20,7 @@ from residua.design import ResidualGenerator
 from residua.errors import FileFormatError, SettingError
 from residua.number_kinds import INDEX, NumberKind
 from residua.recording.clock import Clock
-from residua.words import listing, number
+from residua.words import listing
 
 #: Samples from the beginning of an alarm over which channels are compared.
 _COMPARED = 100
@@ -80,7 +80,7 @@ class ChannelNames(Isolation):
         if alarm.samples < _EARLY:
             return replace(made, kind=TOO_EARLY, why=too_short(_EARLY))
         if not any(name != MODEL for name in alarm.fired):
-            return replace(made, kind=POOR, why="no channel is off by itself, only the prediction of the model")
+            return replace(made, kind=POOR, why="no single channel deviates, only the model's prediction")
         near = tuple(one.faults for one in candidates if one.score >= _AS_FAR)
         return replace(made, faults=near, unlisted=ANYTHING)
 
@@ -104,10 +104,14 @@ class ChannelNames(Isolation):
         if word is None or word.fitted or not candidates:
             return statement_by_score(alarm, clock, word)
         others = [one for one in alarm.fired if one != MODEL]
-        said = f"Off what the others say: {listing(others[:_TOLD])}" if others else "Off: the model's prediction alone"
+        said = (
+            f"Deviation from the other channels: {listing(others[:_TOLD])}"
+            if others
+            else "Deviation from the model's prediction only"
+        )
         if len(candidates) > 1:
             following = candidates[1]
-            said += f"; {following.name} is {number(following.score, 2)} times as far off as {candidates[0].name}"
+            said += f"; {candidates[0].name} deviates most, {following.name} {100 * following.score:.0f} % as far"
         return statement_by_word(alarm, word, clock, (f"{said}.",), _RULES, alarm.margin)
 
     @property
@@ -122,7 +126,7 @@ class ChannelNames(Isolation):
 
     def words(self, step: float) -> dict[str, str]:
         """Return in words how faults are named."""
-        return {"isolation": f"the channel that is furthest off in its thresholds, over {_COMPARED} samples at most"}
+        return {"isolation": f"the channel with the largest deviation in thresholds, over {_COMPARED} samples at most"}
 
     @property
     def samples(self) -> int:

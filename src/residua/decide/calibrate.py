@@ -140,7 +140,7 @@ def levels_of(statistic: NDArray[np.float64], falls_to: float) -> NDArray[np.flo
 
 
 def allowance(levels: NDArray[np.float64], worlds: NDArray[np.float64], rate: float, rows: int) -> tuple[float, float]:
-    """Return by how much a threshold is raised: for few rows, and for what the data show beyond their model.
+    """Return by how much a threshold is raised: for few rows, and for effects that the noise model does not have.
 
     The second is the factor by which levels of the data lie above those of worlds, at a rate: 1 where chance explains
     it.

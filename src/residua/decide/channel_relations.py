@@ -1,4 +1,4 @@
-"""A test of channels beside the residual: each by what the others say of it, and sensors that freeze or fall quiet."""
+"""A test of channels beside the residual: each by what the others say of it, and frozen and quiet sensors."""
 
 from __future__ import annotations
 
@@ -381,7 +381,7 @@ class ChannelRelationsTest(ResidualTest):
         return {
             "threshold": f"1, in units of each part's own ({self.basis})",
             "test": f"{self.model.title} of the residual; and of each channel {_SAID[self.relations.form]}, by means "
-            f"with weights 1, 1/8, 1/64; sensors that freeze or fall quiet",
+            f"with weights 1, 1/8, 1/64; frozen and quiet sensors",
             "alarm": f"while any part is in alarm: raised over its threshold, ended at {_RELEASE:g} of it, of the "
             f"slowest mean at {_SLOW_RELEASE:g}",
         }
@@ -428,10 +428,10 @@ class ChannelRelationsTest(ResidualTest):
 
 
 _SAID = {
-    STATIC: "what the others do not say",
-    CURVE: "what a curve of one or two others does not say",
-    LAGS: "what the others and their past do not say",
-    HORIZON: "what the model does not foretell 50 rows ahead",
+    STATIC: "unexplained by the other channels",
+    CURVE: "unexplained by a curve of one or two others",
+    LAGS: "unexplained by the others and their past",
+    HORIZON: "unexplained by a prediction 50 rows ahead",
 }
 
 
@@ -579,10 +579,10 @@ class ChannelRelations(TestSettings):
         frozen, quiet = _standstills(run.signals[:, len(channels) - p :], recordings)
         raised = _MARGIN * np.array([factors.get(name, 1.0) for name in channels])
         basis = f"{one_in(rate)} samples in alarm, half of them by the residual ({model.basis}), half by the channels"
-        basis += f" ({count} fault-free samples, each foretold by a fit to others)"
+        basis += f" ({count} fault-free samples, each predicted by a fit to others)"
         if factors:
             named = ", ".join(f"{name} {number(factor, 3)} times" for name, factor in factors.items())
-            basis += f"; raised by the check on rows held out: {named}"
+            basis += f"; raised by the check on held-out rows: {named}"
         return ChannelRelationsTest(
             center=model.center,
             threshold=1.0,

@@ -86,7 +86,9 @@ def _several(
     sentences += [
         f"{p.name}: its member fell silent at {clock.at(p.until)}." for p in alarm.present if p.until is not None
     ]
-    sentences += [f"This monitor cannot tell {listing(group)} apart." for group in reading.together if len(group) > 1]
+    sentences += [
+        f"This monitor does not distinguish {listing(group)}." for group in reading.together if len(group) > 1
+    ]
     sentences.append("Each fault has a member of its own here; one that is not listed may fire any of them.")
     timed = [p.faults for p in alarm.present]
     names = listing(

@@ -104,11 +104,11 @@ class Promise:
         if self.extended:
             text += f" (too few to see that: {self.extended})"
         if self.promised >= 1:
-            return f"{text}; {asked} is aimed at, and these data promise no rate"
+            return f"{text}; {asked} was requested; this log is too short to confirm a rate: use a longer one"
         if self.holds:
             return f"{text}, {asked} on other data like these, with 95 % confidence within a factor of {TOLERATED:g}"
         text += f", with 95 % confidence at most {one_in(self.promised)} on other data like these"
-        return f"{text}; {asked} is aimed at"
+        return f"{text}; {asked} was requested"
 
 
 @dataclass(frozen=True, eq=False)

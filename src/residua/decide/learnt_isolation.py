@@ -247,14 +247,14 @@ class LearntDirections(Isolation):
         place = {label: k for k, label in enumerate(self.labels)}
         out = list(self.base.notes())
         if len(self.space) == 1 and len(self.groups) == 1:
-            out.append(f"there is one residual, which has one direction: every alarm is put down to {self.labels[0]}")
+            out.append(f"there is one residual, which has one direction: every alarm is attributed to {self.labels[0]}")
         for j, fault in enumerate(self.faults):
             for other, angle in self.angles(j):
                 i = place.get(other)
                 cone = fault.cone if i is None else max(fault.cone, self.faults[i].cone)
                 if angle <= cone and (i is None or i > j):
                     out.append(
-                        f"{self.labels[j]} and {other} cannot be told apart by their directions: {angle:.2g}° between "
+                        f"{self.labels[j]} and {other} have directions too close to distinguish: {angle:.2g}° between "
                         f"them, a cone of {cone:.2g}°"
                     )
         return tuple(out)

@@ -453,7 +453,7 @@ class Likelihood(IsolationSettings):
         strange = [name for name in rates if name not in generator.faults]
         if strange:
             raise SettingError(
-                f"prior_rates has {', '.join(map(echo, strange))}, which this plant has not: its faults are "
+                f"prior_rates has {', '.join(map(echo, strange))}, which this plant lacks: its faults are "
                 f"{', '.join(generator.faults) or 'none'}"
             )
         whole = self.unknown_rate + sum(self.rate_of(name) for name in generator.faults)

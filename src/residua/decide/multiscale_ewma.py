@@ -508,7 +508,7 @@ class MultiscaleEWMA(TestSettings):
             [f"{one_in(rate)} samples in alarm, simulated for a fit to {count} fault-free samples", *fit.notes]
         )
         if more > 1:
-            basis += f"; raised by {number(100 * (more - 1), 2)} % for what the data show beyond their model"
+            basis += f"; raised by {number(100 * (more - 1), 2)} % for effects that the noise model does not have"
         made = self._test(watched, fit.parts, fit.scaling / factors[:, None], fit.moving, few * more * score, basis)
         return replace(made, promised=float(rate))
 

@@ -23,6 +23,8 @@ STATIC, CURVE, LAGS, HORIZON = "static", "curve", "lags", "horizon"
 FORMS = (STATIC, CURVE, LAGS, HORIZON)
 #: Weights of the means of other channels that a relation with lags reads beside their present values.
 LAG_WEIGHTS = (1 / 4, 1 / 16, 1 / 64)
+#: Rows after which the slowest mean has forgotten the first one, to 5 %.
+_FORGOTTEN = round(3 / min(LAG_WEIGHTS))
 #: Contiguous parts of the rows, each of which is foretold by a fit to the others.
 _FOLDS = 5
 #: Penalties of ridge regression, in parts of the rows.
@@ -42,12 +44,12 @@ _DRIVER = NumberKind("a whole number, -1 or more", "i", lambda n: n >= -1)
 class RelationsState:
     """What relations remember between two blocks.
 
-    ``averages`` (plants, weights, channels) of relations with lags, ``begun`` (plants,) whether they have started, and
+    ``averages`` (plants, weights, channels) of relations with lags, ``rows`` (plants,) how many they are of, and
     ``innovations`` (plants, ahead, residuals) of a prediction over a horizon, the latest last.
     """
 
     averages: NDArray[np.float64]
-    begun: NDArray[np.bool_]
+    rows: NDArray[np.int64]
     innovations: NDArray[np.float64]
 
 
@@ -108,7 +110,7 @@ class Relations(Record):
         """Return the state before the first row."""
         q, lagged = len(self.spread), len(LAG_WEIGHTS) if self.form == LAGS else 0
         return RelationsState(
-            np.zeros((plants, lagged, q)), np.zeros(plants, bool), np.zeros((plants, *self.ahead.shape[:2]))
+            np.zeros((plants, lagged, q)), np.zeros(plants, int), np.zeros((plants, *self.ahead.shape[:2]))
         )
 
     def run(
@@ -130,8 +132,11 @@ class Relations(Record):
             left = self._off_curves(z)
         else:
             if self.form == LAGS:
+                rows = state.rows[:, None] + np.cumsum(np.isfinite(z).all(axis=2), axis=1)
                 state, features = self._with_lags(state, z)
             left = z - self.constant - ordered_product(features, self.gains)
+            if self.form == LAGS:  # as yet the means are of the first row
+                left = np.where((rows < _FORGOTTEN)[..., None], np.nan, left)
         beyond = np.maximum(np.maximum(self.lows - features, features - self.highs), 0.0)
         judged = ordered_product(np.where(np.isfinite(beyond), beyond, 0.0), self.reach.T) <= 1.0
         return state, np.where(judged & self.moving, left, np.nan)
@@ -146,21 +151,22 @@ class Relations(Record):
         entering = np.clip(z, 2 * low - high, 2 * high - low)
         known = np.asarray(np.isfinite(z).all(axis=2))
         means = np.repeat(state.averages[:, None], time, axis=1)
-        averages, begun = state.averages.copy(), state.begun.copy()
+        averages, count = state.averages.copy(), state.rows.copy()
         for plant in range(plants):
             at = np.flatnonzero(known[plant])
             if not at.size:
                 continue
-            if not begun[plant]:
-                averages[plant], begun[plant] = entering[plant, at[0]], True
+            if not count[plant]:
+                averages[plant] = entering[plant, at[0]]
             held = np.maximum.accumulate(np.where(known[plant], np.arange(time), -1))
+            rows = np.cumsum(known[plant])[held] - 1
             for k, weight in enumerate(LAG_WEIGHTS):
                 after, last = averaged(weight, averages[plant, k][None], entering[plant, at][None])
-                rows = np.cumsum(known[plant])[held] - 1
                 means[plant, :, k] = np.where((held >= 0)[:, None], after[0][rows], averages[plant, k])
                 averages[plant, k] = last[0]
+            count[plant] += len(at)
         features = np.concatenate([z, means.reshape(plants, time, len(LAG_WEIGHTS) * q)], axis=2)
-        return replace(state, averages=averages, begun=begun), features
+        return replace(state, averages=averages, rows=count), features
 
     def _off_curves(self, z: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return how far each channel is off its curve, in deviations there."""

@@ -123,7 +123,7 @@ def too_short(window: int) -> str:
 
 def not_apart(faults: Sequence[str]) -> list[str]:
     """Return a sentence about the faults that one name stands for, if they are several."""
-    return [f"This monitor cannot tell {some(faults)} apart."] if len(faults) > 1 else []
+    return [f"This monitor does not distinguish {some(faults)}."] if len(faults) > 1 else []
 
 
 def _comparison(candidates: Sequence[Candidate], beside: Callable[[float], str] | None) -> str:

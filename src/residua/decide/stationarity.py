@@ -32,9 +32,12 @@ _INDEPENDENT = 12.0
 _PLENTY = 2000
 #: The norm counts as at least that part of its root mean square: the logarithm of one near zero says nothing.
 _SMALLEST = 0.1
-#: Deviations that a step is far from, and the share of it that happens at once: within this part of the samples, or
-#: these many; and the parts of a recording at its start and end where a change may be the plant starting, or chance.
-_FAR_STEP, _SHARP, _AT_ONCE, _FEW_AT_ONCE, _START, _END = 3.0, 0.6, 0.02, 10, 0.2, 0.1
+#: Deviations of a large step, of a change that takes its time, and of a drift from start to end.
+_FAR_STEP, _FAR_CHANGE, _FAR_DRIFT = 3.0, 6.0, 10.0
+#: Share of a step that happens at once: within this part of the samples, or so many.
+_SHARP, _AT_ONCE, _FEW_AT_ONCE = 0.6, 0.02, 10
+#: Parts of a recording at its start and end where a change may be the plant starting, or chance.
+_START, _END = 0.2, 0.1
 #: Residuals that a sentence lists.
 _LISTED = 5
 
@@ -55,15 +58,19 @@ class Change(Record):
         Largest change of a mean in standard deviations of that residual; of the norm the factor.
     samples : int
         Of that recording.
-    sharpness : float
-        Share of a change of means that happens within 2 % of the samples, about: 1 for a step, little for a drift.
+    is_step : bool
+        Whether most of a change of means happens within 2 % of the samples, and no other half as large does before or
+        after.
+    drift : float
+        Change of that residual from the start of the recording to its end along the line that fits it best, in
+        standard deviations of what is left.
     """
 
     NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {
         "recording": COUNT,
         "samples": COUNT,
         "size": ENTRY,
-        "sharpness": ENTRY,
+        "drift": ENTRY,
     }
 
     residuals: tuple[str, ...]
@@ -71,13 +78,33 @@ class Change(Record):
     sample: int
     size: float
     samples: int
-    sharpness: float = 0.0
+    is_step: bool = False
+    drift: float = 0.0
 
     @property
-    def is_step(self) -> bool:
-        """Whether a mean steps far, at once, and neither at the start of the recording nor at its end."""
-        inside = _START * self.samples <= self.sample <= (1 - _END) * self.samples
-        return bool(self.residuals) and abs(self.size) >= _FAR_STEP and self.sharpness >= _SHARP and inside
+    def is_large(self) -> bool:
+        """Whether a mean changes so far that hardly a recording without a fault does: see :meth:`large`."""
+        return bool(self.large(False))
+
+    def large(self, several: bool) -> str:
+        """Return a large change in words, empty for others; ``several``: whether there are several recordings.
+
+        A drift of ten standard deviations from start to end; a step of three, at once, or a change of six in any time,
+        unless that is in the first fifth, where the plant may be starting, or in the last tenth.
+        """
+        if not self.residuals:
+            return ""
+        name, of = repr(self.residuals[0]), f" of recording {self.recording}" if several else ""
+        if abs(self.drift) >= _FAR_DRIFT:
+            return f"{name} drifts by {abs(self.drift):.2g} standard deviations from the start{of} to its end"
+        if not _START * self.samples <= self.sample <= (1 - _END) * self.samples:
+            return ""
+        if abs(self.size) < (_FAR_STEP if self.is_step else _FAR_CHANGE):
+            return ""
+        return (
+            f"the mean of {name} {'steps' if self.is_step else 'changes'} by {abs(self.size):.2g} standard deviations "
+            f"{'at' if self.is_step else 'about'} sample {self.sample:,} of {self.samples:,}{of}"
+        )
 
     @property
     def is_transient(self) -> bool:
@@ -187,15 +214,22 @@ def _of_means(
         return []
     order = sorted(places, key=lambda j: -abs(places[j][1]))
     at, size = places[order[0]]
-    sharpness = _sharpness(residuals[:, order[0]], at)
-    return [Change(tuple(names[j] for j in order), number, int(rows[at]), float(size), length, sharpness)]
+    x = residuals[:, order[0]]
+    left = _without_line(x)
+    drift = (x - x.mean() - left)[[0, -1]] / max(float(left.std()), np.finfo(float).tiny)
+    step = _is_step(x, at, size, limit / len(names))
+    return [Change(tuple(names[j] for j in order), number, int(rows[at]), float(size), length, step,
+                   float(drift[1] - drift[0]))]  # fmt: skip
 
 
-def _sharpness(x: NDArray[np.float64], at: int) -> float:
-    """Return the share of the change of a mean that happens within few samples of a place."""
+def _is_step(x: NDArray[np.float64], at: int, size: float, limit: float) -> bool:
+    """Return whether a mean changes at once, and not half as far again on either side."""
     near = max(_FEW_AT_ONCE, int(_AT_ONCE * len(x)))
-    here = x[at : at + near].mean() - x[max(0, at - near) : at].mean()
-    return float(here / (x[at:].mean() - x[:at].mean()))
+    at_once = x[at : at + near].mean() - x[max(0, at - near) : at].mean()
+    if at_once / (x[at:].mean() - x[:at].mean()) < _SHARP:
+        return False
+    sides = [likeliest_change(side, limit) for side in (x[:at], x[at:]) if len(side) >= _LEAST]
+    return all(one is None or abs(one[1]) < abs(size) / 2 for one in sides)
 
 
 def likeliest_change(x: NDArray[np.float64], significance: float) -> tuple[int, float] | None:

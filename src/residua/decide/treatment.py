@@ -72,14 +72,14 @@ def treated(data: FaultFree, treatment: str, harmless_offset: float, *, scores: 
     if treatment == "auto" and whiteness(q, data.usable, data.parts) < _COLOURED:
         model = autoregression(q, data.usable, data.parts)
         if not model.order:
-            notes.append("the residual is coloured, and no autoregression explains it")
+            notes.append("the residual is correlated in time in a way that no autoregression fits")
     e, varies = q[data.usable], np.ones(len(live), dtype=bool)
     if model is not None and model.order:
         e = np.concatenate([_innovations(model.coefficients, q[part], data.usable[part]) for part in data.parts])
         values, vectors = np.linalg.eigh(e.T @ e / max(len(e), 1))  # in parts of the variance of each direction
         floor = _floor(len(e), harmless_offset)
         V = vectors / np.sqrt(np.maximum(values, floor))
-        notes.append(f"coloured: what the last {model.order} samples foretell is taken off")
+        notes.append(f"correlated in time: a prediction from the last {model.order} samples is subtracted")
         varies = values > floor
         exact = int(np.count_nonzero(~varies))
         if exact == moving:
@@ -88,7 +88,7 @@ def treated(data: FaultFree, treatment: str, harmless_offset: float, *, scores: 
                 f"which {len(e)} samples do not tell from their mean: give more, or fit with treatment='none'"
             )
         if exact:
-            notes.append(f"{counted(exact, 'combination')} of residuals foretold exactly")
+            notes.append(f"{counted(exact, 'combination')} of residuals predicted exactly")
             moving -= exact
         k, e = len(parts["center"]), e @ V
         coefficients, rewhitening = np.zeros((model.order, k, k)), np.eye(k)
@@ -98,7 +98,7 @@ def treated(data: FaultFree, treatment: str, harmless_offset: float, *, scores: 
     is_heavy = treatment == "auto" and is_heavy_tailed(e[:, varies])
     if is_heavy and scores:
         knots, values = knots_of(e[:, varies])
-        notes.append("heavy tails: each value is judged by how rare it is")
+        notes.append("heavy tails: each value is replaced by its normal score")
         # what never moves, or is foretold exactly, stays as it is: that is rounding, and the ends of recordings
         everywhere = np.tile(values, (len(parts["center"]), 1))
         everywhere[live[varies]] = knots

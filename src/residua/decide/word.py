@@ -96,7 +96,7 @@ class Word:
             why = "it was there when judging began or soon after" if self.from_start else self.why
             so_far = f"; so far {listing(self.names) if self.together else first}" if first else ""
             return f"too early to be sure of the name{f', for {why}' if why else ''}{so_far}"
-        why = "it is quieter than in the fit, as of a frozen sensor or in other units" if self.quieter else self.why
+        why = "it moves less than in the fit: a frozen sensor, or other units" if self.quieter else self.why
         why = why or "no listed fault explains it"
         nearest = f"; nearest is {first}" if first else ""
         better = f", and {self.unlisted}, which is not listed, explains it better" if self.unlisted and first else ""

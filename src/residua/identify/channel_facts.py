@@ -95,9 +95,7 @@ class ChannelFacts:
         """Raise where values are so large that nothing can be computed from their squares."""
         vast = [name for name, one in zip(self.channels, self.deviation, strict=True) if not np.isfinite(one)]
         if vast:
-            raise DataError(
-                f"{listed(vast)}: values so large that their squares overflow; mark what is no value as NaN"
-            )
+            raise DataError(f"{listed(vast)}: values so large that their squares overflow; mark missing values as NaN")
 
     def check_rows(self) -> None:
         """Raise where there is one row: in it nothing can move, whatever the channels are."""
@@ -118,8 +116,8 @@ class ChannelFacts:
         if still:
             left = [name for name in self.channels if name not in still]
             wrong.append(
-                f"{listed(still)} never {'moves' if len(still) == 1 else 'move'}: the data cannot say what a channel "
-                f"does that stands still; leave {'it' if len(still) == 1 else 'them'} out "
+                f"{listed(still)} never {'moves' if len(still) == 1 else 'move'}: a constant channel carries no "
+                f"information; leave {'it' if len(still) == 1 else 'them'} out "
                 f"(there are {listed(left) if left else 'no others'})"
             )
         if same:

@@ -105,7 +105,7 @@ class FitReport:
 
     @property
     def uncertain_gains(self) -> tuple[tuple[str, str, float, float], ...]:
-        """The steady gains that the data hardly say: output, input, gain, and standard error of over half of it."""
+        """The steady-state gains the data do not determine: output, input, gain, standard error of over half of it."""
         if self.steady_gain is None or self.steady_gain.error is None:
             return ()
         gain, error = self.steady_gain.gain, self.steady_gain.error
@@ -175,11 +175,11 @@ class FitReport:
                 + self.steady_gain.text(self.outputs.index(output), self.inputs.index(given))
                 for output, given, _, _ in self.uncertain_gains[:6]
             ]
-            lines.append(f"steady gains that the data hardly say: {listing(some)}")
+            lines.append(f"steady-state gains the data do not determine: {listing(some)}")
         if self.coloured:
             lines.append(
                 f"the errors of {listing(map(repr, self.coloured))} are correlated in time: its residuals are "
-                "not white, so let a threshold be fitted, with a window or persistence"
+                "not white, so fit the threshold, with a window or persistence"
             )
         return tuple(lines)
 

@@ -336,7 +336,7 @@ def _check_data(task: Task, plant: Plant, everything: Gathered) -> None:
     if still.any():
         raise DataError(
             f"{some(n for n, s in zip(plant.outputs, still, strict=True) if s)} never moves in the {len(y)} fitted "
-            "rows: a sensor that stands still says nothing of parameters; leave the output out of the plant"
+            "rows: a constant sensor determines no parameter; leave the output out of the plant"
         )
 
 

@@ -80,7 +80,7 @@ def standard(gathered: Gathered) -> Standard:
         same = facts.dependences()  # said too, for methods that refuse it afterwards
         raise DataError(
             f"{listed(still)} never {'changes' if len(still) == 1 else 'change'} in {counted(count, 'row')}: "
-            f"a constant channel shows nothing of what is normal; leave {them} out{same and f'. Besides, {same}'}"
+            f"a constant channel carries no information; leave {them} out{same and f'. Besides, {same}'}"
         )
     return Standard(facts, facts.mean, facts.deviation * np.sqrt(count / (count - 1)))
 

@@ -29,7 +29,7 @@ COUNTERS = {
 GAUGES = {
     "plants": ("plants", "Plants that are watched."),
     "plants_in_alarm": ("plants_in_alarm", "Plants with an alarm that lasts."),
-    "plants_missing": ("plants_missing", "Plants that are not watched for want of values."),
+    "plants_missing": ("plants_missing", "Plants that are not watched because values are missing."),
     "largest_ratio": ("largest_ratio", "Largest statistic over its threshold among the plants: over 1 is over it."),
     "oldest_age": ("oldest_age_seconds", "Seconds since the last sample of the plant that has waited longest."),
     "queue": ("queue", "Messages that wait to be read."),

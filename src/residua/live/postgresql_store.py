@@ -94,7 +94,7 @@ class PostgresqlStore(SqlStore):
                 connection.close()
                 if again:
                     raise StoreAwayError("the database still holds the lock of a connection that was lost")
-                raise StoreError("another run has this database: stop it, or name another one")
+                raise StoreError("another run uses this database: stop it, or name another one")
             time.sleep(_PAUSE)  # a run that was started again at once finds the lock of the one before
         self._owner = connection
 

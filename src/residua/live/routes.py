@@ -153,7 +153,7 @@ class Routes:
         try:
             now = await asyncio.wait_for(self.ask(self._view.overview, 0, 0), PATIENCE)
         except TimeoutError:
-            return _json({"good": False, "reasons": [f"the run gave no answer within {PATIENCE:g} s"]}, 503)
+            return _json({"good": False, "reasons": [f"the run did not answer within {PATIENCE:g} s"]}, 503)
         reasons = [*now["problems"]]
         reasons += [f"{one['name']}: {one['text']}" for one in (*now["sources"], *now["sinks"]) if not one["good"]]
         return _json({"good": not reasons, "reasons": reasons}, 503 if reasons else 200)

@@ -218,7 +218,7 @@ class Run:
             if known is not None and known.model != model:
                 raise DataError(
                     f"the store has the plant {echo(plant)} with the model {echo(known.model)}, the configuration with "
-                    f"{echo(model)}: begin with a new store, or let it keep its model"
+                    f"{echo(model)}: start with a new store, or let it keep its model"
                 )
 
     @staticmethod

@@ -53,7 +53,7 @@ def secret(settings: Any, name: str) -> str | None:
         value = os.environ.get(variable)
         if value is None:
             # What is no name may be the secret itself.
-            shown = f" {variable}" if variable.isidentifier() else ", of which the name is no name,"
+            shown = f" {variable}" if variable.isidentifier() else " with an invalid name"
             raise SettingError(f"{name}_env: the environment variable{shown} is not set")
         return _checked(value, f"{name}_env: the environment variable {variable}")
     return None
@@ -93,7 +93,7 @@ def _of_file(path: str, key: str) -> str:
 
 def _checked(value: str, where: str) -> str:
     if not value:
-        raise SettingError(f"{where} is empty; it was to hold a secret")
+        raise SettingError(f"{where} is empty; it must contain a secret")
     if not value.isprintable():
         raise SettingError(f"{where} holds line ends or control characters; a secret is one line of text")
     return value

@@ -64,7 +64,7 @@ class SqliteStore(SqlStore):
             lock.execute("BEGIN EXCLUSIVE")
         except sqlite3.OperationalError as error:
             lock.close()
-            raise StoreError(f"{self.path}: another run has this store: stop it, or name another file") from error
+            raise StoreError(f"{self.path}: another run uses this store: stop it, or name another file") from error
         return lock
 
     def close(self) -> None:

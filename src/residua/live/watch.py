@@ -108,7 +108,7 @@ class Watch:
             if plant.model not in self.models:
                 raise DataError(
                     f"the store has the plant {echo(plant.plant)} of the model {echo(plant.model)}, which is not "
-                    "configured: name it again, or begin with a new store"
+                    "configured: name it again, or start with a new store"
                 )
             plant.take_record(record, now)
             plant.heard = now if heard is None else heard
@@ -123,7 +123,7 @@ class Watch:
             known = meta.get(f"monitor {name}")
             if known is not None and known != model.fingerprint:
                 raise DataError(
-                    f"the store goes on with another monitor of {echo(name)}, or with other thresholds: begin with a "
+                    f"the store belongs to another monitor of {echo(name)}, or with other thresholds: begin with a "
                     "new store"
                 )
 

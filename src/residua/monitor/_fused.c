@@ -243,7 +243,6 @@ is_calm(const Runner *self, const block *b, const test_row *row, const piece *p)
            && b->out[OUT_STATISTIC].base == NULL && all_set(p->usable, p->time);
 }
 
-/* With constant numbers of residuals the loops over them unroll. */
 INLINE void
 judge_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row, Py_ssize_t first, Py_ssize_t time,
             scratch *s, Py_ssize_t nr, Py_ssize_t k)
@@ -289,39 +288,46 @@ judge_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row
         write_last(self, row, &p, s, spare, k);
 }
 
-#define DEFINE_JUDGE(NAME, TARGET)                                                                                    \
-    TARGET static void NAME(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row, Py_ssize_t k,       \
-                            Py_ssize_t time, scratch *s)                                                              \
-    {                                                                                                                 \
-        const int square = self->nr == self->test.k;                                                                  \
-        if (self->test.parts)                                                                                         \
-            judge_parts(self, b, plant, row, k, time, s);                                                             \
-        else if (square && self->nr == 1)                                                                             \
-            judge_piece(self, b, plant, row, k, time, s, 1, 1);                                                       \
-        else if (square && self->nr == 2)                                                                             \
-            judge_piece(self, b, plant, row, k, time, s, 2, 2);                                                       \
-        else if (square && self->nr == 3)                                                                             \
-            judge_piece(self, b, plant, row, k, time, s, 3, 3);                                                       \
-        else if (square && self->nr == 4)                                                                             \
-            judge_piece(self, b, plant, row, k, time, s, 4, 4);                                                       \
-        else                                                                                                          \
-            judge_piece(self, b, plant, row, k, time, s, self->nr, self->test.k);                                     \
-    }
-DEFINE_JUDGE(judge_plain, )
+/* Each of these is a function of its own: as one function they take a compiler many times as long. With constant numbers
+ * of residuals the loops over them unroll; that is worth its time where the widest vectors are. */
+#define JUDGED                                                                                                        \
+    const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row, Py_ssize_t first, Py_ssize_t time, scratch *s
+typedef void (*judging)(JUDGED);
+#define DEFINE_JUDGE(FAMILY, TARGET, NR, K)                                                                           \
+    TARGET static void judge_##FAMILY(JUDGED) { judge_piece(self, b, plant, row, first, time, s, NR, K); }
+#define DEFINE_JUDGE_OF_ANY(FAMILY, TARGET)                                                                           \
+    TARGET static void judge_parts_##FAMILY(JUDGED) { judge_parts(self, b, plant, row, first, time, s); }             \
+    DEFINE_JUDGE(FAMILY, TARGET, self->nr, self->test.k)
+DEFINE_JUDGE_OF_ANY(plain, )
 #if defined(HAVE_AVX2)
-DEFINE_JUDGE(judge_avx2, AVX2)
+DEFINE_JUDGE_OF_ANY(avx2, AVX2)
+#define WIDEST AVX2
+#else
+#define WIDEST
 #endif
+DEFINE_JUDGE(1, WIDEST, 1, 1)
+DEFINE_JUDGE(2, WIDEST, 2, 2)
+DEFINE_JUDGE(3, WIDEST, 3, 3)
+DEFINE_JUDGE(4, WIDEST, 4, 4)
+
+static judging
+judging_of(const Runner *self)
+{
+    static const judging few[4] = {judge_1, judge_2, judge_3, judge_4};
+    const int is_few = self->nr == self->test.k && self->nr >= 1 && self->nr <= 4;
+#if defined(HAVE_AVX2)
+    if (self->path == PATH_AVX2)
+        return self->test.parts ? judge_parts_avx2 : is_few ? few[self->nr - 1] : judge_avx2;
+    return self->test.parts ? judge_parts_plain : judge_plain;
+#else
+    return self->test.parts ? judge_parts_plain : is_few ? few[self->nr - 1] : judge_plain;
+#endif
+}
 
 static void
-judge(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row, Py_ssize_t k, Py_ssize_t time, scratch *s)
+judge(JUDGED)
 {
-#if defined(HAVE_AVX2)
-    if (self->path == PATH_AVX2) {
-        judge_avx2(self, b, plant, row, k, time, s);
-        return;
-    }
-#endif
-    judge_plain(self, b, plant, row, k, time, s);
+    judging_of(self)(self, b, plant, row, first, time, s);
 }
 
 /* Write what a block leaves of a plant where nothing is written else. */

@@ -407,10 +407,10 @@ class Diagnosis(Guessed, Shown):
             lines += self.alarm_lines(alarm)
         if self.alarms:
             lines += filter(None, [left_out_text(self.alarms, SHOWN_ALARMS)])
-            lines += [f"cannot be told apart here: {', '.join(names)}" for _, names in self.alike]
+            lines += [f"not distinguishable here: {', '.join(names)}" for _, names in self.alike]
         if self.unjudged:
             want = "a code" if self.codes else "a signature"
-            lines.append(f"never named by this monitor, for want of {want}: {', '.join(self.unjudged)}")
+            lines.append(f"never named by this monitor; it lacks {want}: {', '.join(self.unjudged)}")
         return "\n".join([*lines, *self.notes])
 
     @property
@@ -468,7 +468,7 @@ class Diagnosis(Guessed, Shown):
                 f"without {them} is judged: give {their} values, or a monitor that is made without {them}"
             )
         worst = f" ({names[int(absent.argmax())]!r} is missing most often, at {absent.max()})" if absent.any() else ""
-        return f"every sample misses a value{worst}"
+        return f"every sample has a missing value{worst}"
 
     def _span(self) -> str:
         if not len(self.time):

@@ -9,9 +9,9 @@ from residua.design.core.decoupling import Approximate, Decoupled, Leaks, Promis
 from residua.design.core.evidence import measured_from, of_sampling
 from residua.design.core.generator import make_generator
 from residua.design.core.internal_form import leak_frequencies, leakage
-from residua.design.detection_filters.detection_filter import stack_systems
 from residua.errors import ModelError
 from residua.linear import StateSpace
+from residua.linear.systems.state_space import stack_systems
 from residua.plant.channels import ROLES
 from residua.tolerances import POLYNOMIAL_LEAKAGE
 

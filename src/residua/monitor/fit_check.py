@@ -98,7 +98,7 @@ class FitCheck(Shown, Record):
             return ""
         least = sorted(self.explained, key=lambda one: one.share)
         more = f", and {counted(len(least) - _TOLD, 'other')} more" if len(least) > _TOLD else ""
-        named = ", ".join(f"{one.output} {100 * max(one.share, 0.0):.2g} %" for one in least[:_TOLD])
+        named = ", ".join(f"{one.output} {100 * max(one.share, 0.0):.3g} %" for one in least[:_TOLD])
         return f"explained of outputs, one sample ahead: {named}{more}"
 
     @property
@@ -125,7 +125,7 @@ class FitCheck(Shown, Record):
             return ""
         best = min(self.visible, key=lambda one: one.lasting / (one.deviation if one.deviation > 0 else 1.0))
         return (
-            f"this monitor sees no fault that lasts: at best {best.fault}, from {best.text(best.lasting)} on; it needs "
+            f"this monitor detects no lasting fault: at best {best.fault}, from {best.text(best.lasting)} on; it needs "
             "a better model, more sensors, or longer fault-free recordings"
         )
 
@@ -140,13 +140,13 @@ class FitCheck(Shown, Record):
             return ""
         said = f"{one_in(self.aimed)} samples "
         if self.promised is None:
-            said += "aimed at"
+            said += "requested"
         elif within_tolerance(self.promised, self.aimed):
-            said += "promised"
+            said += "expected"
         elif self.promised <= _WORTH_SAYING:
-            said += f"aimed at, {one_in(self.promised)} promised as far as {self.rows:,} samples can show"
+            said += f"requested, {one_in(self.promised)} confirmed by {self.rows:,} samples"
         else:
-            said += f"aimed at, which {self.rows:,} samples are too few to promise"
+            said += f"requested; {self.rows:,} samples are too few to confirm it: use a longer log or a higher rate"
         return f"false alarms: {said}, {self.held_out or 'no samples held out'}"
 
     @property
@@ -163,7 +163,7 @@ class FitCheck(Shown, Record):
         """The reason for which the recordings are hardly fault-free throughout; empty where there is none.
 
         More of the held-out samples are in alarm than ten times the rate aimed at, with 97.5 % confidence, or a mean
-        steps by three standard deviations or more and does not come back. Without samples held out nothing is checked.
+        changes far (:meth:`residua.decide.stationarity.Change.large`). Nothing is checked without samples held out.
         """
         held = self.held_out
         if held is None:
@@ -175,21 +175,15 @@ class FitCheck(Shown, Record):
                 f"{held.alarmed:,} of {held.samples:,} held-out samples are in alarm, the first at sample "
                 f"{held.sample:,}{where}, where {one_in(held.asked)} was asked"
             )
-        step = next((one for one in self.changes if one.is_step), None)
-        if step is None:
-            return ""
-        where = f" of recording {step.recording}" if several else ""
-        return (
-            f"the mean of {step.residuals[0]!r} steps by {number(step.size, 2)} standard deviations at sample "
-            f"{step.sample:,} of {step.samples:,}{where}, and {step.samples - step.sample:,} samples follow"
-        )
+        return next(filter(None, (one.large(several) for one in self.changes)), "")
 
     def require_fault_free(self) -> None:
         """Raise :class:`residua.errors.DataError` where the recordings look faulty."""
         if self.looks_faulty:
             raise DataError(
-                f"this looks like no fault-free recording: {self.looks_faulty}; leave the faulty rows out; where all "
-                "rows are normal, fit several recordings that have such changes more than once, or give force=True"
+                f"this does not look like a fault-free recording: {self.looks_faulty}; leave the faulty rows out; "
+                "where all rows are normal, fit several recordings that have such changes more than once, or give "
+                "force=True"
             )
 
     @property
@@ -200,7 +194,7 @@ class FitCheck(Shown, Record):
             return ()
         return (
             f"the residuals of healthy data wander {number(variance**0.5, 2)} times as far as noise would: the model "
-            'misses some of the plant\'s dynamics, or a drift, and names are "too early" or a "poor match" more often; '
+            'misses some of the plant\'s dynamics, or a drift, and "too early" and "poor match" are more frequent; '
             "identify the plant anew, estimate its noise from data, or add a disturbance",
         )
 
@@ -228,10 +222,10 @@ _TWENTY, _WANDERS = 1 + BLOCKS.index(20), 4.0
 #: Fraction in alarm up to which a promise is worth to be said.
 _WORTH_SAYING = 0.1
 _CAUSES = (
-    "the last part is not like what comes before (a drift, another load), or the recording is too short; fit to a "
+    "the last part differs from the rest (a drift, another load), or the recording is too short; fit to a "
     "longer one, or to several"
 )
-_CHANGES = "the recording does not stay as it begins"
+_CHANGES = "the recording changes after its start"
 
 
 __all__ = ["FitCheck"]

@@ -254,10 +254,10 @@ def _far_larger(generator: ResidualGenerator, run: FaultFreeRun) -> list[str]:
 
 #: What may make residuals far larger than the noise of the plant, and what follows.
 _MOVES = (
-    "are columns swapped or in other units, is a sensor dead, or is the plant unlike its model? A threshold that "
+    "check for swapped columns, other units, a dead sensor, or a wrong model. A threshold that "
     "covers this hides faults; residual_report shows more"
 )
-_OFF = "are columns swapped, or is the plant at another operating point? What is fitted takes it for normal"
+_OFF = "check for swapped columns or another operating point. The fit treats this as normal"
 
 
 def _check_recordings(recordings: Sequence[NDArray[np.float64]], n_inputs: int) -> None:
@@ -267,9 +267,9 @@ def _check_recordings(recordings: Sequence[NDArray[np.float64]], n_inputs: int) 
             raise DataError(f"{which} has the shape (plants, time, channels): fit takes (time, channels), or several")
         outputs = data[0, :, n_inputs:]
         if len(outputs) and not np.isfinite(outputs).any():
-            raise DataError(f"no output has a value in {which}: it cannot show what is normal")
+            raise DataError(f"no output has a value in {which}: it shows no normal operation")
         if len(outputs) > 1 and not np.nanmax(np.ptp(np.where(np.isfinite(outputs), outputs, 0.0), axis=0)) > 0:
-            raise DataError(f"no output ever changes in {which}: it cannot show what is normal")
+            raise DataError(f"no output ever changes in {which}: it shows no normal operation")
 
 
 def _run(

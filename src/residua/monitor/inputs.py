@@ -85,13 +85,16 @@ def signals(u: Any, y: Any, time: ArrayLike | None, dt: float | None, source: st
     Without ``y``, ``u`` is a :class:`residua.monitor.Recording`, the path of a file, or a data frame whose columns are
     matched by name.
     """
+    if y is None and time is not None and not (isinstance(time, str) and not isinstance(u, Recording)):
+        raise DataError("time= is for arrays, or names the time column of a path or data frame, time='Date'")
+    column = time if isinstance(time, str) else None
     if y is None and isinstance(u, (str, Path)):
-        u = read_recording(u, plant, dt=dt)
+        u = read_recording(u, plant, dt=dt, time=column)
     if y is None:
         if not isinstance(u, Recording):
             if not _is_frame(u):
                 raise DataError("give u and y as arrays, or one data frame, recording or path, with named columns")
-            u = recording_from_frame(u, plant, dt=dt, source=source or "data frame")
+            u = recording_from_frame(u, plant, dt=dt, time=column, source=source or "data frame")
         u = with_channels(u, plant)
         return Signals(u.u, u.y, u.time, u.dt, source or u.source, u.notes, u.origin)
     if dt is not None and not (np.isfinite(dt) and dt > 0):

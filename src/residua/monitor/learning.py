@@ -123,7 +123,7 @@ class Learnt(Shown):
     @property
     def lines(self) -> tuple[str, ...]:
         """The summary, line by line."""
-        said = "guessed, for they hold their values" if self.guessed and self.inputs else "guessed" * self.guessed
+        said = "guessed: they keep their values" if self.guessed and self.inputs else "guessed" * self.guessed
         out = [
             f"inputs: {', '.join(self.inputs) or 'none'}{f' ({said}; name them to be sure)' if said else ''}",
             f"outputs: {', '.join(self.outputs)}",
@@ -275,13 +275,13 @@ def learn(
     picked = next(one for one in tried if one.form == chosen)
     if picked.false_alarms > _FAULTY_FROM and not force:
         raise DataError(
-            f"this looks like no fault-free log: its last quarter is {percent_of(picked.false_alarms)} in alarm by "
-            "what came before; leave the faulty rows out; where all rows are normal, learn from a longer log, or from "
-            "several, or give force=True"
+            f"this does not look like a fault-free log: its last quarter is {percent_of(picked.false_alarms)} in alarm "
+            "by what came before; leave the faulty rows out; where all rows are normal, learn from a longer log, or "
+            "from several, or give force=True"
         )
     if picked.false_alarms > _NOT_NORMAL_FROM * rate:
         cautions.insert(0, (
-            f"the log does not hold all that is normal: its last quarter is {percent_of(picked.false_alarms)} in alarm "
+            f"the log does not cover normal operation: its last quarter is {percent_of(picked.false_alarms)} in alarm "
             "by what came before, and thresholds were raised above it; learn from a longer log, or from several"
         ))  # fmt: skip
     check = monitor.fit_check
@@ -290,7 +290,7 @@ def learn(
     monitor._check = check
     blind = check.sees_nothing
     if blind and not force:
-        raise DataError("; ".join([*cautions, blind, "force=True makes the monitor all the same"]))
+        raise DataError("; ".join([*cautions, blind, "use force=True to make the monitor anyway"]))
     return Learnt(
         monitor,
         tuple(tried),
@@ -359,7 +359,7 @@ def _modelled(
     try:
         design = kalman_filter(with_channel_faults(made.plant, sensors=sensors, actuators=actuators))
     except ResiduaError as error:
-        cautions.append(f"no model could be made ({error}): channels are compared with each other alone")
+        cautions.append(f"no model could be made ({error}): channels are compared only with each other")
         middle, spread = np.nanmean(np.vstack(rows), axis=0), np.nanvar(np.vstack(rows)[:, m:], axis=0)
         plant = Plant(
             np.zeros((0, 0)), np.zeros((0, m)), np.zeros((len(gathered.outputs), 0)), **names, name="no model"
@@ -515,7 +515,7 @@ def _choose(tried: Sequence[Tried], rate: float) -> str:
     """
     made = [one for one in tried if not one.failed]
     if not made:
-        raise DataError(f"nothing could be learnt: {tried[0].failed}")
+        raise DataError(f"nothing was learnt: {tried[0].failed}")
     forms = [one for one in made if one.form in FORMS and one.false_alarms <= _LEFT_OUT_FROM * rate]
     others = [one for one in made if one.form not in FORMS and one.false_alarms <= _RAISED_FROM * rate]
     if not forms and not others:

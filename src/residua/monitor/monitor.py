@@ -264,14 +264,12 @@ class Monitor(Guessed, Shown):
         """Fit mean, covariance and threshold to one or several fault-free recordings.
 
         The last fifth of every recording is held out: used neither for the covariance nor for the threshold.
-        ``print(monitor.fit_check)`` says how rare false alarms are, and how many of these samples are in alarm. Where
-        that contradicts the rate aimed at, with 97.5 % confidence, or the residuals change within a recording (a step
-        or a drift in what was taken for fault-free), the notes of every diagnosis say so, with what to do.
+        ``monitor.fit_check`` has the rate of false alarms, and the alarms among these samples. Where they contradict
+        the rate aimed at, or residuals change within a recording, every diagnosis has a note with the remedy.
 
-        Several (flights, days, batches) each have a start of their own, over which the filter settles, and nothing is
-        summed or counted from one to the next. A finite-horizon test has thresholds alone, and a fit
-        does not change thresholds that are certified or set by the user: it compares the recording with them, and
-        ``norm_test.basis`` then says how close it came.
+        Several (flights, days, batches) each have a start of their own, over which the filter settles. A finite-horizon
+        test has thresholds alone. A fit does not change thresholds that are certified or set by the user: it compares
+        the recording with them, for ``norm_test.basis``.
 
         Parameters
         ----------
@@ -289,15 +287,14 @@ class Monitor(Guessed, Shown):
         false_alarm_rate : float, optional
             Fraction of fault-free samples in alarm aimed at; when omitted that of the test, or 5 / rows, 1e-4 to 1e-2.
         held_out : float
-            Part of the usable samples of each recording, the last ones, that only checks the fit; 0: none. Where that
-            would be under thirty samples, or under two windows of the test, none are, and the basis says so; nor for
-            thresholds that data do not change. Once the check is seen, a fit with ``held_out=0`` uses all samples:
-            what only the last part shows of normal operation is no part of the model otherwise.
+            Last part of the usable samples of each recording, which only checks the fit; none where that would be under
+            thirty samples or two windows of the test. After the check, a fit with ``held_out=0`` uses all samples.
         transient : int or "auto"
             Samples at the start of each recording, counted with those over which the filter settles, that the fit
             leaves out. ``"auto"``: those over which the norm of the residuals is larger than in the rest
-            (:func:`residua.decide.stationarity.changes`); half of the recording at most. A start is then no part of
-            normal operation, and raises alarms: set ``settle`` where it should not.
+            (:func:`residua.decide.stationarity.changes`), half of the recording at most. Starts raise alarms then.
+        force : bool
+            Fit recordings that look faulty, too (``fit_check.looks_faulty``).
 
         Returns
         -------

@@ -14,6 +14,7 @@ from residua.decide.isolation import Isolation, Named, Naming, Seen, last_over, 
 from residua.decide.member_bounds import MemberBounds
 from residua.decide.test import ResidualTest, Tested
 from residua.design import ResidualGenerator
+from residua.design.core.evidence import AFFINE_FORM
 from residua.monitor.beginning import with_beginnings
 from residua.monitor.diagnosis import Diagnosis
 from residua.monitor.explaining import explainer_of, with_words
@@ -25,10 +26,9 @@ from residua.monitor.specification import FilterState, Specification
 from residua.monitor.starting import MOVED_FROM
 from residua.plant import Plant
 from residua.recording.levels import rows_apart, units_of
-from residua.robust.estimators.certified_threshold import AFFINE_FORM
 from residua.words import percent
 
-#: Part of a recording that is not judged for want of values, from which on a note says so.
+#: Part of a recording that is not judged because values are missing, from which on a note says so.
 _TOLD_GAPS = 0.05
 #: Samples that are counted at once.
 _PIECE = 1 << 18
@@ -171,7 +171,7 @@ def _missing(spec: Specification) -> str:
     if spec.partial is None:
         return f"held for up to {spec.max_hold} samples, then the filter starts anew{more}"
     return (
-        "the filter goes on with the values that are there, and takes nothing for known of an input that is missing; "
+        "the filter goes on with the values that are there, and assumes no value for a missing input; "
         f"after more than {spec.max_hold} samples in a row without an output it starts anew{more}"
     )
 
@@ -235,7 +235,7 @@ def _gap_notes(
     worst = (*generator.plant.inputs, *generator.plant.outputs)[int(gaps.argmax())]
     part = "the recording" if recorded.own is None else "its part of the recording"
     lost = percent(absent + waited, int(np.count_nonzero(own)))
-    said = f"{lost} of {part} is not judged for want of values: {absent} samples miss one"
+    said = f"{lost} of {part} is not judged because values are missing: {absent} samples miss one"
     said += f" (channel {worst!r} at {gaps.max()} of them, the most)"
     if not waited:
         return (f"{said}; fill in what is known, or leave out a channel that is seldom there",)

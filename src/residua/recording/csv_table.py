@@ -183,7 +183,10 @@ def open_csv(content: bytes, source: str, *, decimal: str = ".") -> CsvTable:
     blanks = delimiter == BLANKS
     if blanks:
         body, delimiter = "\n".join("\t".join(line.split()) for line in body.split("\n")), "\t"
-    headed = not names or not all(_is_number(name.replace(",", ".")) for name in names)
+    numbers = [_is_number(name.replace(",", ".")) for name in names]
+    headed = not any(numbers) or not all(
+        number or (name and name in Marks()) for name, number in zip(names, numbers, strict=True)
+    )
     if headed:
         if not body or body.isspace():
             raise DataError(f"{source}: there is a header but no data")

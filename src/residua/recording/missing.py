@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -96,16 +97,17 @@ class Marks:
 
 
 class Tally:
-    """Counts marks of missing values, by mark and column."""
+    """Counts marks of missing values, by mark and column; ``shown``: other names of columns, for the note."""
 
-    def __init__(self) -> None:
+    def __init__(self, shown: Mapping[str, str] | None = None) -> None:
         self.counts: dict[str, Counter[str]] = {}
+        self._shown = shown or {}
 
     def add(self, mark: str, column: str, count: int = 1) -> None:
         """Count marks in a column; empty cells are none."""
         mark = mark.strip()
         if mark.lower() not in _EMPTY:
-            self.counts.setdefault(mark, Counter())[column] += count
+            self.counts.setdefault(mark, Counter())[self._shown.get(column, column)] += count
 
     @property
     def notes(self) -> tuple[str, ...]:

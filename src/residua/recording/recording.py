@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import io
 import zlib
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -228,7 +229,7 @@ def _from_csv(path: Path, options: ReadOptions) -> Recording:
     found, tally = options.matched(table.names, path.name), Tally()
     clock = found.clock
     together = clock is not None and not options.gets_round_times and _has_numbers(table, clock, options)
-    wanted = list(dict.fromkeys([*found.columns.values(), *([clock] if clock and together else [])]))
+    wanted: list[str] = list(dict.fromkeys([*found.columns.values(), *([clock] if clock and together else [])]))
     data = table.numbers(wanted, options.marks, tally, optional=options.takes_all)
 
     def times() -> Times:
@@ -260,7 +261,10 @@ def _from_headless(table: CsvTable, options: ReadOptions, source: str) -> Record
             f"{source}: the first line must name the columns, it holds {echo(table.first_line, 60)}; of a file without "
             f"a header name its {len(table.names)} columns in order, columns=[...]"
         )
-    tally = Tally()
+    shown: Sequence[str] = [f"line {name}" if options.transpose else f"column{name}" for name in table.names]
+    if options.matrix_names is not None and not options.transpose:
+        shown = options.matrix_names
+    tally = Tally(dict(zip(table.names, shown, strict=False)))
     block = np.column_stack(list(table.numbers(table.names, options.marks, tally).values()))
     block = block.T if options.transpose else block
     columns = table_from_arrays({"column": block}, (), (), variable="column", names=options.matrix_names, source=source)
@@ -356,7 +360,7 @@ def _as_numbers(values: NDArray, name: str, marks: Marks, tally: Tally) -> NDArr
         return np.asarray(values, dtype=float)
     if values.dtype.kind not in "OUT":
         return f": expected numbers, got values of type {values.dtype}"
-    out = np.full(len(values), np.nan)
+    out, found = np.full(len(values), np.nan), Counter[str]()
     for i, value in enumerate(values):
         try:
             out[i] = np.nan if value is None else float(value)
@@ -364,5 +368,7 @@ def _as_numbers(values: NDArray, name: str, marks: Marks, tally: Tally) -> NDArr
             if str(value) not in marks:
                 advice = f"; if that stands for a missing value, give missing=[{echo(value, 40)}]"
                 return f", row {i}: expected a number, got {echo(value)}{advice * isinstance(value, str)}"
-            tally.add(str(value), name)
+            found[str(value)] += 1
+    for mark, count in found.items():
+        tally.add(mark, name, count)
     return out

@@ -15,14 +15,20 @@ REGULAR = 0.01
 
 _EVEN = ", or, where the rows are evenly apart, give their step dt in seconds (--dt)"
 
-#: Names that a time column goes by, in any case, with or without ``[s]``.
-TIME_NAME = re.compile(r"(time|t|time[ _]?stamp|date[ _/]?time)\s*([\[(]\s*(s|sec|seconds)\s*[\])])?", re.IGNORECASE)
+#: Names that a time column goes by, in any case, with or without ``[s]`` or ``[UTC]``.
+TIME_NAME = re.compile(
+    r"(time|t|time[ _]?stamp|date([ _/]?time)?)\s*([\[(]\s*(s|sec|seconds|utc|gmt|local)\s*[\])])?", re.IGNORECASE
+)
 
 
 def find_time(names: Iterable[str], channels: Iterable[str]) -> str | None:
-    """Return the name of the time column, ``None`` when there is none; a channel of the plant never is."""
+    """Return the name of the time column, ``None`` when there is none; a channel of the plant never is.
+
+    A column of dates counts where no other name is one of times.
+    """
     taken = set(channels)
-    return next((name for name in names if name not in taken and TIME_NAME.fullmatch(name)), None)
+    found = [name for name in names if name not in taken and TIME_NAME.fullmatch(name)]
+    return min(found, key=lambda name: name.lower().startswith("date") and "time" not in name.lower(), default=None)
 
 
 def seconds_from_dates(dates: NDArray) -> tuple[NDArray[np.float64], str]:

@@ -64,14 +64,14 @@ def check_test(settings: TestSettings, *, generator: ResidualGenerator | None = 
     generator = _generator() if generator is None else generator
     monitor = _made(lambda: Monitor(generator, test=settings, isolate=Directional(window=5)))
     rng = np.random.default_rng(seed)
-    _made(lambda: monitor.fit(*_recording(generator, rng, _FITTED)))
+    _made(lambda: monitor.fit(*_recording(generator, rng, _FITTED), force=True))
     _check_frozen(monitor.norm_test)
     quiet = monitor.run(*_recording(generator, rng, _FITTED))
     asked = monitor.false_alarm_rate
     if quiet.false_alarm_fraction > _TOLERATED * asked + 0.01:  # pyright: ignore[reportAttributeAccessIssue]
         raise AccuracyError(
             f"{quiet.false_alarm_fraction:.2g} of other fault-free samples are in alarm, "  # pyright: ignore
-            f"{asked:g} was aimed at"
+            f"{asked:g} was requested"
         )
     _check_running(monitor, generator, rng)
 

@@ -69,7 +69,7 @@ def control_inputs(
             f"{values.shape}: give more, or run fewer samples"
         )
     if not np.isfinite(values[:samples]).all():
-        raise DataError("inputs must be finite numbers: fill in what is missing")
+        raise DataError("inputs must be finite numbers: fill in missing values")
     return values[:samples] - offset, words
 
 

@@ -15,10 +15,10 @@ from residua.design.core.decoupling import Decoupled, MeasuredBefore
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import Member, ResidualGenerator, make_generator
 from residua.design.core.own_time import has_rates
-from residua.design.detection_filters.detection_filter import stack_systems
 from residua.design.observers.observer import Observer
 from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace
+from residua.linear.systems.state_space import stack_systems
 from residua.plant import Plant
 from residua.shown import Shown
 from residua.tolerances import LEAK, POLYNOMIAL_LEAKAGE

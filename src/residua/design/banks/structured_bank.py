@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
-from residua.analysis.coding_sets import Structure
+from residua.analysis.coding import choose
+from residua.analysis.coding_sets import CodingSet, Structure
 from residua.design.banks.bank import Bank, build_bank, wanted_rows
 from residua.design.banks.member_design import decoupled_member
-from residua.design.core.method import method
-from residua.design.core.needs import FAULTS_APART, ROWS
+from residua.design.core.method import Chosen, method
+from residua.design.core.needs import FAULTS_APART
 from residua.plant import Plant
+
+
+def _chosen_rows(plant: Plant, seconds: float) -> CodingSet:
+    return choose(plant, time_limit=seconds)
+
+
+#: A good choice of who fires when what fails.
+ROWS = Chosen(_chosen_rows, "rs.coding.choose(plant)", "rs.coding.choose(plant, time_limit={seconds:g})")
 
 
 @method(

@@ -21,6 +21,9 @@ def of_sampling(gains: Mapping[str, float]) -> dict[str, float]:
     return {f"{name}{_SAMPLED}": gain for name, gain in gains.items()}
 
 
+#: The beginning of a note on a set that was linearised.
+AFFINE_FORM = "certified for the affine form of the set"
+
 #: How the conditions of an evidence call the frequency from which leaks were measured, before its unit.
 _MEASURED_FROM = {False: "leaks measured from, in rad/s", True: "leaks measured from, in rad per sample"}
 

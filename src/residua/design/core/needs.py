@@ -1,18 +1,18 @@
-"""What methods need of a plant, what they choose for it, and the calls that are worth trying."""
+"""Needs of methods, and the calls that are worth trying for a plant."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from residua.analysis.coding import choose
-from residua.analysis.coding_sets import CodingSet
-from residua.analysis.diagnosability import Diagnosability
 from residua.analysis.output_free_form import is_singular
-from residua.design.core.method import Chosen, Need
+from residua.design.core.method import Need
 from residua.plant import Plant
+
+if TYPE_CHECKING:
+    from residua.analysis.diagnosability import Diagnosability
 
 
 def _no_noise(plant: Plant, known: Diagnosability | None) -> str:
@@ -58,14 +58,6 @@ def disturbances(text: str, instead: str) -> Need:
         return "" if plant.disturbances else f"the plant has no disturbances: {instead}"
 
     return Need(text, missing)
-
-
-def _chosen_rows(plant: Plant, seconds: float) -> CodingSet:
-    return choose(plant, time_limit=seconds)
-
-
-#: A good choice of who fires when what fails.
-ROWS = Chosen(_chosen_rows, "rs.coding.choose(plant)", "rs.coding.choose(plant, time_limit={seconds:g})")
 
 
 def each_scheme(plant: Plant, known: Diagnosability | None) -> Iterable[Mapping[str, Any]]:

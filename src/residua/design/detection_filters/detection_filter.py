@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
 
 from residua.analysis.output_free_form import OutputFreeForm, output_free_form
@@ -32,7 +31,6 @@ from residua.design.detection_filters.directional_gain import (
 from residua.design.observers.even_units import POLE_ERROR, gain_size, in_units_of_the_plant
 from residua.design.observers.observer import Observer
 from residua.errors import AccuracyError, DesignError
-from residua.linear import StateSpace
 from residua.linear.poles.matrix_poles import explicit_poles
 from residua.linear.poles.placement import default_margin
 from residua.linear.poles.spectrum import describe_modes, spectrum_error
@@ -41,6 +39,7 @@ from residua.linear.subspaces.far_gain import refuse_far_gain
 from residua.linear.subspaces.observability import detectability
 from residua.linear.subspaces.rank import DEFAULT_RTOL, decide_rank
 from residua.linear.systems.balancing import balance_system, without_rounding
+from residua.linear.systems.state_space import stack_systems
 from residua.plant import Plant
 from residua.plant.comparable_units import EvenPlant, even_plant
 from residua.tolerances import RESIDUE, above_rounding
@@ -464,20 +463,6 @@ def _stacked(
         state_map=np.vstack([observer.T for observer in observers]),
         observer=observers[0],
         members=tuple(members),
-    )
-
-
-def stack_systems(systems: list[StateSpace]) -> StateSpace:
-    """Return generators with the same inputs as one, their residuals one below the other."""
-    first = systems[0]
-    return StateSpace(
-        scipy.linalg.block_diag(*(s.A for s in systems)),
-        np.vstack([s.B for s in systems]),
-        scipy.linalg.block_diag(*(s.C for s in systems)),
-        np.vstack([s.D for s in systems]),
-        dt=first.dt,
-        inputs=first.inputs,
-        outputs=[f"{name}, filter {k}" for k, s in enumerate(systems, 1) for name in s.outputs],
     )
 
 

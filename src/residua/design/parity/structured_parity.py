@@ -8,9 +8,10 @@ import numpy as np
 
 from residua.analysis.coding_sets import Structure
 from residua.design.banks.bank import Bank, build_bank, wanted_rows
+from residua.design.banks.structured_bank import ROWS
 from residua.design.core.generator import ResidualGenerator
 from residua.design.core.method import method
-from residua.design.core.needs import FAULTS_APART, ROWS
+from residua.design.core.needs import FAULTS_APART
 from residua.design.core.own_time import in_own_time
 from residua.design.parity.parity_relations import with_rank
 from residua.design.parity.relation_model import relation_model

@@ -157,7 +157,7 @@ def observable_part(A: ArrayLike, C: ArrayLike, dt: float) -> ObservablePart:
     if not stable.all():
         if may_die_out(fixed, uncertainty, dt, form.size)[~stable].all():
             raise AccuracyError(
-                f"whether the pair is detectable cannot be told: rounding may have moved the mode "
+                f"whether the pair is detectable is undecidable: rounding may have moved the mode "
                 f"{describe_modes(fixed[~stable])}, one of several near one place that no output sees, across the "
                 "boundary of stability; add a sensor that sees it"
             )

@@ -220,9 +220,11 @@ typedef void (*runner)(const job *);
             ADD_COLUMN(sum, columns, BLOCK, L, v->second[j])                                                          \
         for (Py_ssize_t j = 0; j < n; j++, columns += BLOCK)                                                          \
             ADD_COLUMN(sum, columns, BLOCK, L, x[j])                                                                  \
-        for (int i = 0; i < BLOCK; i++)                                                                               \
-            if (i < rows)                                                                                             \
-                out[i] = sum[i / L][i % L];                                                                           \
+        if (rows == BLOCK) {                                                                                          \
+            EACH_VECTOR(BLOCK, L)((lanes##L *)out)[i] = sum[i];                                                       \
+        } else {                                                                                                      \
+            _Pragma("GCC unroll 8") for (int i = 0; i < BLOCK; i++) if (i < rows) out[i] = sum[i / L][i % L];         \
+        }                                                                                                             \
     }                                                                                                                 \
     TARGET static void FAMILY##_blocks(const job *q) { run_blocks(q, block_product_##FAMILY); }
 

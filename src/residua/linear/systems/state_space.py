@@ -372,6 +372,20 @@ _FIELDS = dict.fromkeys(("A", "B", "C", "D", "E", "dt", "inputs", "outputs", "st
 _NOTHING = dict.fromkeys(_FIELDS, object())
 
 
+def stack_systems(systems: list[StateSpace]) -> StateSpace:
+    """Return generators with the same inputs as one, their residuals one below the other."""
+    first = systems[0]
+    return StateSpace(
+        scipy.linalg.block_diag(*(s.A for s in systems)),
+        np.vstack([s.B for s in systems]),
+        scipy.linalg.block_diag(*(s.C for s in systems)),
+        np.vstack([s.D for s in systems]),
+        dt=first.dt,
+        inputs=first.inputs,
+        outputs=[f"{name}, filter {k}" for k, s in enumerate(systems, 1) for name in s.outputs],
+    )
+
+
 def _are_states(C: NDArray) -> bool:
     """Tell whether outputs are all the states of a large system, in order: a product with them would take a while."""
     n = len(C)

@@ -116,7 +116,7 @@ class Settings:
         for key in ("ca_file", "cert_file", "key_file"):
             file(self, key)
             if getattr(self, key) and not self.tls:
-                raise SettingError(f"{key}: it is for TLS: say tls = true")
+                raise SettingError(f"{key}: it is for TLS: set tls = true")
         choice(self, "mechanism", ("", "PLAIN", "SCRAM-SHA-256", "SCRAM-SHA-512"))
         check_secret(self, "password")
         if bool(self.mechanism) != bool(self.username) or bool(self.mechanism) != bool(

@@ -132,7 +132,7 @@ class Settings:
         for key in ("ca_file", "cert_file", "key_file"):
             file(self, key)
             if getattr(self, key) and not self.tls:
-                raise SettingError(f"{key}: it is for TLS: say tls = true")
+                raise SettingError(f"{key}: it is for TLS: set tls = true")
         if bool(self.cert_file) != bool(self.key_file):
             raise SettingError("cert_file: a certificate and its key go together: cert_file and key_file")
         whole(self, "keepalive", 5, 65_535)
@@ -230,7 +230,7 @@ class Mqtt(ThreadedSource):
         """Say that topics are subscribed to."""
         self._pauses.reset()
         kept = "" if resumed or self._generation == 1 else "; the broker has not kept the session, messages may be lost"
-        lost = f"; {self._dropped:,} messages of QoS 0 dropped for want of room" if self._dropped else ""
+        lost = f"; {self._dropped:,} messages of QoS 0 dropped: the queue was full" if self._dropped else ""
         self.say(True, f"connected to {self._where}{granted}{kept}{lost}")
 
     def take(self, message: paho.MQTTMessage) -> None:

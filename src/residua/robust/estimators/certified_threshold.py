@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.arrays import index_of
 from residua.design.banks.bank import Bank
+from residua.design.core.evidence import AFFINE_FORM
 from residua.design.core.generator import ResidualGenerator
 from residua.errors import AccuracyError, DesignError, ModelError, NoCertificateError, SettingError
 from residua.linear import StateSpace, peak_norm
@@ -32,9 +33,6 @@ _BOXES, _ANY = 32, 1e300
 #: Parts of what a residual would be without cancellation. Designs that decouple all disturbances left 1e-14 of it, for
 #: plants with units 1e8 apart up to 6e-11, and searches 2e-9; thresholds that mean something are 1e-6 and more.
 _DECOUPLED, _ROUNDED = 1e-8, 1e-13
-
-#: How a note begins that tells of a set that was linearised.
-AFFINE_FORM = "certified for the affine form of the set"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
