@@ -32,12 +32,11 @@ import scipy.io
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
-from textbook_filters import FILTERS, NoFilterError
-
 import residua as rs
 from residua.design.core.leak import leak
 from residua.errors import AccuracyError, ResiduaError
 from residua.tolerances import LEAK
+from textbook_filters import FILTERS, NoFilterError
 
 SECONDS = 60
 MOST_SENSOR_FAULTS = 6

@@ -235,7 +235,7 @@ WRONG = [
         "design.parity.relations:realize_relation",
         lambda part: replace(part, state_map=off(part.state_map)),
         lambda: D.parity_relations(gertler(), insensitive_to="p1"),
-        marks=trips("design.parity.relations:_filtered"),
+        marks=trips("design.core.decoupling:measured"),
         id="state map of a relation",
     ),
     pytest.param(
@@ -436,6 +436,13 @@ def test_a_fault_that_is_not_ignored_is_named() -> None:
         make_generator(
             good.system, good.plant, "x", Evidence("x"), decouples=Decoupled(faults=("p2",)), state_map=good.state_map
         )
+
+
+@trips("design.core.decoupling:measured")
+def test_the_state_map_of_another_filter_is_refused() -> None:
+    good = D.unknown_input_observer(engine()).residual_generator()
+    with pytest.raises(AccuracyError, match="check its state_map"):
+        _made(state_map=off(good.state_map))
 
 
 @trips("design.core.internal_form:_accepted")

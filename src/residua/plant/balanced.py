@@ -102,8 +102,9 @@ def balanced(plant: Plant) -> BalancedPlant:
         A, B, C, D, derivative, back, algebra = explicit(A, B, C, D, E)
         free = n - len(A)
     widths = np.cumsum([free, *(role[0].shape[1] for role in roles)])[:-1]
-    parts = list(zip(np.split(B, widths, axis=1), np.split(D, widths, axis=1), strict=True))
-    return BalancedPlant(plant, units, A, C, *parts, derivative, back, algebra)
+    parts = zip(np.split(B, widths, axis=1), np.split(D, widths, axis=1), strict=True)
+    unseen, controls, disturbances, faults = parts
+    return BalancedPlant(plant, units, A, C, unseen, controls, disturbances, faults, derivative, back, algebra)
 
 
 def is_inside(modes: NDArray[np.complex128], sampled: bool) -> NDArray[np.bool_]:
@@ -121,4 +122,4 @@ def undetectable(model: BalancedPlant, outputs: list[int] | None = None) -> NDAr
     """Return the modes, in 1/s, that no output sees, or none of some, and that are not stable."""
     modes = observable_split(model.A, model.C if outputs is None else model.C[outputs])
     found = np.asarray(np.linalg.eigvals(modes.hidden.T @ model.A @ modes.hidden), dtype=complex)
-    return model.units.rate * found[~is_inside(found, model.plant.is_discrete)]
+    return np.asarray(model.units.rate * found[~is_inside(found, model.plant.is_discrete)], dtype=complex)

@@ -61,6 +61,11 @@ class Decoupled:
         if self.faults:
             gains |= {IGNORED: found.gains[:, n_u:]}
         leaks = self._accepted({name: float(part.max()) for name, part in gains.items() if part.size})
+        if not found.defects <= LEAK:
+            raise AccuracyError(
+                "the states of the filter are no function of those of the plant: its equations miss by "
+                f"{found.defects:.2g} > {LEAK:.0e}; check its state_map, or ask for slower poles"
+            )
         return Leaks(leaks, measured_from(np.array([found.slowest]), plant.dt) if leaks else {}), found.defects
 
     def leaks(self, system: StateSpace, plant: Plant, evidence: Evidence, known: JointResponses | None = None) -> Leaks:

@@ -140,7 +140,7 @@ def _of_ordinary_plant(
     P = cleared(np.linalg.pinv(C @ E))
     H, N = E @ P, without_rounding(np.linalg.svd(P @ C)[2][q:].T) if q else np.eye(n)
     plain = H0 is None or not np.any(H0)
-    if not plain:
+    if H0 is not None and not plain:
         free = matrix(H0, "H0", (n, p), what="states x outputs") / X / Y @ np.linalg.pinv(W)
         H = H + free @ (np.eye(len(C)) - C @ H)
     T = _summed(np.eye(n), -H, C)

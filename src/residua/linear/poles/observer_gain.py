@@ -163,4 +163,4 @@ def _least_squares(
     poles = np.linalg.eigvals(F - K @ G)
     limit = np.exp(-margin) - BALANCED_STABLE if sampled else -margin - BALANCED_STABLE
     stable = np.abs(poles) < limit if sampled else poles.real < limit
-    return np.asarray(K) if stable.all() else None
+    return np.asarray(K, dtype=np.float64) if stable.all() else None
