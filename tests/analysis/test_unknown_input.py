@@ -201,8 +201,3 @@ def test_a_turned_block_of_hidden_states_has_its_modes_beside_an_equation() -> N
 def test_an_observer_with_slow_hidden_states_has_their_rates(rates: list[float]) -> None:
     observer = rs.design.unknown_input_observer(slow_hidden(rates))
     np.testing.assert_allclose(np.sort(observer.evidence.fixed_poles.real), np.sort(-np.array(rates)), rtol=1e-2)
-
-
-def test_a_reduced_order_observer_with_slow_hidden_states_is_made() -> None:
-    observer = rs.design.reduced_order_observer(slow_hidden([1e-5, 2e-5, 4e-5]))
-    np.testing.assert_allclose(np.sort(observer.poles.real), [-4e-5, -2e-5, -1e-5], rtol=1e-2)

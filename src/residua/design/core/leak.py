@@ -192,7 +192,7 @@ def answers(system: StateSpace, plant: Plant, terms: Matrix) -> NDArray[np.bool_
     L = system.C / own[:, 0]
     w = np.geomspace(1e-3, 3.0, 7) if plant.is_discrete else np.geomspace(1e-3, 1e2, 7)
     resolvent = _Resolvent.of(own * system.A / own[:, 0] / units.rate, None)
-    states = resolvent(own * G, np.exp(1j * w) if plant.is_discrete else 1j * w)
+    states = resolvent(own * G, np.asarray(np.exp(1j * w) if plant.is_discrete else 1j * w, dtype=complex))
     response = np.abs(L @ states + system.D[:, n_u:] / units.outputs)
     made_of = np.abs(L) @ np.abs(states) + terms / units.outputs
     return np.any(response > _NO_TERM * made_of.max(axis=2, keepdims=True, initial=0.0), axis=(0, 2))
@@ -227,13 +227,13 @@ def _points(of_filter: NDArray, of_plant: NDArray, sampled: bool) -> NDArray[np.
         ends = min(ends[0], 1e-2), np.pi
     w = np.unique(np.concatenate([np.geomspace(*ends, _POINTS), 1.001 * every]))
     w = w[w <= np.pi] if sampled else w
-    return np.asarray(np.exp(1j * w) if sampled else 1j * w)
+    return np.asarray(np.exp(1j * w) if sampled else 1j * w, dtype=complex)
 
 
 def _rates(poles: NDArray, sampled: bool) -> NDArray[np.complex128]:
     """Return poles of a sampled system as rates per sample; those at zero have none."""
     poles = np.asarray(poles, dtype=complex)
-    return np.log(poles[np.abs(poles) > _NO_TERM]) if sampled else poles
+    return np.asarray(np.log(poles[np.abs(poles) > _NO_TERM]), dtype=complex) if sampled else poles
 
 
 @dataclass(frozen=True, eq=False)

@@ -194,7 +194,7 @@ def directional_filters(
     if not answer.detectable:
         bad = describe_modes(answer.unstable_modes)
         raise DesignError(f"no stable filter exists: no measurement sees the mode {bad}; add a sensor")
-    weights = weights_of(even, scaling, A, np.zeros((len(A), 0)), C, W)
+    weights = even.output_weights(A, np.zeros((len(A), 0)), C)
     units = _Units.of(A, C, event_matrices(plant, T, chosen, form, weights), weights)
     events, unseen = fault_events(units.A, units.C, units.events, rtol=rtol)
     directly = [name for name in chosen if _seen_directly(plant, H, W, name)]
@@ -218,7 +218,8 @@ def directional_filters(
     for distance in _margins(A, plant.dt, poles, margin):
         try:
             if pole is not None:
-                gains = [scalar_gain(A, C, pole, weights, asked=poles is not None)]
+                in_gain = weights if units.independent else weights_of(even, scaling, A, np.zeros((len(A), 0)), C, W)
+                gains = [scalar_gain(A, C, pole, in_gain, asked=poles is not None)]
             else:
                 gains = [
                     units.plain(
@@ -329,6 +330,7 @@ class _Units:
     events: dict[str, NDArray]
     states: NDArray
     outputs: NDArray
+    independent: bool
 
     @staticmethod
     def of(A: NDArray, C: NDArray, events: dict[str, NDArray], weights: NDArray) -> _Units:
@@ -336,9 +338,10 @@ class _Units:
         balanced = balance_system(A, B, C, np.zeros((len(C), B.shape[1])))
         T = balanced.states
         scaled = balanced.outputs[:, None] * C * T
-        outputs = balanced.outputs if decide_rank(scaled).rank == len(C) else weights
+        independent = decide_rank(scaled).rank == len(C)
+        outputs = balanced.outputs if independent else weights
         unit = {name: _unit_columns(L / T[:, None]) for name, L in events.items()}
-        return _Units(A / T[:, None] * T, outputs[:, None] * C * T, unit, T, outputs)
+        return _Units(A / T[:, None] * T, outputs[:, None] * C * T, unit, T, outputs, independent)
 
     def plain(self, design: DirectionalGain) -> DirectionalGain:
         """Return the design in the units of the plant."""

@@ -25,7 +25,7 @@ def asked(
     rate = plant.balanced.units.rate
     if margin is not None:
         margin = margin * plant.dt if plant.is_discrete else margin / rate
-    return None if poles is None else np.atleast_1d(np.asarray(poles, dtype=complex)) / rate, margin
+    return None if poles is None else np.atleast_1d(np.asarray(np.asarray(poles) / rate, dtype=complex)), margin
 
 
 def default_weights(model: BalancedPlant) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
