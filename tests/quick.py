@@ -141,7 +141,11 @@ class Repository:
     @cached_property
     def needs(self) -> dict[str, set[str]]:
         """Return for every file the files whose names it uses."""
-        return {path: set(self._needs_of(names)) - {path} for path, names in self.names.items()}
+        result = {path: set(self._needs_of(names)) - {path} for path, names in self.names.items()}
+        for path in result:
+            if path.startswith("src/") and not path.endswith("__init__.py"):  # imported by its name when it is called
+                result[path] |= {self.modules[text] for text in self.names[path].strings & self.modules.keys()}
+        return result
 
     def _needs_of(self, names: Names) -> Iterator[str]:
         for module in names.modules & self.modules.keys():
@@ -180,6 +184,8 @@ class Repository:
         if Path(path).name == "conftest.py":  # no test names it
             folder = Path(path).parent.as_posix() + "/"
             return {other for other in self.python if other.startswith(folder) and is_test(other)}
+        if path.endswith("_command.py"):  # imported by its name when it is called
+            path = "src/residua/cli/app.py"
         if path in self.names or path in self.modules.values():
             return self.used_by.get(path, set())
         called = {file for file, names in self.names.items() if Path(path).name in names.strings}
@@ -188,8 +194,6 @@ class Repository:
 
     def tests_of(self, path: str) -> set[str]:
         """Return the test files nearest to a file."""
-        if path.endswith("_command.py"):  # imported by its name when it is called
-            path = "src/residua/cli/app.py"
         # A facade passes names on, and whoever uses them there is counted already; only what it uses itself leads on.
         return {path} if is_test(path) else self._outwards(path, through=False) or self._outwards(path, through=True)
 

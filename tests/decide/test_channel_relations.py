@@ -182,7 +182,9 @@ def test_regressions_are_those_of_the_textbook(form: str) -> None:
             assert np.allclose(X @ weights, X @ plain, atol=0.05)
     ahead = made.run(made.start(1), rows[None], np.zeros((1, 500, 2)))[1][0]
     said = z - made.constant - whole @ made.gains
-    assert np.allclose(ahead, said, atol=1e-9)
+    begun = 191 if form == LAGS else 0  # before, the slowest mean has not forgotten the first row
+    assert np.isnan(ahead[:begun]).all()
+    assert np.allclose(ahead[begun:], said[begun:], atol=1e-9)
     assert np.allclose(left, said, atol=0.5)  # the fit to all rows is near those to parts of them
 
 
@@ -249,7 +251,7 @@ def test_a_channel_that_never_moved_is_not_judged(form: str) -> None:
     assert np.isnan(left[:, 0]).all()
     rows[:, 0] = 400.0
     after = made.run(made.start(1), rows[None], np.zeros((1, 500, 2)))[1][0]
-    assert np.isfinite(after).all(axis=0).tolist() == [False, True, True]
+    assert np.isfinite(after[200:]).all(axis=0).tolist() == [False, True, True]
 
 
 def test_rows_with_a_value_missing_are_no_part_of_the_fit() -> None:
@@ -335,7 +337,7 @@ def test_a_relation_is_silent_outside_of_the_range_that_it_was_learnt_in(form: s
             assert form == LAGS or (silent == expected).all()  # means of drivers leave their range too
             assert not silent[driver]  # the relation of what moved is judged
             seen.append(silent.any())
-            assert np.isfinite(left[:BEGIN]).all()
+            assert np.isfinite(left[200:BEGIN]).all()
     assert all(seen[len(drivers) :])
     assert form == LAGS or not any(seen[: len(drivers)])
 

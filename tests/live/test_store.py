@@ -238,7 +238,7 @@ def test_a_run_whose_database_another_has_taken_over_ends() -> None:
         second.open()
         second.commit(changes(first=3, place=2))
         second.close()
-        with pytest.raises(StoreError, match="another run uses taken this database over"):
+        with pytest.raises(StoreError, match="another run has taken this database over"):
             first.commit(changes(first=3, place=2))
         first.close()
     finally:

@@ -402,7 +402,7 @@ FAULTY = {
 def test_a_recording_that_looks_faulty_is_refused(kind: str) -> None:
     recordings = spoilt(kind)
     watch = monitor()
-    with pytest.raises(DataError, match=rf"no fault-free recording: {FAULTY[kind]}.*leave the faulty rows out.*force="):
+    with pytest.raises(DataError, match=rf"a fault-free recording: {FAULTY[kind]}.*leave the faulty rows out.*force="):
         watch.fit(recordings)
     assert not watch.is_fitted
     assert watch.fit(recordings, force=True).is_fitted

@@ -361,7 +361,7 @@ class ChannelRelationsTest(ResidualTest):
             if not size > 0:
                 continue
             small, silent = _SMALL / size, np.zeros((len(signals), len(change), residuals.shape[2]))
-            start = self.relations.start(len(signals))
+            start = self.relations.start(len(signals), settled=True)
             _, before = self.relations.run(start, signals, silent)
             _, after = self.relations.run(start, signals + small * change, silent + small * residuals[k])
             moved = np.where(self.relations.moving, np.nan_to_num(after - before) / small, 0.0)

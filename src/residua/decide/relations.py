@@ -106,11 +106,13 @@ class Relations(Record):
             return np.isin(np.arange(len(self.spread)), self.outputs) & (self.spread > 0)
         return self.spread > 0
 
-    def start(self, plants: int) -> RelationsState:
-        """Return the state before the first row."""
+    def start(self, plants: int, *, settled: bool = False) -> RelationsState:
+        """Return the state before the first row; ``settled``: that of means which have been at the middle for long."""
         q, lagged = len(self.spread), len(LAG_WEIGHTS) if self.form == LAGS else 0
         return RelationsState(
-            np.zeros((plants, lagged, q)), np.zeros(plants, int), np.zeros((plants, *self.ahead.shape[:2]))
+            np.zeros((plants, lagged, q)),
+            np.full(plants, _FORGOTTEN if settled else 0),
+            np.zeros((plants, *self.ahead.shape[:2])),
         )
 
     def run(
