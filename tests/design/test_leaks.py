@@ -111,7 +111,7 @@ def check_leaks(name: str, seed: int) -> str:
 @pytest.mark.refusals(at_most=81)
 def test_units_change_nothing(name: str, seed: int, refused: Refused) -> None:
     if seed == 3 and name.startswith("reduced order"):
-        # Five sampled integrators: the estimate is off by 4.8e-7 in some units and 5.8e-6 in others, where 1e-6 is the limit.
+        # Five sampled integrators: the estimate is off by 4.8e-7 in some units and by 5.8e-6 in others; 1e-6 is allowed.
         pytest.skip("near the limit of accuracy")
     if (kind := agree(name, seed)) != "made":
         refused(f"{name}: {kind}")
