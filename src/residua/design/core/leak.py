@@ -49,7 +49,7 @@ class Leak:
         Peak of the response over frequency, over the peak of the sum of the sizes of its terms: 1e-16 is exact, 1 is
         no decoupling. No number has a unit.
     defects : float
-        The largest entry of the defects of the states, in balanced units: how far the identities are missed.
+        The largest entry of the defects of what is read, in balanced units: how far the identities are missed.
     slowest : float
         The lowest frequency, in rad/s.
     """
@@ -109,7 +109,9 @@ def leak(
     largest = np.outer(taken, read) if estimate is None else np.full(shape, max(1.0, terms.max(initial=0.0)))
     terms = np.maximum(terms, _LEAST_TERM * np.maximum(largest, terms.max(axis=0, keepdims=True, initial=0.0)))
     gains = peak / np.where(terms > 0, terms, np.where(peak > 0, peak, 1.0))
-    defects = max((float(np.abs(M).max(initial=0.0)) for M in (dA, dC)), default=0.0)
+    # a row of which rounding is all there is was scaled up to one: it counts by how far others read it
+    used = np.minimum(np.abs(np.vstack([f.L, f.F - np.diag(np.diag(f.F))])).max(axis=0, initial=0.0), 1.0)
+    defects = max((float(np.abs(M).max(initial=0.0)) for M in (used[:, None] * dA, dC)), default=0.0)
     slowest = np.angle(s[0]) / plant.dt if plant.is_discrete else s[0].imag * plant.balanced.units.rate
     return Leak(gains, defects, float(slowest))
 

@@ -13,7 +13,7 @@ from residua.errors import AccuracyError, DesignError
 from residua.linear.poles.doubling import filter_covariance
 from residua.linear.poles.placement import place_observer_poles
 from residua.linear.poles.spectrum import describe_modes
-from residua.linear.subspaces.quotient import ObservableSplit
+from residua.linear.subspaces.quotient import ObservableSplit, without_rounding
 from residua.tolerances import BALANCED_STABLE, POLE, above_rounding
 from residua.words import counted
 
@@ -83,9 +83,10 @@ def observer_gain(
     rate : float
         The unit of rates of the balanced plant in 1/s, a power of two: errors say poles in 1/s.
     """
-    O, hidden = split.seen, split.hidden  # noqa: E741
+    hidden = split.hidden
+    O = split.seen if hidden.shape[1] else np.eye(len(A))  # noqa: E741
     fixed = np.asarray(np.linalg.eigvals(hidden.T @ A @ hidden), dtype=complex)
-    F, G, none = O.T @ A @ O, C @ O, np.zeros(0, dtype=complex)
+    F, G, none = without_rounding(O.T @ A @ O), without_rounding(C @ O), np.zeros(0, dtype=complex)
     if poles is not None:
         wanted = rate * _movable(poles, len(F), fixed)
         placed = place_observer_poles(rate * F, G, wanted, dt=1.0 if sampled else 0.0)
