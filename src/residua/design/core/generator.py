@@ -430,7 +430,7 @@ class ResidualGenerator:
         >>> b = rs.design.parity_relations(plant, insensitive_to="p1")
         >>> print(b.equivalent_to(a))
         equivalent: the same up to poles and scale (to ...)
-          r1 = ... x zeros at 0, 0 / poles at 0.3, 0.25 of r1
+          r1 = ... x zeros at 0, 0 / poles at 0.25, 0.3 of r1
         """
         from residua.design.parity.equivalence import equivalence
 
