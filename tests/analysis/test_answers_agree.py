@@ -10,6 +10,7 @@ import pytest
 import residua as rs
 from agreement import Disagreements, compare
 from exact_answers import Exact
+from residua.analysis.fault_space import fault_space
 from residua.design.parity.relation_model import relation_model
 from residua.design.parity.shortest import shortest_relation
 from residua.errors import AccuracyError
@@ -152,16 +153,19 @@ def aircraft(folder: Path) -> rs.Plant:
 
 
 def test_the_shortest_relation_of_an_aircraft_whose_model_holds_residue(shared_data: Path) -> None:
-    """Zeros of a model that was linearised numerically are 1e-13: what holds to them is of order 5, and no less."""
+    """Zeros of a model that was linearised numerically are 1e-13: what holds to them is of order 5, and no less.
+
+    Ranks of balanced numbers deny it by couplings of 1e-9, and count as near.
+    """
     plant = aircraft(shared_data)
     assert plant.n_states == 32
-    assert rs.coding.attainable(plant, ["11110000"])
+    assert fault_space(plant).near(range(4, 8))
     ignored, seen = plant.faults[4:], plant.faults[:4]
     _, space = shortest_relation(relation_model(plant), ignored, seen, PENCIL_RTOL)
     assert space.order == 5
-    with pytest.raises(AccuracyError, match="should cancel"):  # as a filter it loses ten digits; it is not denied
-        rs.design.structured_parity(plant, ["11110000"])
-    assert rs.design.structured_bank(plant, ["11110000"]).structure.tolist() == [[True] * 4 + [False] * 4]
+    assert rs.design.structured_parity(plant, ["11110000"]).structure.tolist() == [[True] * 4 + [False] * 4]
+    with pytest.raises(AccuracyError, match="should ignore"):  # not denied
+        rs.design.structured_bank(plant, ["11110000"])
 
 
 def test_diagnosability_of_an_aircraft_needs_no_coordinates_that_nobody_asks_for(shared_data: Path) -> None:
@@ -177,7 +181,7 @@ def test_diagnosability_of_an_aircraft_needs_no_coordinates_that_nobody_asks_for
     existence = found.unknown_input_observer
     assert existence is not None
     assert not existence
-    assert np.count_nonzero(existence.fixed_poles == 0) == 1
+    assert np.count_nonzero(np.abs(existence.fixed_poles) < 1e-9) == 1
 
 
 def test_a_relation_that_exists_and_is_lost_to_rounding_is_no_missing_one(shared_data: Path) -> None:

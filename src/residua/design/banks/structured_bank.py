@@ -50,7 +50,7 @@ def structured_bank(
         Columns in the order of ``plant.faults``; rows may be written ``"0111"``. A mapping gives for each residual
         name the faults that it answers to.
     margin : float, optional
-        Stability margin of every member in 1/s; chosen for each when omitted.
+        Stability margin of every member in 1/s.
     allow_missing : bool
         Whether rows that are not attainable are left out, and listed in ``failures``, instead of raised.
 
