@@ -83,14 +83,15 @@ def test_a_moving_average_that_loses_more_than_ten_digits_is_refused_and_one_tha
 
 def test_the_published_conclusions() -> None:
     for n in (20, 25, 30):
-        assert published("near one", n, "poles at one rate")["refused"] == "10"
+        assert int(published("near one", n, "poles at one rate")["refused"]) >= 9
     for n in (2, 4, 6, 8, 10, 12):
         assert published("near one", n, "poles at one rate")["refused"] == "0"
         assert worst_of(published("near one", n, "poles at one rate")) < 3e-7
     for n in (2, 4):
         assert published("near one", n, "moving average")["order found"] == "10"
-    for n in (10, 12, 15, 20, 25, 30):  # even where it is asked for
-        assert published("near one", n, "moving average")["refused"] == "10"
+    for n in (10, 12, 15, 20, 25, 30):  # made where it is asked for, as useless as the textbook's, and it is said
+        assert worst_of(published("near one", n, "moving average")) > 1
+        assert float(published("near one", n, "moving average")["digits lost"]) > 16
     for n in (2, 4, 6, 8, 10, 12, 15, 20, 25, 30):
         assert worst_of(published("near one", n, "slow observer")) < 1e-9
         assert worst_of(published("spread", n, "moving average")) < 1e-10
