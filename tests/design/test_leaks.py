@@ -74,8 +74,8 @@ def agree(name: str, seed: int) -> str:
     np.testing.assert_array_equal(first.structure, second.structure, err_msg=f"{name} {seed}")
     assert {k: b.shape for k, b in first.subspaces.items()} == {k: b.shape for k, b in second.subspaces.items()}
     for key, gain in first.evidence.decoupling.items():
-        assert second.evidence.decoupling[key] <= 10 * gain + 1e-15, (name, seed, key)
-        assert gain <= 10 * second.evidence.decoupling[key] + 1e-15, (name, seed, key)
+        assert second.evidence.decoupling[key] <= 10 * gain + 1e-14, (name, seed, key)
+        assert gain <= 10 * second.evidence.decoupling[key] + 1e-14, (name, seed, key)
     return kind
 
 
@@ -111,7 +111,7 @@ def check_leaks(name: str, seed: int) -> str:
 @pytest.mark.refusals(at_most=81)
 def test_units_change_nothing(name: str, seed: int, refused: Refused) -> None:
     if seed == 3 and name.startswith("reduced order"):
-        # Five sampled integrators: the estimate is off by 4.8e-7 in some units and by 5.8e-6 in others; 1e-6 is allowed.
+        # Five sampled integrators: the estimate is off by 4.8e-7 in some units, by 5.8e-6 in others; 1e-6 is allowed.
         pytest.skip("near the limit of accuracy")
     if (kind := agree(name, seed)) != "made":
         refused(f"{name}: {kind}")
