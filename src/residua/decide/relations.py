@@ -138,7 +138,7 @@ class Relations(Record):
                 state, features = self._with_lags(state, z)
             left = z - self.constant - ordered_product(features, self.gains)
             if self.form == LAGS:  # as yet the means are of the first row
-                left = np.where((rows < _FORGOTTEN)[..., None], np.nan, left)
+                left = np.where(rows[..., None] < _FORGOTTEN, np.nan, left)
         beyond = np.maximum(np.maximum(self.lows - features, features - self.highs), 0.0)
         judged = ordered_product(np.where(np.isfinite(beyond), beyond, 0.0), self.reach.T) <= 1.0
         return state, np.where(judged & self.moving, left, np.nan)
