@@ -43,8 +43,9 @@ def sources() -> str:
 def main() -> None:
     """Run the example, photograph its page, and write the picture."""
     target = DOCS / "_static" / "report.png"
+    stamp = sources()
     with Image.open(target) as made:
-        if made.info.get(KEY) == sources():
+        if made.info.get(KEY) == stamp:
             return
     browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
     if browser is None:
@@ -64,7 +65,7 @@ def main() -> None:
         with Image.open("page.png") as page:
             small = page.convert("RGB").quantize(COLOURS, kmeans=2, dither=Image.Dither.NONE)
             marks = PngImagePlugin.PngInfo()
-            marks.add_text(KEY, sources())
+            marks.add_text(KEY, stamp)
             small.save(target, optimize=True, pnginfo=marks)
     size = target.stat().st_size
     print(f"{target.relative_to(DOCS.parent)}: {size / 1000:.0f} kB")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 # Before NumPy is imported: with matrices of ten rows the threads of the linear algebra do nothing but wait for each
 # other, which takes twice the time on two cores.
@@ -20,6 +20,9 @@ from guards import reached_guards  # noqa: E402, F401
 from refusals import refused  # noqa: E402, F401
 from residua.linear.systems.array_cache import forget  # noqa: E402
 from traced import Traced  # noqa: E402
+
+if TYPE_CHECKING:
+    from chromium import Chromium
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 
@@ -51,6 +54,17 @@ def monkeypatch() -> Iterator[pytest.MonkeyPatch]:
     patch = _Forgetful()
     yield patch
     patch.undo()
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chromium]:
+    """A browser for the tests of a module, which are skipped where there is none."""
+    from chromium import BROWSER, Chromium
+
+    if BROWSER is None:
+        pytest.skip("no Chromium on this machine")
+    with Chromium(tmp_path_factory.mktemp("chromium")) as made:
+        yield made
 
 
 @pytest.fixture(scope="session")

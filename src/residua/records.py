@@ -136,6 +136,24 @@ _SCALARS: dict[Any, str] = {float: "f", int: "i", bool: "b"}
 _DTYPES: dict[Any, str] = {NDArray[np.float64]: "f", NDArray[np.int64]: "i", NDArray[np.bool_]: "b"}
 
 
+def plain(value: Any) -> Any:
+    """Return a value as JSON has it, for readers that take it for no record.
+
+    Arrays become lists, numbers that are not finite null, complex numbers pairs, and all else its text.
+    """
+    if isinstance(value, Mapping):
+        return {str(name): plain(one) for name, one in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(one) for one in value]
+    if isinstance(value, complex):
+        return [value.real, value.imag]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value if value is None or isinstance(value, bool | int | str) else str(value)
+
+
 def values_out(values: Any, but: Collection[str] = ()) -> dict[str, Any]:
     """Return a dataclass as a record: of numbers, texts, arrays, tuples and tables of these, and such dataclasses.
 

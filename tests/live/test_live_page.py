@@ -48,14 +48,6 @@ def test_no_data_is_ever_taken_as_html():
             assert word not in text, name
 
 
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    if BROWSER is None:
-        pytest.skip("no Chromium on this machine")
-    with Chromium(tmp_path_factory.mktemp("chromium")) as made:
-        yield made
-
-
 @pytest.fixture
 def page(browser):
     """The browser, for one page; afterwards nothing went wrong in it, and it asked nobody but its server."""

@@ -74,6 +74,9 @@ def test_plants_without_inputs_need_no_u() -> None:
     for payload in ({"t": 1, "y": [2]}, {"t": 1, "u": [], "y": [2]}, {"t0": 1, "dt": 1, "y": [[2]]}):
         message = Message(None, json.dumps({"plant": "x"} | payload).encode(), 0.0)  # type: ignore[arg-type]
         assert readings_of(message, lambda _: bare).values.tolist() == [[2.0]]
+    wrong = Message(None, b'{"plant": "x", "t": 1, "y": [2, 3]}', 0.0)  # type: ignore[arg-type]
+    with pytest.raises(MessageError, match="y must have"):
+        readings_of(wrong, lambda _: bare)
 
 
 GOOD = {"plant": "north", "t": 1, "u": [1], "y": [1, 2]}

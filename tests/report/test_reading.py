@@ -20,14 +20,6 @@ LONG = "a very long name of a residual, without an end, of the third exchanger"
 COMMAND = "residua run tank.json leak.csv --report leak.html"
 
 
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    if BROWSER is None:
-        pytest.skip("no Chromium on this machine")
-    with Chromium(tmp_path_factory.mktemp("chromium")) as made:
-        yield made
-
-
 @pytest.fixture
 def show(browser, tmp_path):
     """Open a page; at the end nothing went wrong in it."""

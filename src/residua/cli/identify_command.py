@@ -21,7 +21,7 @@ from residua.identify.channel_faults import idle_inputs, with_channel_faults
 from residua.identify.fit_report import FitReport
 from residua.monitor.inputs import with_channels
 from residua.plant import Plant
-from residua.recording.matching import matched_names, missing_columns
+from residua.recording.matching import required_columns
 from residua.recording.recording import Recording
 from residua.report.model_page import write_model_page
 from residua.visible import echo, listed
@@ -132,12 +132,9 @@ class Channels:
         for path in paths:
             one = reading.read_channels(path, _stand_in(self.inputs, outputs) if outputs else None)
             if not outputs:
-                found, names = matched_names(self.inputs, tuple(one.columns)), tuple(one.columns)
-                absent = {name: name for name in self.inputs if name not in found}
-                if absent:
-                    advice = "give --inputs the names of columns"
-                    raise missing_columns(absent, names, path.name, matched=list(found.values()), advice=advice)
-                outputs = [name for name in names if name not in found.values()]
+                advice = "give --inputs the names of columns"
+                found = required_columns(self.inputs, tuple(one.columns), path.name, advice=advice)
+                outputs = [name for name in one.columns if name not in found.values()]
                 if not outputs:
                     raise DataError(f"{path}: every column is an input; leave the outputs out of --inputs")
             recordings.append(with_channels(one, _stand_in(self.inputs, outputs)))

@@ -17,6 +17,7 @@ from rich.cells import cell_len
 from rich.console import Console
 from rich.table import Table
 
+from residua.records import plain
 from residua.visible import visible
 
 if TYPE_CHECKING:
@@ -104,21 +105,6 @@ def _columns(rows: list[list[str]]) -> list[str]:
 def print_json(value: object, *, indent: int | None = 2) -> None:
     """Print a value as JSON, without an indent on one line; what is not finite is null."""
     print(json.dumps(plain(value), indent=indent, ensure_ascii=False, allow_nan=False))
-
-
-def plain(value: Any) -> Any:
-    """Return a value as JSON has it: of arrays lists, of numbers that are not finite none, of all else its text."""
-    if isinstance(value, Mapping):
-        return {str(name): plain(one) for name, one in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
-        return plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [plain(one) for one in value]
-    if isinstance(value, complex):
-        return [value.real, value.imag]
-    if isinstance(value, float):
-        return value if np.isfinite(value) else None
-    return value if value is None or isinstance(value, bool | int | str) else str(value)
 
 
 def records(columns: Mapping[str, Sequence[object]]) -> list[dict[str, object]]:

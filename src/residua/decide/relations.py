@@ -128,6 +128,7 @@ class Relations(Record):
             NaN where they are not known.
         """
         z = features = _in_spreads(signals, self.middle, self.spread)
+        judged = self.moving
         if self.form == HORIZON:
             state, left = self._over_horizon(state, innovations)
         elif self.form == CURVE:
@@ -135,13 +136,12 @@ class Relations(Record):
         else:
             if self.form == LAGS:
                 rows = state.rows[:, None] + np.cumsum(np.isfinite(z).all(axis=2), axis=1)
+                judged = judged & (rows[..., None] >= _FORGOTTEN)  # before, the means are of the first row
                 state, features = self._with_lags(state, z)
             left = z - self.constant - ordered_product(features, self.gains)
-            if self.form == LAGS:  # as yet the means are of the first row
-                left = np.where(rows[..., None] < _FORGOTTEN, np.nan, left)
         beyond = np.maximum(np.maximum(self.lows - features, features - self.highs), 0.0)
-        judged = ordered_product(np.where(np.isfinite(beyond), beyond, 0.0), self.reach.T) <= 1.0
-        return state, np.where(judged & self.moving, left, np.nan)
+        within = ordered_product(np.where(np.isfinite(beyond), beyond, 0.0), self.reach.T) <= 1.0
+        return state, np.where(judged & within, left, np.nan)
 
     def _with_lags(self, state: RelationsState, z: NDArray[np.float64]) -> tuple[RelationsState, NDArray[np.float64]]:
         """Return channels beside their means; rows with a value missing change none of these.

@@ -81,11 +81,6 @@ class Change(Record):
     is_step: bool = False
     drift: float = 0.0
 
-    @property
-    def is_large(self) -> bool:
-        """Whether a mean changes so far that hardly a recording without a fault does: see :meth:`large`."""
-        return bool(self.large(False))
-
     def large(self, several: bool) -> str:
         """Return a large change in words, empty for others; ``several``: whether there are several recordings.
 

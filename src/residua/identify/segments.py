@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.arrays import names as checked_names, runs, unique
 from residua.errors import DataError, ModelError, SettingError
-from residua.recording.matching import matched_names, missing_columns, spelling_notes
+from residua.recording.matching import required_columns, spelling_notes
 from residua.recording.recording import Recording, read_recording, recording_from_frame
 from residua.recording.time_axis import REGULAR
 from residua.visible import echo, listed
@@ -338,11 +338,8 @@ def _table(
         )
     channels, source = tuple(one.columns), one.source or f"recording {number}"
     chosen_inputs = channels[: one.u.shape[1]] if inputs is None else inputs
-    found = matched_names((*chosen_inputs, *(outputs or ())), channels)
-    absent = {name: name for name in (*chosen_inputs, *(outputs or ())) if name not in found}
-    if absent:
-        advice = "give inputs and outputs the names of columns"
-        raise missing_columns(absent, channels, source, matched=list(found.values()), advice=advice)
+    advice = "give inputs and outputs the names of columns"
+    found = required_columns((*chosen_inputs, *(outputs or ())), channels, source, advice=advice)
     chosen_outputs = tuple(name for name in channels if name not in found.values()) if outputs is None else outputs
     found |= {name: name for name in chosen_outputs if name not in found}
     _check_once(chosen_inputs, chosen_outputs)

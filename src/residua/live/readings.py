@@ -252,13 +252,12 @@ def _rows(layout: Layout, u: Any, y: list[Any]) -> NDArray[np.float64]:
     """Return rows of JSON numbers, inputs and outputs side by side."""
     values = np.empty((len(y), len(layout.channels)))
     inputs, outputs = len(layout.inputs), len(layout.outputs)
-    for rows, first, width in ((u, 0, inputs), (y, inputs, outputs)):
+    for name, rows, first, width in (("u", u, 0, inputs), ("y", y, inputs, outputs)):
         wrong = fill_rows(values, rows, first, width)
         if wrong == "shape":
             named = listed(layout.channels[first : first + width])
-            which = "u" if first == 0 else "y"
             raise MessageError(
-                "shape", f"{which} must have as many rows as y, each of {counted(width, 'value')}: {named}"
+                "shape", f"{name} must have as many rows as y, each of {counted(width, 'value')}: {named}"
             )
         _check(wrong)
     return values

@@ -16,7 +16,7 @@ from residua.design.core.signals import checked_signals
 from residua.errors import DataError
 from residua.linear.systems.balancing import state_units
 from residua.plant import Plant
-from residua.recording.matching import matched_names, missing_columns, spelling_notes
+from residua.recording.matching import matched_names, required_columns, spelling_notes
 from residua.recording.recording import Recording, read_recording, recording_from_frame
 from residua.recording.time_axis import regular_step, seconds_from_dates
 from residua.tolerances import ROUNDING
@@ -119,10 +119,7 @@ def with_channels(one: Recording, plant: Plant) -> Recording:
     channels, columns = (*plant.inputs, *plant.outputs), tuple(one.columns)
     if columns == channels and one.u.shape[1] == len(plant.inputs):
         return one
-    found = matched_names(channels, columns)
-    if len(found) < len(channels):
-        absent = {name: name for name in channels if name not in found}
-        raise missing_columns(absent, columns, one.source or "the recording", matched=list(found.values()))
+    found = required_columns(channels, columns, one.source or "the recording")
     rows = np.hstack([one.u, one.y])[:, [columns.index(found[name]) for name in channels]]
     m = len(plant.inputs)
     return replace(
@@ -202,10 +199,7 @@ def _by_name(data: Any, channels: tuple[str, ...], source: str, plant: Plant) ->
     if not _is_frame(data):
         return data, ()
     columns = {str(name): name for name in data.columns}
-    found = matched_names(channels, list(columns))
-    if len(found) < len(channels):
-        absent = {name: name for name in channels if name not in found}
-        raise missing_columns(absent, list(columns), source, matched=list(found.values()))
+    found = required_columns(channels, list(columns), source)
     parts = [np.asarray(data[columns[found[name]]], dtype=float) for name in channels]
     rows = np.column_stack(parts) if parts else np.zeros((len(data), 0))
     return rows, spelling_notes(found, plant.units)

@@ -46,6 +46,24 @@ def matched_names(
     return {name: out[name] for name in channels if name in out}
 
 
+def required_columns(
+    channels: Sequence[str], columns: Sequence[str], source: str, *, advice: str = ""
+) -> dict[str, str]:
+    """Return the column of each channel as :func:`matched_names` does, or raise where one has none.
+
+    Parameters
+    ----------
+    channels, columns : sequence of str
+    source, advice : str
+        As for :func:`missing_columns`.
+    """
+    found = matched_names(channels, columns)
+    absent = {name: name for name in channels if name not in found}
+    if absent:
+        raise missing_columns(absent, columns, source, matched=list(found.values()), advice=advice)
+    return found
+
+
 def _candidates(channels: Sequence[str], columns: Sequence[str], taken: set[str]) -> dict[str, list[str]]:
     """Return the columns that may be each channel: those of the same name but for case, blanks and units."""
     free = [name for name in columns if name not in taken and name.strip() and not TIME_NAME.fullmatch(name.strip())]
@@ -152,4 +170,4 @@ def _similar(channel: str, columns: Sequence[str]) -> list[str]:
     return list(dict.fromkeys([*holding, *(column for one in near for column in columns if bare[column] == one)]))
 
 
-__all__ = ["matched_names", "missing_columns", "named_columns", "spelling_notes"]
+__all__ = ["matched_names", "missing_columns", "named_columns", "required_columns", "spelling_notes"]

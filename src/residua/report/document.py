@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -20,7 +19,7 @@ from residua.monitor.design_records import generator_in, generator_out
 from residua.monitor.diagnosis import Diagnosis
 from residua.number_kinds import REPORTED
 from residua.recording.clock import Clock
-from residua.records import dumps, field_names, float_in, list_in, loads, record, values_in, values_out
+from residua.records import dumps, field_names, float_in, list_in, loads, plain, record, values_in, values_out
 from residua.report.verdict import verdict
 from residua.visible import echo, shortened
 
@@ -45,7 +44,7 @@ def found_values(diagnosis: Diagnosis) -> dict[str, Any]:
         "first": totals.first,
         "last": totals.last,
         "times_from": diagnosis.origin or None,
-        "alarms": [_finite(alarm.to_dict(window=diagnosis.window)) for alarm in diagnosis.alarms],
+        "alarms": [plain(alarm.to_dict(window=diagnosis.window)) for alarm in diagnosis.alarms],
         "notes": list(diagnosis.notes),
     }
 
@@ -54,15 +53,6 @@ def document_of(diagnosis: Diagnosis, *, whole: bool) -> str:
     """Return a diagnosis as JSON; without ``whole`` what was found alone."""
     head = {"format": FORMAT, "version": VERSION, "plant": diagnosis.generator.plant.name, "source": diagnosis.source}
     return dumps({**head, **found_values(diagnosis), "whole": _whole(diagnosis) if whole else None})
-
-
-def _finite(value: Any) -> Any:
-    """Return plain values with null for numbers that are not known, or infinite."""
-    if isinstance(value, dict):
-        return {name: _finite(one) for name, one in value.items()}
-    if isinstance(value, list):
-        return [_finite(one) for one in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _whole(diagnosis: Diagnosis) -> dict[str, Any]:
