@@ -1,0 +1,199 @@
+"""A filter and its plant in balanced units, with their responses at the frequencies at which a design is checked."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from residua.linear import StateSpace
+from residua.plant import Plant
+
+Matrix = NDArray[np.float64]
+#: Frequencies between the slowest and the fastest rate, besides those next to each pole.
+_POINTS = 60
+#: How far below the slowest and above the fastest rate they go.
+_BEYOND = 30.0
+#: Rates of a plant, in units of its own, below which a pole is that of an integrator.
+_INTEGRATES = 1e-5
+#: A pole of a sampled system this near to zero has no rate; an infinite one of a pencil is as far from finite.
+_NO_RATE = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class BalancedFilter:
+    r"""A filter :math:`\dot\xi = F \xi + G_u u + G_y y, \; r = L \xi + J_u u + J_y y` of a balanced plant.
+
+    Its states and outputs are of unit size; all factors are powers of two.
+
+    Attributes
+    ----------
+    plant : Plant
+    A, C, E : ndarray
+        Of the plant.
+    F, Gu, Gy, L, Ju, Jy : ndarray
+        Of the filter; columns of ``Gu`` and ``Ju`` in the plant's own units of its controls.
+    T, V : ndarray
+        The state and the static map of the filter.
+    heights : ndarray, shape (outputs of the filter,)
+        What its outputs are multiplied by.
+    estimate : ndarray
+        What the outputs estimate, ``M x``, in these units; zero where they estimate nothing.
+    """
+
+    plant: Plant
+    A: Matrix
+    C: Matrix
+    E: Matrix
+    F: Matrix
+    Gu: Matrix
+    Gy: Matrix
+    L: Matrix
+    Ju: Matrix
+    Jy: Matrix
+    T: Matrix
+    V: Matrix
+    heights: Matrix
+    estimate: Matrix
+
+    @classmethod
+    def of(
+        cls,
+        system: StateSpace,
+        plant: Plant,
+        T: Matrix,
+        V: Matrix | None = None,
+        estimate: Matrix | None = None,
+    ) -> BalancedFilter:
+        """Return a filter with its maps in balanced units."""
+        units, n_u = plant.balanced.units, len(plant.inputs)
+        R, X, Y, rate = units.equations, units.states, units.outputs, units.rate
+        T, Gy = T / R, system.B[:, n_u:] / Y / rate
+        own = 1 / power_near(np.abs(np.hstack([T, Gy])).max(axis=1, initial=0.0))[:, None]  # T alone may be rounding
+        L, Jy, Ju = system.C / own[:, 0], system.D[:, n_u:] / Y, system.D[:, :n_u]
+        M = np.zeros((len(L), len(R))) if estimate is None else estimate * X
+        whole = np.hstack([L, Jy, Ju * units.inputs[:n_u]]) if estimate is None else M
+        height = 1 / power_near(np.abs(whole).max(axis=1, initial=0.0))[:, None]
+        return cls(
+            plant,
+            R[:, None] * plant.A * X / rate,
+            Y[:, None] * plant.C * X,
+            np.eye(len(R)) if plant.E is None else R[:, None] * plant.E * X,
+            own * system.A / own[:, 0] / rate,
+            own * system.B[:, :n_u] / rate,
+            own * Gy,
+            height * L,
+            height * Ju,
+            height * Jy,
+            own * T,
+            np.zeros((len(L), len(R))) if V is None else height * V / R * rate,
+            height[:, 0],
+            height * M,
+        )
+
+    def entering(self, B: Matrix, D: Matrix) -> tuple[Matrix, Matrix, Matrix]:
+        """Return ``B`` and ``D`` of some inputs of the plant in balanced units, of unit size, and their factors."""
+        units = self.plant.balanced.units
+        B, D = units.equations[:, None] * B / units.rate, units.outputs[:, None] * D
+        U = 1 / power_near(np.maximum(np.abs(B).max(axis=0, initial=0.0), np.abs(D).max(axis=0, initial=0.0)))
+        return B * U, D * U, U
+
+    @cached_property
+    def of_plant(self) -> Resolvent:
+        """The resolvent of the plant."""
+        return Resolvent.of(self.A, None if self.plant.E is None else self.E)
+
+    @cached_property
+    def of_filter(self) -> Resolvent:
+        """The resolvent of the filter."""
+        return Resolvent.of(self.F, None)
+
+    @cached_property
+    def points(self) -> NDArray[np.complex128]:
+        """Points on the boundary of stability, from far below the slowest rate to far above the fastest."""
+        sampled = self.plant.is_discrete
+        plant, own = (np.abs(_rates(one.poles, sampled)) for one in (self.of_plant, self.of_filter))
+        plant = plant[plant > _INTEGRATES]
+        every = np.concatenate([plant, own])
+        every = every[np.isfinite(every) & (every > 0)] if len(every) else np.ones(1)
+        every = every if len(every) else np.ones(1)
+        ends = every.min() / _BEYOND, every.max() * _BEYOND
+        if sampled:
+            ends = min(ends[0], 1e-2), np.pi
+        w = np.unique(np.concatenate([np.geomspace(*ends, _POINTS), 1.001 * every]))
+        w = w[w <= np.pi] if sampled else w
+        return np.asarray(np.exp(1j * w) if sampled else 1j * w, dtype=complex)
+
+    @property
+    def slowest(self) -> float:
+        """The lowest frequency, in rad/s."""
+        s = self.points[0]
+        return float(np.angle(s) / self.plant.dt if self.plant.is_discrete else s.imag * self.plant.balanced.units.rate)
+
+    def read(self, points: NDArray[np.complex128]) -> Matrix:
+        """Return the sizes of the responses of the filter to the outputs of the plant, shape (points, r, outputs)."""
+        return np.abs(self.L @ self.of_filter(self.Gy, points) + self.Jy)
+
+
+@dataclass(frozen=True, eq=False)
+class Resolvent:
+    """``(s E - A)^-1``, from a Schur form: ``A = Q upper Z'``, ``E = Q lower Z'``."""
+
+    upper: NDArray[np.complex128]
+    lower: NDArray[np.complex128]
+    Q: NDArray[np.complex128]
+    Z: NDArray[np.complex128]
+
+    @classmethod
+    def of(cls, A: Matrix, E: Matrix | None) -> Resolvent:
+        """Return that of a matrix or a pencil."""
+        if not len(A):
+            none = np.zeros((0, 0), dtype=complex)
+            return cls(none, none, none, none)
+        if E is None:
+            upper, Z = scipy.linalg.schur(A, output="complex")
+            return cls(upper, np.eye(len(A), dtype=complex), Z, Z)
+        return cls(*scipy.linalg.qz(A, E, output="complex"))
+
+    @property
+    def poles(self) -> NDArray[np.complex128]:
+        """The finite eigenvalues."""
+        a, b = np.diag(self.upper), np.diag(self.lower)
+        finite = np.abs(b) > _NO_RATE * np.abs(a)
+        return a[finite] / b[finite]
+
+    def __call__(self, B: NDArray, s: NDArray[np.complex128]) -> NDArray[np.complex128]:
+        """Return ``(s E - A)^-1 B`` at points, shape (points, n, inputs); ``B`` may be one for each point."""
+        right = self.Q.conj().T @ np.broadcast_to(B, (len(s), *B.shape[-2:]))
+        out = np.zeros(right.shape, dtype=complex)
+        for i in range(len(self.upper) - 1, -1, -1):
+            row = s[:, None] * self.lower[i, i + 1 :] - self.upper[i, i + 1 :]
+            pivot = s * self.lower[i, i] - self.upper[i, i]
+            rest = right[:, i] - (row[:, None] @ out[:, i + 1 :])[:, 0]
+            out[:, i] = rest / np.where(pivot == 0, np.finfo(float).eps, pivot)[:, None]
+        return self.Z @ out
+
+
+def _rates(poles: NDArray, sampled: bool) -> NDArray[np.complex128]:
+    """Return poles of a sampled system as rates per sample; those at zero have none."""
+    poles = np.asarray(poles, dtype=complex)
+    return np.asarray(np.log(poles[np.abs(poles) > _NO_RATE]), dtype=complex) if sampled else poles
+
+
+def power_near(size: Matrix) -> Matrix:
+    """Return powers of two near sizes; 1 for zero."""
+    return np.exp2(np.round(np.log2(np.where(size > 0, size, 1.0))))
+
+
+def extended_sum(*products: tuple[Matrix, ...]) -> Matrix:
+    """Return a sum of products, computed with extended precision."""
+    total = np.longdouble(0.0)
+    for first, *others in products:
+        one = first.astype(np.longdouble)
+        for other in others:
+            one = one @ other.astype(np.longdouble)
+        total = total + one
+    return np.asarray(total, dtype=np.float64)
