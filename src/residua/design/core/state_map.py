@@ -9,9 +9,8 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from residua.linear import StateSpace
-from residua.linear.subspaces.quotient import observable_split, quotient
+from residua.linear.subspaces.quotient import observable_split
 from residua.plant import Plant
-from residua.plant.balanced import BalancedPlant
 from residua.tolerances import BALANCED_RANK
 
 Matrix = NDArray[np.float64]
@@ -44,72 +43,82 @@ def state_map_of(system: StateSpace, plant: Plant) -> tuple[StateSpace, Matrix, 
         ``T``, by least squares where nothing solves the equations.
     ndarray, shape (residuals, n), or None
         ``V``; none where ``E`` is invertible.
+    """
+    shown = _without_unseen(system, plant)
+    T = state_map(shown, plant)
+    return shown, T, static_map(shown, plant, T)
 
-    Notes
-    -----
+
+def state_map(system: StateSpace, plant: Plant) -> Matrix:
+    r"""Return the ``T`` of `state_map_of`; one of those that there are where the filter does not show all its states.
+
     A Schur form of the plant, its finite modes first, gives ``T`` column by column, whatever modes plant and filter
-    share: of a mode :math:`\lambda`, :math:`[\lambda - F; L]` has full column rank, as ``L`` sees all of ``F``.
+    share: of a mode :math:`\lambda`, :math:`[\lambda - F; L]` has full column rank where ``L`` sees all of ``F``.
 
     References
     ----------
     Golub, Nash and Van Loan (1979), IEEE TAC 24(6): the Sylvester equation by columns of a Schur form.
     """
+    model, n_u, k = plant.balanced, len(plant.inputs), system.n_states
+    (A, C, E), rate, Y = model.written, model.units.rate, model.units.outputs
+    states, rows = _sizes(system, plant)
+    F, L = system.A / states[:, None] * states / rate, rows * system.C * states
+    n, finite = plant.n_states, len(model.dynamics)
+    if plant.E is None:
+        S, Z = scipy.linalg.schur(A, output="complex") if n else (A, A)
+        P, Q = E, Z
+    else:
+        S, P, _, _, Q, Z = scipy.linalg.ordqz(A, E, sort=_most_finite(finite), output="complex")
+    G, J = system.B[:, n_u:] / states[:, None] / Y / rate @ C @ Z, rows * system.D[:, n_u:] / Y @ C @ Z
+    T = np.zeros((k, n), dtype=complex)
+    for j in range(n if k else 0):
+        before = T[:, :j] @ P[:j, j]
+        pencil, right = S[j, j] * np.eye(k) - P[j, j] * F, G[:, j] + F @ before - T[:, :j] @ S[:j, j]
+        if j < finite:  # where V reads nothing
+            pencil, right = np.vstack([pencil, P[j, j] * L]), np.concatenate([right, -J[:, j] - L @ before])
+        T[:, j] = scipy.linalg.lstsq(pencil, right, lapack_driver="gelsy")[0]
+    return states[:, None] * np.asarray((T @ Q.conj().T).real, dtype=np.float64) * model.units.equations
+
+
+def static_map(system: StateSpace, plant: Plant, T: Matrix) -> Matrix | None:
+    """Return the ``V`` of `state_map_of`: how a filter reads the algebraic equations of its plant, if it has any."""
     model, n_u = plant.balanced, len(plant.inputs)
-    units = model.units
-    signals = np.concatenate([units.inputs[:n_u], 1 / units.outputs])
-    states = _sizes(system, system.B * signals, units.rate)
-    A, L = system.A / states[:, None] * states / units.rate, system.C * states
-    rows = 1 / _power(np.abs(np.hstack([L, system.D * signals])).max(axis=1, initial=0.0))[:, None]
-    split = observable_split(A / _power(np.abs(A).max(initial=0.0)), rows * L)
-    if split.hidden.shape[1]:
-        O = split.seen  # noqa: E741
-        A, L = O.T @ A @ O, L @ O
-        system = system.replaced(A=units.rate * A, B=O.T / states @ system.B, C=L, states=None)
-        states = np.ones(len(A))
-    G, J = (M[:, n_u:] / units.outputs for M in (system.B / states[:, None] / units.rate, rows * system.D))
-    T, V = _solved(A, G, rows * L, J, model)
-    T = states[:, None] * T * units.equations
-    return system, T, None if V is None else V * units.equations / rows / units.rate
+    if not len(model.algebra):
+        return None
+    (A, C, E), units, rows = model.written, model.units, _sizes(system, plant)[1]
+    missing = rows * system.C @ (T / units.equations) @ E + rows * system.D[:, n_u:] / units.outputs @ C
+    read = np.linalg.lstsq((model.algebra @ A).T, missing.T, rcond=BALANCED_RANK)[0].T
+    return -read @ model.algebra * units.equations / rows / units.rate
 
 
-def _sizes(system: StateSpace, B: Matrix, rate: float) -> Matrix:
-    """Return how large inputs of unit size make the states of a filter; 1 for those that they do not reach."""
-    points = np.exp(1j * _ANGLES) if system.is_discrete else 1j * rate * _ANGLES
-    responses = np.linalg.solve(points[:, None, None] * np.eye(len(B)) - system.A, B.astype(complex))
-    return _power(np.abs(responses).max(axis=(0, 2), initial=0.0))
+def _without_unseen(system: StateSpace, plant: Plant) -> StateSpace:
+    """Return a filter without the states that its outputs do not see."""
+    states, rows = _sizes(system, plant)
+    A, C = system.A / states[:, None] * states, system.C * states
+    split = observable_split(A / _power(np.abs(A).max(initial=0.0)), rows * C)
+    if not split.hidden.shape[1]:
+        return system
+    O = split.seen  # noqa: E741
+    return system.replaced(A=O.T @ A @ O, B=O.T / states @ system.B, C=C @ O, states=None)
+
+
+def _sizes(system: StateSpace, plant: Plant) -> tuple[Matrix, Matrix]:
+    """Return how large balanced signals make the states of a filter, and factors that make its outputs near one.
+
+    Powers of two; one for states that no signal reaches.
+    """
+    units, k = plant.balanced.units, system.n_states
+    signals = np.concatenate([units.inputs[: len(plant.inputs)], 1 / units.outputs])
+    points = np.exp(1j * _ANGLES) if system.is_discrete else 1j * units.rate * _ANGLES
+    responses = np.linalg.solve(points[:, None, None] * np.eye(k) - system.A, (system.B * signals).astype(complex))
+    states = _power(np.abs(responses).max(axis=(0, 2), initial=0.0))
+    whole = np.abs(np.hstack([system.C * states, system.D * signals]))
+    return states, 1 / _power(whole.max(axis=1, initial=0.0))[:, None]
 
 
 def _power(size: Matrix | float) -> Matrix:
     """Return powers of two near sizes; 1 for zero."""
     return np.exp2(np.round(np.log2(np.where(np.asarray(size) > 0, size, 1.0))))
-
-
-def _solved(F: Matrix, G: Matrix, L: Matrix, J: Matrix, model: BalancedPlant) -> tuple[Matrix, Matrix | None]:
-    """Return ``T`` and ``V`` of a balanced filter."""
-    p, n, k = model.plant, model.plant.n_states, len(F)
-    R, X = model.units.equations[:, None], model.units.states
-    A, C = R * p.A * X / model.units.rate, model.units.outputs[:, None] * p.C * X
-    if p.E is None:
-        E, finite = np.eye(n), n
-        S, Z = scipy.linalg.schur(A, output="complex") if n else (A, A)
-        P, Q = E, Z
-    else:
-        E, outputs = R * p.E * X, p.n_outputs
-        # what is left of the equations when the variables without one of their own are divided out has the finite modes
-        finite = len(quotient(model.A, model.free[0], model.C[outputs:], model.free[1][outputs:]).A)
-        S, P, _, _, Q, Z = scipy.linalg.ordqz(A, E, sort=_most_finite(finite), output="complex")
-    GC, JC, T = G @ C @ Z, J @ C @ Z, np.zeros((k, n), dtype=complex)
-    for j in range(n):
-        before = T[:, :j] @ P[:j, j]
-        pencil, right = S[j, j] * np.eye(k) - P[j, j] * F, GC[:, j] + F @ before - T[:, :j] @ S[:j, j]
-        if j < finite:  # where V reads nothing
-            pencil, right = np.vstack([pencil, P[j, j] * L]), np.concatenate([right, -JC[:, j] - L @ before])
-        T[:, j] = scipy.linalg.lstsq(pencil, right, lapack_driver="gelsy")[0] if k else 0.0
-    T = np.asarray((T @ Q.conj().T).real, dtype=np.float64)
-    if not len(model.algebra):
-        return T, None
-    missing = L @ T @ E + J @ C
-    return T, -np.linalg.lstsq((model.algebra @ A).T, missing.T, rcond=BALANCED_RANK)[0].T @ model.algebra
 
 
 def _most_finite(count: int) -> Callable[[Columns, Columns], NDArray[np.bool_]]:
