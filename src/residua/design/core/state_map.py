@@ -9,7 +9,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from residua.linear import StateSpace
-from residua.linear.subspaces.quotient import observable_split
+from residua.linear.subspaces.quotient import observable_split, without_rounding
 from residua.plant import Plant
 from residua.tolerances import BALANCED_RANK
 
@@ -77,7 +77,7 @@ def state_map(system: StateSpace, plant: Plant) -> Matrix:
         if j < finite:  # where V reads nothing
             pencil, right = np.vstack([pencil, P[j, j] * L]), np.concatenate([right, -J[:, j] - L @ before])
         T[:, j] = scipy.linalg.lstsq(pencil, right, lapack_driver="gelsy")[0]
-    return states[:, None] * np.asarray((T @ Q.conj().T).real, dtype=np.float64) * model.units.equations
+    return states[:, None] * without_rounding((T @ Q.conj().T).real) * model.units.equations
 
 
 def static_map(system: StateSpace, plant: Plant, T: Matrix) -> Matrix | None:

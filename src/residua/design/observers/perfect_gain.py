@@ -176,7 +176,7 @@ def _finished(p: PlantPencil, Z: Matrix, X: Matrix, levels: list[int], beta: flo
         X,
         kept,
         nilpotency_index(kept),
-        float(np.linalg.cond(G[:, : p.n])) if G.size else 1.0,
+        float(np.linalg.cond(G[:, : p.n])) if p.n else 1.0,
         float(np.linalg.norm(G @ p.R - np.eye(len(G)))),
         float(np.linalg.norm(full - kept)) / max(1.0, float(np.linalg.norm(full))),
         _variation(full),
@@ -205,7 +205,14 @@ def full_rank_gain(p: PlantPencil, beta: float, seed: int) -> PerfectGain:
     ``t`` chains; random gains into the unobservable part, nilpotent by itself, hang its chains on to them. Each
     dimension of the null space of ``S`` ends one chain, which bounds ``t``.
     """
-    tried = list(_tried(p, beta, np.random.default_rng(seed)))
+    P, s, _ = np.linalg.svd(p.H)
+    seeing = P[:, : np.count_nonzero(s > BALANCED_RANK)]
+    tried = []
+    # what sees nothing of the equations is not read, such as a dead sensor, but where T is singular without it
+    for reading in (seeing @ seeing.T, np.eye(len(p.H))):
+        tried += _tried(p, reading, beta, np.random.default_rng(seed))
+        if any(gain.passes and gain.condition <= CONDITION for gain in tried):
+            break
     passed = [gain for gain in tried if gain.passes]
     good = [gain for gain in passed if gain.condition <= CONDITION]
     if good:
@@ -218,7 +225,7 @@ def full_rank_gain(p: PlantPencil, beta: float, seed: int) -> PerfectGain:
     raise AccuracyError(_NO_STEPS)
 
 
-def _tried(p: PlantPencil, beta: float, rng: np.random.Generator) -> Iterator[PerfectGain]:
+def _tried(p: PlantPencil, reading: Matrix, beta: float, rng: np.random.Generator) -> Iterator[PerfectGain]:
     """Yield random gains: few combinations of what is read, or many, see to long chains, or short ones."""
     split = observable_split(p.M, p.H)
     O, U = split.seen, split.hidden  # noqa: E741
@@ -226,13 +233,11 @@ def _tried(p: PlantPencil, beta: float, rng: np.random.Generator) -> Iterator[Pe
     rest = deadbeat(U.T @ M @ U, np.zeros((0, U.shape[1])))
     if rest is None:
         return
-    P, s, _ = np.linalg.svd(p.H)
-    reading = P[:, : np.count_nonzero(s > BALANCED_RANK)]  # what sees nothing of the equations is not read
-    ends = len(M) - int(np.count_nonzero(np.linalg.svd(p.S, compute_uv=False) > BALANCED_RANK))
+    ends, most = len(M) - _rank(p.S), _rank(p.H)
     # what moves N as much as it is large already; without anything to move, what moves G as much
     whole, seen = float(np.linalg.norm(M, 2)), float(np.linalg.norm(H, 2)) if H.size else 0.0
     size = whole / seen if seen and whole else float(np.linalg.norm(p.inverse, 2))
-    for chains in range(min(ends, reading.shape[1]), 0, -1) if reading.size else [0]:
+    for chains in range(min(ends, most), 0, -1) if most else [0]:
         for attempt in range(_ATTEMPTS):
             strength = size * (0.1, 0.3, 1.0)[attempt % 3]
             mix = np.linalg.qr(rng.standard_normal((count, chains)))[0].T if chains else np.zeros((0, count))
@@ -244,7 +249,7 @@ def _tried(p: PlantPencil, beta: float, rng: np.random.Generator) -> Iterator[Pe
             Z2 = strength * rng.standard_normal((U.shape[1], count))
             if attempt % 2 and H.size:
                 Z2 = Z2 - U.T @ M @ O @ np.linalg.pinv(H, rcond=BALANCED_RANK)
-            Z = (O @ (Z0 + found[0] @ mix) + U @ Z2) @ reading @ reading.T
+            Z = (O @ (Z0 + found[0] @ mix) + U @ Z2) @ reading
             # N = [N11 0; N21 N22] in these coordinates: the observable group comes first
             yield _finished(p, Z, np.hstack([O @ found[1], U @ rest[1]]), [*found[2], *rest[2]], beta)
 
@@ -267,6 +272,10 @@ def given_gain(p: PlantPencil, K: Matrix, beta: float) -> PerfectGain:
     return _passed(_finished(p, (G - p.inverse) @ p.left.T, found[1], found[2], beta))
 
 
+def _rank(M: Matrix) -> int:
+    return int(np.count_nonzero(np.linalg.svd(M, compute_uv=False) > BALANCED_RANK)) if M.size else 0
+
+
 def _passed(gain: PerfectGain) -> PerfectGain:
     if not gain.passes:
         raise AccuracyError(_missed(gain))
@@ -280,10 +289,7 @@ _NO_STEPS = (
 
 
 def _no_full_rank(p: PlantPencil, condition: float) -> str:
-    E, both = (
-        np.count_nonzero(np.linalg.svd(M, compute_uv=False) > BALANCED_RANK)
-        for M in (p.S, np.vstack([p.S[: p.n], p.R[p.n :]]))
-    )
+    E, both = _rank(p.S), _rank(np.vstack([p.S[: p.n], p.R[p.n :]]))
     return (
         f"no gain K makes det(sE - A - KC) constant: every T that was tried is singular (condition {condition:.2g} at "
         f"least), for the outputs see {both - E} dimension(s) of what algebraic equations alone determine, rank[E; C] "
