@@ -9,7 +9,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from residua.linear import StateSpace
-from residua.linear.subspaces.quotient import observable_split, without_rounding
+from residua.linear.subspaces.quotient import observable_split
 from residua.plant import Plant
 from residua.tolerances import BALANCED_RANK
 
@@ -70,14 +70,16 @@ def state_map(system: StateSpace, plant: Plant) -> Matrix:
     else:
         S, P, _, _, Q, Z = scipy.linalg.ordqz(A, E, sort=_most_finite(finite), output="complex")
     G, J = system.B[:, n_u:] / states[:, None] / Y / rate @ C @ Z, rows * system.D[:, n_u:] / Y @ C @ Z
-    T = np.zeros((k, n), dtype=complex)
+    X = np.zeros((k, n), dtype=complex)
     for j in range(n if k else 0):
-        before = T[:, :j] @ P[:j, j]
-        pencil, right = S[j, j] * np.eye(k) - P[j, j] * F, G[:, j] + F @ before - T[:, :j] @ S[:j, j]
+        before = X[:, :j] @ P[:j, j]
+        pencil, right = S[j, j] * np.eye(k) - P[j, j] * F, G[:, j] + F @ before - X[:, :j] @ S[:j, j]
         if j < finite:  # where V reads nothing
             pencil, right = np.vstack([pencil, P[j, j] * L]), np.concatenate([right, -J[:, j] - L @ before])
-        T[:, j] = scipy.linalg.lstsq(pencil, right, lapack_driver="gelsy")[0]
-    return states[:, None] * without_rounding((T @ Q.conj().T).real) * model.units.equations
+        X[:, j] = scipy.linalg.lstsq(pencil, right, lapack_driver="gelsy")[0]
+    T = np.asarray((X @ Q.conj().T).real, dtype=np.float64)
+    T[np.abs(T).max(axis=1, initial=0.0) < BALANCED_RANK] = 0.0  # states that signals move but the plant does not
+    return states[:, None] * T * model.units.equations
 
 
 def static_map(system: StateSpace, plant: Plant, T: Matrix) -> Matrix | None:
