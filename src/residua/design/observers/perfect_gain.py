@@ -199,59 +199,60 @@ def least_order_gain(p: PlantPencil, beta: float) -> PerfectGain:
 
 
 def full_rank_gain(p: PlantPencil, beta: float, seed: int) -> PerfectGain:
-    """Return the best of many gains whose ``T`` has full column rank: least index first, then least noise.
+    """Return the best of some random gains whose ``T`` has full column rank: of the least index, with the least noise.
 
     The observable part of ``(H, M)`` is made nilpotent through ``t`` random combinations of ``H``, which gives it
     ``t`` chains; random gains into the unobservable part, nilpotent by itself, hang its chains on to them. Each
-    dimension of the null space of ``S`` ends one chain, which bounds ``t``.
+    dimension of the null space of ``S`` ends one chain, which bounds ``t``: the most chains are tried first.
     """
     P, s, _ = np.linalg.svd(p.H)
     seeing = P[:, : np.count_nonzero(s > BALANCED_RANK)]
-    tried = []
+    most = min(len(p.M) - _rank(p.S), seeing.shape[1])
+    tried: list[PerfectGain] = []
     # what sees nothing of the equations is not read, such as a dead sensor, but where T is singular without it
     for reading in (seeing @ seeing.T, np.eye(len(p.H))):
-        tried += _tried(p, reading, beta, np.random.default_rng(seed))
-        if any(gain.passes and gain.condition <= CONDITION for gain in tried):
+        rng = np.random.default_rng(seed)
+        for chains in range(most, 0, -1) if most else [0]:
+            some = list(_random_gains(p, reading, chains, beta, rng))
+            good = [gain for gain in some if gain.passes and gain.condition <= CONDITION]
+            if good:
+                return min(good, key=lambda gain: (gain.index, gain.size))
+            tried += some
+        passed = [gain.condition for gain in tried if gain.passes]
+        if not passed:
             break
-    passed = [gain for gain in tried if gain.passes]
-    good = [gain for gain in passed if gain.condition <= CONDITION]
-    if good:
-        quietest = min(gain.size for gain in good)
-        return min((g for g in good if g.size <= 100 * quietest), key=lambda g: (g.index, g.size))
     if passed:
-        raise DesignError(_no_full_rank(p, min(gain.condition for gain in passed)))
+        raise DesignError(_no_full_rank(p, min(passed)))
     if tried:
         raise AccuracyError(_missed(min(tried, key=lambda g: max(g.variation / VARIATION, g.dropped / IDENTITY))))
     raise AccuracyError(_NO_STEPS)
 
 
-def _tried(p: PlantPencil, reading: Matrix, beta: float, rng: np.random.Generator) -> Iterator[PerfectGain]:
-    """Yield random gains: few combinations of what is read, or many, see to long chains, or short ones."""
+def _random_gains(
+    p: PlantPencil, reading: Matrix, chains: int, beta: float, rng: np.random.Generator
+) -> Iterator[PerfectGain]:
+    """Yield random gains with some number of chains in the observable part."""
     split = observable_split(p.M, p.H)
     O, U = split.seen, split.hidden  # noqa: E741
     M, H, count = p.M, p.H @ O, len(p.H)
     rest = deadbeat(U.T @ M @ U, np.zeros((0, U.shape[1])))
-    if rest is None:
-        return
-    ends, most = len(M) - _rank(p.S), _rank(p.H)
     # what moves N as much as it is large already; without anything to move, what moves G as much
     whole, seen = float(np.linalg.norm(M, 2)), float(np.linalg.norm(H, 2)) if H.size else 0.0
     size = whole / seen if seen and whole else float(np.linalg.norm(p.inverse, 2))
-    for chains in range(min(ends, most), 0, -1) if most else [0]:
-        for attempt in range(_ATTEMPTS):
-            strength = size * (0.1, 0.3, 1.0)[attempt % 3]
-            mix = np.linalg.qr(rng.standard_normal((count, chains)))[0].T if chains else np.zeros((0, count))
-            # few combinations see the observable part only when it has no repeated mode: a random gain sees to that
-            Z0 = strength * rng.standard_normal((O.shape[1], count)) * (attempt > 0 or chains < count)
-            found = deadbeat(O.T @ M @ O + Z0 @ H, mix @ H)
-            if found is None:
-                continue
-            Z2 = strength * rng.standard_normal((U.shape[1], count))
-            if attempt % 2 and H.size:
-                Z2 = Z2 - U.T @ M @ O @ np.linalg.pinv(H, rcond=BALANCED_RANK)
-            Z = (O @ (Z0 + found[0] @ mix) + U @ Z2) @ reading
-            # N = [N11 0; N21 N22] in these coordinates: the observable group comes first
-            yield _finished(p, Z, np.hstack([O @ found[1], U @ rest[1]]), [*found[2], *rest[2]], beta)
+    for attempt in range(_ATTEMPTS if rest else 0):
+        strength = size * (0.1, 0.3, 1.0)[attempt % 3]
+        mix = np.linalg.qr(rng.standard_normal((count, chains)))[0].T if chains else np.zeros((0, count))
+        # few combinations see the observable part only when it has no repeated mode: a random gain sees to that
+        Z0 = strength * rng.standard_normal((O.shape[1], count)) * (attempt > 0 or chains < count)
+        found = deadbeat(O.T @ M @ O + Z0 @ H, mix @ H)
+        if found is None or rest is None:
+            continue
+        Z2 = strength * rng.standard_normal((U.shape[1], count))
+        if attempt % 2 and H.size:
+            Z2 = Z2 - U.T @ M @ O @ np.linalg.pinv(H, rcond=BALANCED_RANK)
+        Z = (O @ (Z0 + found[0] @ mix) + U @ Z2) @ reading
+        # N = [N11 0; N21 N22] in these coordinates: the observable group comes first
+        yield _finished(p, Z, np.hstack([O @ found[1], U @ rest[1]]), [*found[2], *rest[2]], beta)
 
 
 def given_gain(p: PlantPencil, K: Matrix, beta: float) -> PerfectGain:
