@@ -90,6 +90,7 @@ def static_map(system: StateSpace, plant: Plant, T: Matrix) -> Matrix | None:
     (A, C, E), units, rows = model.written, model.units, _sizes(system, plant)[1]
     missing = rows * system.C @ (T / units.equations) @ E + rows * system.D[:, n_u:] / units.outputs @ C
     read = np.linalg.lstsq((model.algebra @ A).T, missing.T, rcond=BALANCED_RANK)[0].T
+    read[np.abs(read).max(axis=1, initial=0.0) < BALANCED_RANK] = 0.0  # a residual that reads none
     return -read @ model.algebra * units.equations / rows / units.rate
 
 

@@ -60,7 +60,7 @@ class PlantPencil:
     @cached_property
     def inverse(self) -> Matrix:
         """The smallest left inverse of ``R``."""
-        return np.linalg.pinv(self.R)
+        return np.asarray(np.linalg.pinv(self.R), dtype=np.float64)
 
     @cached_property
     def left(self) -> Matrix:
