@@ -49,13 +49,18 @@ class PlantPencil:
     @classmethod
     def of(cls, plant: Plant, outputs: list[int]) -> PlantPencil:
         """Return that of a plant and some of its outputs; its controls have no part in it, nor in its units."""
-        A, E, B, C, D = plant.A, plant.E, plant.Bd, plant.C[outputs], plant.Dd[outputs]
-        units = scaling(A, B, C, D, E, sampled=plant.is_discrete)
-        equations, columns = units.equations, np.concatenate([units.states, units.inputs])
-        rows = np.concatenate([equations / units.rate, units.outputs])
-        S = np.zeros((len(rows), len(columns)))
-        S[: len(A), : len(A)] = equations[:, None] * (np.eye(len(A)) if E is None else E) * units.states
-        return cls(rows[:, None] * np.block([[A, B], [C, D]]) * columns, S, len(A), rows, columns, units.rate)
+        model, n, first = plant.balanced, plant.n_states, len(plant.inputs)
+        (A, C, E), units = model.written, model.units
+        d, Y = units.inputs[first : first + len(plant.disturbances)], units.outputs[outputs]
+        e = units.equations / units.rate
+        B, C, D = e[:, None] * plant.Bd * d, C[outputs], Y[:, None] * plant.Dd[outputs] * d
+        own = scaling(A, B, C, D, None if plant.E is None else E, sampled=plant.is_discrete)
+        rows = np.concatenate([own.equations / own.rate, own.outputs])
+        columns = np.concatenate([own.states, own.inputs])
+        R, S = rows[:, None] * np.block([[A, B], [C, D]]) * columns, np.zeros((len(rows), len(columns)))
+        S[:n, :n] = own.equations[:, None] * E * own.states
+        rows, columns = rows * np.concatenate([e, Y]), columns * np.concatenate([units.states, d])
+        return cls(R, S, n, rows, columns, units.rate * own.rate)
 
     @cached_property
     def inverse(self) -> Matrix:
@@ -162,6 +167,7 @@ def nilpotency_index(N: Matrix) -> int:
 def _finished(p: PlantPencil, Z: Matrix, X: Matrix, levels: list[int], beta: float) -> PerfectGain:
     """Return the gain of a choice of ``Z``, checked."""
     G = p.inverse + Z @ p.left
+    X = without_rounding(X)
     G = cleared(G + (np.eye(len(G)) - G @ p.R) @ G)
     full, ends = X.T @ G @ p.S @ X, np.repeat(np.cumsum(levels), levels)
     # the basis is one of N': N maps each group of directions into those after it

@@ -238,10 +238,8 @@ class PerfectObserver:
     def _residual(self, F: NDArray) -> list[NDArray[np.float64]]:
         """Return the coefficients of the residual, of signals that enter the equations by ``F``."""
         p, series = self.gain.pencil, self._series(F)
-        if self.complete:
-            direct, read = F[p.n :], -self.left / p.rows[p.n :] @ p.R[p.n :]
-        else:
-            direct, read = F, self.left / p.rows @ p.S
+        left, of = (-self.left / p.rows[p.n :], p.R[p.n :]) if self.complete else (self.left / p.rows, p.S)
+        direct, read = F[p.n :] if self.complete else F, above_rounding(left @ of, np.abs(left) @ np.abs(of))
         first = self.left @ direct, np.abs(self.left) @ np.abs(direct)
         found = [(read @ P, np.abs(read) @ size) for P, size in series]
         if self.complete:
@@ -382,7 +380,7 @@ def perfect_observer(
         not least_order,
         Evidence("perfect observer"),
         gain,
-        pencil.left * pencil.rows if least_order else np.eye(len(rows)),
+        pencil.left * pencil.rows if least_order else np.eye(len(rows)) * (pencil.rows[n:] if q else 1.0),
     )
     if q or least_order:
         made = replace(made, left=_reduced_rows(made, len(rows) - q))
