@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from residua import arrays
 from residua.linear import StateSpace
-from residua.tolerances import above_rounding
 
 #: Coefficients, and for each of their entries the sum of the magnitudes of the terms that it is made of.
 Terms = tuple[NDArray[np.float64], NDArray[np.float64]]
@@ -30,13 +29,12 @@ def trimmed(coefficients: Sequence[Terms], rate: float, rtol: float = 1e-12) -> 
     rtol : float
         Coefficients below this fraction of what their row and their column are made of count as rounding.
     """
-    out = [above_rounding(P, size) for P, size in coefficients]
     total = sum(rate**i * size for i, (_, size) in enumerate(coefficients))
     columns = np.max(total, axis=0, keepdims=True, initial=0.0)
     columns = np.where(columns > 0, columns, 1.0)
-    rows = np.max(total / columns, axis=1, keepdims=True, initial=0.0)
-    floor = rtol * np.where(rows > 0, rows, 1.0) * columns
-    while len(out) > 1 and not np.any(rate ** (len(out) - 1) * np.abs(out[-1]) > floor):
+    floor = rtol * np.max(total / columns, axis=1, keepdims=True, initial=0.0) * columns
+    out = [np.where(rate**i * np.abs(P) > floor, P, 0.0) for i, (P, _) in enumerate(coefficients)]
+    while len(out) > 1 and not np.any(out[-1]):
         out.pop()
     return out
 

@@ -54,7 +54,7 @@ class PlantPencil:
         d, Y = units.inputs[first : first + len(plant.disturbances)], units.outputs[outputs]
         e = units.equations / units.rate
         B, C, D = e[:, None] * plant.Bd * d, C[outputs], Y[:, None] * plant.Dd[outputs] * d
-        own = scaling(A, B, C, D, None if plant.E is None else E, sampled=plant.is_discrete)
+        own = scaling(A, B, C, D, E, sampled=plant.is_discrete)
         rows = np.concatenate([own.equations / own.rate, own.outputs])
         columns = np.concatenate([own.states, own.inputs])
         R, S = rows[:, None] * np.block([[A, B], [C, D]]) * columns, np.zeros((len(rows), len(columns)))
