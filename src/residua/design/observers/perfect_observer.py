@@ -28,9 +28,9 @@ from residua.errors import AccuracyError, DesignError, SettingError
 from residua.linear import StateSpace, decide_rank, default_margin, invariant_zeros
 from residua.linear.norms.system_norms import h2_norm, hinf_norm
 from residua.linear.poles.spectrum import describe_modes
-from residua.linear.subspaces.rank import left_null_basis
+from residua.linear.subspaces.rank import left_null_basis, without_noise
 from residua.plant import Plant
-from residua.tolerances import BALANCED_RANK, LEAK, SAME, above_rounding
+from residua.tolerances import BALANCED_RANK, DESIGN_ROUNDING, LEAK, SAME, above_rounding
 from residua.words import as_given, counted, used_up
 
 REFERENCE = "Twardy and Kaczorek, part I, eqs. (30) to (33), Theorem 4, Procedure 2"
@@ -444,14 +444,14 @@ def _reduced_rows(o: PerfectObserver, independent: int) -> NDArray[np.float64]:
     # orthonormal rows first: rows of the caller's choice may be nearly parallel, or far apart in size
     U, s, _ = np.linalg.svd(np.hstack(list(P)), full_matrices=False)
     kept = (s > SAME * s.max(initial=0.0)) & (np.arange(len(s)) < independent)  # of equal sensors nothing is left
-    U = U[:, kept] / s[kept]
+    U = without_noise(U[:, kept]) / s[kept]
     P, rows = U.T @ P, np.zeros((0, U.shape[1]))
     for degree in range(len(P)):
         higher = np.hstack([np.zeros((U.shape[1], 0)), *P[degree + 1 :]])
         rows = np.vstack([rows, left_null_basis(np.hstack([higher, rows.T]), rtol=SAME, scale=1.0)[0].T])
     size = np.abs(rows @ P * Y).max(axis=(0, 2), initial=0.0)
     terms = np.abs(rows) @ np.abs(U.T) @ np.abs(o.left)
-    return above_rounding(rows @ U.T @ o.left, terms) / size[:, None]
+    return above_rounding(rows @ U.T @ o.left, terms, DESIGN_ROUNDING) / size[:, None]
 
 
 def _evidence(o: PerfectObserver) -> Evidence:
