@@ -36,7 +36,7 @@ from residua.words import as_given, counted, used_up
 REFERENCE = "Twardy and Kaczorek, part I, eqs. (30) to (33), Theorem 4, Procedure 2"
 #: States of a filter beyond which its peak gain is not computed.
 MOST_STATES = 300
-#: A state counts as at least this part of the largest one where its estimate is compared with it.
+#: A state whose response is below this part of the largest is moved by nothing: its error is compared with the largest.
 _LEAST_STATE = 1e-6
 
 
@@ -510,7 +510,7 @@ def _estimate_off(o: PerfectObserver, system: StateSpace) -> float:
     missed = Q[..., n_u:] @ (C @ X + D) - late[:, None, None] * X
     missed[..., :n_u] += Q[..., :n_u]
     size = np.abs(late[:, None, None] * X).max(axis=(0, 2), initial=0.0)
-    size = np.maximum(size, _LEAST_STATE * size.max(initial=0.0))
+    size = np.where(size > _LEAST_STATE * size.max(initial=0.0), size, size.max(initial=0.0))
     worst = float(np.max(np.abs(missed).max(axis=(0, 2), initial=0.0) / np.where(size > 0, size, 1.0), initial=0.0))
     if not worst <= LEAK:
         raise AccuracyError(
