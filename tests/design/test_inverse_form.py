@@ -32,5 +32,5 @@ def test_rates_far_apart_and_units_make_no_matrix_singular(seed: int, unit_of_ti
     with pytest.raises(DesignError, match="A is singular, rank 2 < 3"):
         rs.design.inverse_form_observer(rounded)
     alike = watched(np.array([[1, 1.0, 0], [1, 1 + 1e-12, 0], [0, 0, -2]]), states, unit_of_time)
-    with pytest.raises(DesignError, match="A is singular, rank 2 < 3, with a singular value of [1-9]e-1[34]"):
+    with pytest.raises(DesignError, match=r"A is singular, rank 2 < 3, with a singular value of [1-9]e-1[34]"):
         rs.design.inverse_form_observer(alike)
