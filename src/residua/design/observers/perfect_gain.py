@@ -37,6 +37,8 @@ class PlantPencil:
         The factors from the equations of the plant to these, and from these states and disturbances to its own.
     rate : float
         The unit of rates, in 1/s.
+    beta : float
+        The rate at which derivatives are compared with one another: the bandwidth, or of a sampled plant one step.
     """
 
     R: Matrix
@@ -45,9 +47,10 @@ class PlantPencil:
     rows: Matrix
     columns: Matrix
     rate: float
+    beta: float
 
     @classmethod
-    def of(cls, plant: Plant, outputs: list[int]) -> PlantPencil:
+    def of(cls, plant: Plant, outputs: list[int], bandwidth: float) -> PlantPencil:
         """Return that of a plant and some of its outputs; its controls have no part in it, nor in its units."""
         model, n, first = plant.balanced, plant.n_states, len(plant.inputs)
         (A, C, E), units = model.written, model.units
@@ -60,7 +63,8 @@ class PlantPencil:
         R, S = rows[:, None] * np.block([[A, B], [C, D]]) * columns, np.zeros((len(rows), len(columns)))
         S[:n, :n] = own.equations[:, None] * E * own.states
         rows, columns = rows * np.concatenate([e, Y]), columns * np.concatenate([units.states, d])
-        return cls(R, S, n, rows, columns, units.rate * own.rate)
+        rate = units.rate * own.rate
+        return cls(R, S, n, rows, columns, rate, 1.0 if plant.dt else bandwidth / rate)
 
     @cached_property
     def inverse(self) -> Matrix:
@@ -164,7 +168,7 @@ def nilpotency_index(N: Matrix) -> int:
     return len(N) + 1
 
 
-def _finished(p: PlantPencil, Z: Matrix, X: Matrix, levels: list[int], beta: float) -> PerfectGain:
+def _finished(p: PlantPencil, Z: Matrix, X: Matrix, levels: list[int]) -> PerfectGain:
     """Return the gain of a choice of ``Z``, checked."""
     G = p.inverse + Z @ p.left
     X = without_rounding(X)
@@ -175,7 +179,7 @@ def _finished(p: PlantPencil, Z: Matrix, X: Matrix, levels: list[int], beta: flo
     size, power = 0.0, X.T @ G[:, p.n :]
     with np.errstate(over="ignore", invalid="ignore"):  # powers of what is not nilpotent, which is refused later
         for i in range(len(kept)):
-            size, power = size + float(np.linalg.norm(power)) * beta**i, kept @ power
+            size, power = size + float(np.linalg.norm(power)) * p.beta**i, kept @ power
     return PerfectGain(
         p,
         G,
@@ -196,15 +200,15 @@ def _variation(N: Matrix) -> float:
     return max(abs(np.linalg.det(np.eye(len(N)) - s * N) - 1.0) for s in points)
 
 
-def least_order_gain(p: PlantPencil, beta: float) -> PerfectGain:
+def least_order_gain(p: PlantPencil) -> PerfectGain:
     """Return the gain of least nilpotency index; ``T`` may lack rank."""
     found = deadbeat(p.M, p.H)
     if found is None:
         raise AccuracyError(_NO_STEPS)
-    return _passed(_finished(p, *found, beta))
+    return _passed(_finished(p, *found))
 
 
-def full_rank_gain(p: PlantPencil, beta: float, seed: int) -> PerfectGain:
+def full_rank_gain(p: PlantPencil, seed: int) -> PerfectGain:
     """Return the best of some random gains whose ``T`` has full column rank: of the least index, with the least noise.
 
     The observable part of ``(H, M)`` is made nilpotent through ``t`` random combinations of ``H``, which gives it
@@ -219,7 +223,7 @@ def full_rank_gain(p: PlantPencil, beta: float, seed: int) -> PerfectGain:
     for reading in (seeing @ seeing.T, np.eye(len(p.H))):
         rng = np.random.default_rng(seed)
         for chains in range(most, 0, -1) if most else [0]:
-            some = list(_random_gains(p, reading, chains, beta, rng))
+            some = list(_random_gains(p, reading, chains, rng))
             good = [gain for gain in some if gain.passes and gain.condition <= CONDITION]
             if good:
                 return min(good, key=lambda gain: (gain.index, gain.size))
@@ -234,9 +238,7 @@ def full_rank_gain(p: PlantPencil, beta: float, seed: int) -> PerfectGain:
     raise AccuracyError(_NO_STEPS)
 
 
-def _random_gains(
-    p: PlantPencil, reading: Matrix, chains: int, beta: float, rng: np.random.Generator
-) -> Iterator[PerfectGain]:
+def _random_gains(p: PlantPencil, reading: Matrix, chains: int, rng: np.random.Generator) -> Iterator[PerfectGain]:
     """Yield random gains with some number of chains in the observable part."""
     split = observable_split(p.M, p.H)
     O, U = split.seen, split.hidden  # noqa: E741
@@ -258,10 +260,10 @@ def _random_gains(
             Z2 = Z2 - U.T @ M @ O @ np.linalg.pinv(H, rcond=BALANCED_RANK)
         Z = (O @ (Z0 + found[0] @ mix) + U @ Z2) @ reading
         # N = [N11 0; N21 N22] in these coordinates: the observable group comes first
-        yield _finished(p, Z, np.hstack([O @ found[1], U @ rest[1]]), [*found[2], *rest[2]], beta)
+        yield _finished(p, Z, np.hstack([O @ found[1], U @ rest[1]]), [*found[2], *rest[2]])
 
 
-def given_gain(p: PlantPencil, K: Matrix, beta: float) -> PerfectGain:
+def given_gain(p: PlantPencil, K: Matrix) -> PerfectGain:
     """Return what ``K`` of ``E xh' = A xh + B u + K (C xh - y)`` achieves, or raise when it is not perfect."""
     whole = np.hstack([np.eye(p.n), p.rows[: p.n, None] * K / p.rows[p.n :]])
     Ab = whole @ p.R
@@ -276,7 +278,7 @@ def given_gain(p: PlantPencil, K: Matrix, beta: float) -> PerfectGain:
             f"det(sE - A - KC) is not constant: (A + KC)^-1 E has the eigenvalue {modes[np.argmax(np.abs(modes))]:.4g} "
             "instead of zeros; leave K out and it is designed"
         )
-    return _passed(_finished(p, (G - p.inverse) @ p.left.T, found[1], found[2], beta))
+    return _passed(_finished(p, (G - p.inverse) @ p.left.T, found[1], found[2]))
 
 
 def _rank(M: Matrix) -> int:

@@ -203,11 +203,6 @@ class PerfectObserver:
     # --------------------------------------------------------------- coefficients
 
     @property
-    def _rate(self) -> float:
-        """The rate at which derivatives are compared with one another; of a sampled plant one step counts as such."""
-        return 1.0 if self.plant.dt else self.bandwidth / self.gain.pencil.rate
-
-    @property
     def _known(self) -> NDArray[np.float64]:
         """``F``: how control inputs and outputs enter the equations ``S X' = R X - F v``."""
         p, rows = self.plant, self.rows
@@ -228,7 +223,7 @@ class PerfectObserver:
     def _trimmed(self, found: list[Terms]) -> list[NDArray[np.float64]]:
         """Return coefficients without rounding, in the plant's unit of time."""
         rate = self.gain.pencil.rate
-        return [P / rate**i for i, P in enumerate(trimmed(found, self._rate))]
+        return [P / rate**i for i, P in enumerate(trimmed(found, self.gain.pencil.beta))]
 
     def _estimate(self, part: slice) -> list[NDArray[np.float64]]:
         """Return the coefficients of some of the states and disturbances."""
@@ -356,17 +351,16 @@ def perfect_observer(
         raise SettingError("bandwidth is for continuous plants; a sampled perfect observer is a finite sum of samples")
     n, q, width = plant.n_states, len(plant.disturbances), _bandwidth(bandwidth, plant)
     _check_existence(plant, rows)
-    pencil = PlantPencil.of(plant, rows)
-    beta = 1.0 if plant.dt else width / pencil.rate
+    pencil = PlantPencil.of(plant, rows, width)
     if K is not None:
         if q or least_order:
             raise SettingError("a gain K is for plants without disturbances and without least_order")
-        gain = given_gain(pencil, np.asarray(arrays.matrix(K, "K", (n, len(rows)))), beta)
+        gain = given_gain(pencil, np.asarray(arrays.matrix(K, "K", (n, len(rows)))))
     elif least_order:
-        gain = least_order_gain(pencil, beta)
+        gain = least_order_gain(pencil)
     else:
         _check_singular(plant)
-        gain = full_rank_gain(pencil, beta, seed)
+        gain = full_rank_gain(pencil, seed)
     columns = pencil.columns[:, None]
     G = columns * gain.G * pencil.rows
     made = PerfectObserver(
@@ -527,4 +521,4 @@ def _noise_sum(o: PerfectObserver) -> float:
     """
     p, rows = o.gain.pencil, o.gain.pencil.rows[o.plant.n_states :]
     C, F = p.R[p.n :] / rows[:, None], np.eye(len(p.rows))[:, p.n :]
-    return sum(o._rate**i * float(np.linalg.norm(C @ P, 2)) for i, (P, _) in enumerate(o._series(F)))
+    return sum(p.beta**i * float(np.linalg.norm(C @ P, 2)) for i, (P, _) in enumerate(o._series(F)))
