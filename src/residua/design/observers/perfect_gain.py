@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import AccuracyError, DesignError
-from residua.linear.poles.observer_gain import cleared
 from residua.linear.subspaces.quotient import observable_split, without_rounding
 from residua.linear.systems.scaling import scaling
 from residua.plant import Plant
@@ -79,12 +78,12 @@ class PlantPencil:
     @cached_property
     def M(self) -> Matrix:
         """What the smallest left inverse makes of ``S``."""
-        return without_rounding(self.inverse @ self.S)
+        return self.inverse @ self.S
 
     @cached_property
     def H(self) -> Matrix:
         """What a gain reads to change ``M``."""
-        return without_rounding(self.left @ self.S)
+        return self.left @ self.S
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +138,7 @@ def deadbeat(M: Matrix, H: Matrix) -> tuple[Matrix, Matrix, list[int]] | None:
     each step has found.
     """
     A, B = M.T, H.T
-    X, Y, F, steps = np.zeros((len(M), 0)), np.eye(len(M)), np.zeros(H.shape), []
+    X, Y, F, levels = np.zeros((len(M), 0)), np.eye(len(M)), np.zeros(H.shape), []
     while Y.shape[1]:
         U, s, Vh = np.linalg.svd(Y.T @ B, full_matrices=False)
         U, s, Vh = U[:, s > BALANCED_RANK], s[s > BALANCED_RANK], Vh[s > BALANCED_RANK]
@@ -148,13 +147,11 @@ def deadbeat(M: Matrix, H: Matrix) -> tuple[Matrix, Matrix, list[int]] | None:
         count = int(np.count_nonzero(t <= BALANCED_RANK * max(1.0, float(np.linalg.norm(M, 2)))))
         if not count:
             return None
-        X, Y, inverse, known = np.hstack([X, Y @ Wh[-count:].T]), Y @ Wh[:-count].T, Vh.T / s @ U.T @ Y.T, X
-        steps.append((known, X[:, len(known.T) :], inverse))
-        F = F - inverse @ A @ steps[-1][1] @ steps[-1][1].T
-    for known, fresh, inverse in [*steps, *steps]:  # what rounding left below the diagonal blocks
-        lost = (A + B @ F) @ fresh
-        F = F - inverse @ (lost - known @ (known.T @ lost)) @ fresh.T
-    return F.T, X, [fresh.shape[1] for _, fresh, _ in steps]
+        fresh = Y @ Wh[-count:].T
+        F = F - Vh.T / s @ U.T @ Y.T @ A @ fresh @ fresh.T
+        X, Y = np.hstack([X, fresh]), Y @ Wh[:-count].T
+        levels.append(count)
+    return F.T, X, levels
 
 
 def nilpotency_index(N: Matrix) -> int:
@@ -171,11 +168,9 @@ def nilpotency_index(N: Matrix) -> int:
 def _finished(p: PlantPencil, Z: Matrix, X: Matrix, levels: list[int]) -> PerfectGain:
     """Return the gain of a choice of ``Z``, checked."""
     G = p.inverse + Z @ p.left
-    X = without_rounding(X)
-    G = cleared(G + (np.eye(len(G)) - G @ p.R) @ G)
     full, ends = X.T @ G @ p.S @ X, np.repeat(np.cumsum(levels), levels)
     # the basis is one of N': N maps each group of directions into those after it
-    kept = without_rounding(np.where(np.arange(len(full))[:, None] >= ends, full, 0.0))
+    kept = np.where(np.arange(len(full))[:, None] >= ends, full, 0.0)
     size, power = 0.0, X.T @ G[:, p.n :]
     with np.errstate(over="ignore", invalid="ignore"):  # powers of what is not nilpotent, which is refused later
         for i in range(len(kept)):
@@ -251,13 +246,11 @@ def _random_gains(p: PlantPencil, reading: Matrix, chains: int, rng: np.random.G
         strength = size * (0.1, 0.3, 1.0)[attempt % 3]
         mix = np.linalg.qr(rng.standard_normal((count, chains)))[0].T if chains else np.zeros((0, count))
         # few combinations see the observable part only when it has no repeated mode: a random gain sees to that
-        Z0 = strength * rng.standard_normal((O.shape[1], count)) * (attempt > 0 or chains < count)
+        Z0 = strength * rng.standard_normal((O.shape[1], count))
         found = deadbeat(O.T @ M @ O + Z0 @ H, mix @ H)
         if found is None or rest is None:
             continue
         Z2 = strength * rng.standard_normal((U.shape[1], count))
-        if attempt % 2 and H.size:
-            Z2 = Z2 - U.T @ M @ O @ np.linalg.pinv(H, rcond=BALANCED_RANK)
         Z = (O @ (Z0 + found[0] @ mix) + U @ Z2) @ reading
         # N = [N11 0; N21 N22] in these coordinates: the observable group comes first
         yield _finished(p, Z, np.hstack([O @ found[1], U @ rest[1]]), [*found[2], *rest[2]])

@@ -234,7 +234,7 @@ class PerfectObserver:
         """Return the coefficients of the residual, of signals that enter the equations by ``F``."""
         p, series = self.gain.pencil, self._series(F)
         left, of = (-self.left / p.rows[p.n :], p.R[p.n :]) if self.complete else (self.left / p.rows, p.S)
-        direct, read = F[p.n :] if self.complete else F, above_rounding(left @ of, np.abs(left) @ np.abs(of))
+        direct, read = F[p.n :] if self.complete else F, left @ of
         first = self.left @ direct, np.abs(self.left) @ np.abs(direct)
         found = [(read @ P, np.abs(read) @ size) for P, size in series]
         if self.complete:
@@ -437,7 +437,7 @@ def _reduced_rows(o: PerfectObserver, independent: int) -> NDArray[np.float64]:
     P = np.array([o.bandwidth**i * M[:, m:] / Y for i, M in enumerate(o._residual(o._known))])
     # orthonormal rows first: rows of the caller's choice may be nearly parallel, or far apart in size
     U, s, _ = np.linalg.svd(np.hstack(list(P)), full_matrices=False)
-    kept = (s > SAME * s.max(initial=0.0)) & (np.arange(len(s)) < independent)  # of equal sensors nothing is left
+    kept = s > SAME * s.max(initial=0.0)  # of equal sensors nothing is left
     U = without_noise(U[:, kept]) / s[kept]
     P, rows = U.T @ P, np.zeros((0, U.shape[1]))
     for degree in range(len(P)):
