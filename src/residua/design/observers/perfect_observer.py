@@ -234,7 +234,7 @@ class PerfectObserver:
         """Return the coefficients of the residual, of signals that enter the equations by ``F``."""
         p, series = self.gain.pencil, self._series(F)
         left, of = (-self.left / p.rows[p.n :], p.R[p.n :]) if self.complete else (self.left / p.rows, p.S)
-        direct, read = F[p.n :] if self.complete else F, left @ of
+        direct, read = F[p.n :] if self.complete else F, above_rounding(left @ of, np.abs(left) @ np.abs(of))
         first = self.left @ direct, np.abs(self.left) @ np.abs(direct)
         found = [(read @ P, np.abs(read) @ size) for P, size in series]
         if self.complete:
