@@ -10,7 +10,7 @@ import residua as rs
 from generated import random_plant, singular_plant
 from residua.design.core.leak import leak
 from residua.design.core.state_map import state_map_of
-from residua.design.observers.differential_filter import differential_filter
+from residua.design.observers.perfect_observer import differential_filter
 
 
 def transfer(plant: rs.Plant) -> np.ndarray:
