@@ -157,8 +157,7 @@ def _form(system: StateSpace, plant: Plant, T: NDArray, V: NDArray | None) -> Ge
     u, d, f = np.split(units.inputs, np.cumsum([n_u, len(plant.disturbances)]))
     Tb, Nb, Lb, Vb, TE = T * e, N * y, Ly * y, V * e, T / units.equations @ E
     X = np.abs(TE).max(axis=1, initial=0.0)  # the sizes of the states
-    of_state = np.hstack([Tb, M * X, Nb, J * u])
-    of_residual = np.hstack([Ls * X, Lb, Lu * u, Vb])
+    of_inputs, of_residual = np.hstack([Tb, Nb, J * u]), np.hstack([Ls * X, Lb, Lu * u, Vb])
     B, D, Bd, Dd, Bf, Df = (
         M / size[:, None] * by
         for M, size, by in zip(
@@ -166,11 +165,11 @@ def _form(system: StateSpace, plant: Plant, T: NDArray, V: NDArray | None) -> Ge
         )
     )
     missed = (
-        (of_state, Tb @ A - M @ TE - Nb @ C),
-        (of_state, Tb @ B - Nb @ D - J * u),
+        (np.hstack([of_inputs, M * X]), Tb @ A - M @ TE - Nb @ C),
+        (of_inputs, Tb @ B - Nb @ D - J * u),
         (of_residual, Ls @ TE + Lb @ C + Vb @ A),
         (of_residual, Lu * u + Lb @ D + Vb @ B),
-        (of_state, Tb @ Bd - Nb @ Dd),
+        (of_inputs, Tb @ Bd - Nb @ Dd),
         (of_residual, Lb @ Dd + Vb @ Bd),
     )
     conditions = {
@@ -178,7 +177,7 @@ def _form(system: StateSpace, plant: Plant, T: NDArray, V: NDArray | None) -> Ge
         for name, (rows, off) in zip(CONDITIONS, missed if plant.disturbances else missed[:4], strict=False)
     }
     TF = Tb @ Bf - Nb @ Df
-    TF = above_rounding(TF, _largest(of_state)[:, None], DESIGN_ROUNDING) / f
+    TF = above_rounding(TF, _largest(of_inputs)[:, None], DESIGN_ROUNDING) / f
     seen, F = np.vstack([TF, Ly @ plant.Df]), np.vstack([plant.Bf, plant.Df])
     rank_TF, rank_F = (decide_rank(equilibrated(one) if one.size else one) for one in (seen, F))
     return GeneralForm(T, M, J, N, Ls, Lu, Ly, V, conditions, rank_TF, rank_F, -Ls @ TF)
@@ -361,7 +360,7 @@ def _of_matrices(plant: Plant, entries: dict[str, Any], decouples: bool) -> Resi
         hint = "" if given else "; T was found from these conditions: give T=... if you have it"
         raise DesignError(f"these matrices are no {what} for {plant.name!r}: {'; '.join(failed)}{hint}")
     method = "residual generator in the general form"
-    evidence = Evidence(method=method, poles=explicit_poles(M), conditions=errors, references=(REFERENCE,))
+    evidence = Evidence(method=method, poles=explicit_poles(system.A), conditions=errors, references=(REFERENCE,))
     promise = Decoupled(disturbances=decouples)
     return make_generator(system, plant, method, evidence, decouples=promise, state_map=T, static_map=V)
 
