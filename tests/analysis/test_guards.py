@@ -69,7 +69,7 @@ def test_a_demo_that_comes_out_otherwise_says_so() -> None:
         present(Outcome((), (), Path("page.html"), ("no alarm",)))
 
 
-@trips("design.observers.perfect_observer:_with_noise")
+@trips("design.observers.perfect_observer:_evidence")
 def test_a_filter_that_is_too_large_for_its_peak_gain_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     plant = rs.Plant([[1, 2], [3, 4]], [[1], [1]], [[1, 1]], E=[[1, 0], [0, 0]])
     assert not rs.design.perfect_observer(plant, K=[[1], [-4]]).evidence.notes

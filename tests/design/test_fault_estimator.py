@@ -266,7 +266,9 @@ def test_sueurs_form_and_the_unknown_input_observer_estimate_the_same_state(seed
     poles = -np.linspace(1, 3, n) if not dt else np.linspace(0.2, 0.6, n)
     found = rs.design.inverse_form_observer(plant, poles=poles)
     o = found.observer
-    np.testing.assert_allclose(o.F @ found.N_BF, np.eye(n), atol=1e-8)
+    np.testing.assert_allclose(
+        o.F @ found.N_BF, np.eye(n), atol=1e-9 * np.linalg.norm(o.F) * np.linalg.norm(found.N_BF)
+    )
     np.testing.assert_allclose(o.T @ plant.Bf, 0, atol=1e-9 * (1 + np.abs(o.H).max()))
     np.testing.assert_allclose(np.poly(o.poles), np.poly(poles), rtol=1e-6)
     same = rs.design.unknown_input_observer(plant.faults_as_disturbances(), poles=poles, H0=o.H)

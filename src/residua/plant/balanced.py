@@ -81,6 +81,21 @@ class BalancedPlant:
         return self._quotients[key]
 
     @cached_property
+    def written(self) -> tuple[Matrix, Matrix, Matrix]:
+        """``A``, ``C`` and ``E`` of the plant as it is written, in balanced units."""
+        p, R, X = self.plant, self.units.equations[:, None], self.units.states
+        E = np.eye(p.n_states) if p.E is None else R * p.E * X
+        return R * p.A * X / self.units.rate, self.units.outputs[:, None] * p.C * X, E
+
+    @cached_property
+    def dynamics(self) -> Matrix:
+        """A matrix whose eigenvalues are the poles of the plant: without ``E``, ``A``."""
+        if self.plant.E is None:
+            return self.A
+        k = self.plant.n_outputs
+        return quotient(self.A, self.free[0], self.C[k:], self.free[1][k:]).pair[0]
+
+    @cached_property
     def boundary(self) -> complex:
         """The point on the boundary of stability at which constant signals are: 0, or 1 of a sampled plant."""
         return 1.0 if self.plant.is_discrete else 0.0

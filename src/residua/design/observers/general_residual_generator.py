@@ -11,21 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.arrays import matrix
 from residua.design.core.decoupling import Decoupled
-from residua.design.core.evidence import Evidence, measured_from
+from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
-from residua.design.core.internal_form import leak_frequencies, leakage
+from residua.design.core.leak import leak
 from residua.design.core.method import method
-from residua.design.core.own_time import has_rates, in_own_time
 from residua.design.core.signals import signal_names
-from residua.design.observers.general_conditions import (
-    CONDITIONS,
-    FULFILLED,
-    GeneralMatrices,
-    condition_errors,
-    fault_columns,
-    state_map,
-    static_map,
-)
+from residua.design.core.state_map import state_map, state_map_of, static_map
 from residua.design.observers.observer import Observer
 from residua.errors import DesignError, SettingError
 from residua.linear import StateSpace
@@ -35,14 +26,24 @@ from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.rank import RankDecision, decide_rank, equilibrated
 from residua.plant import Plant
 from residua.shown import Shown
-from residua.tolerances import LEAKAGE
+from residua.tolerances import DESIGN_ROUNDING, IDENTITY, LEAK, above_rounding
 
 REFERENCE = "Gertler (1991), Automatica 27(4), eqs. (3-11), (3-13), (4-8) and (4-15) to (4-20)"
 
 
-@has_rates(M=1, J=1, N=1, V=-1, first_response=1)
+#: The conditions in the order of (4-18), with feedthrough; those of (4-19) follow.
+CONDITIONS = (
+    "T A - M T E - N C = 0",
+    "T B - N D - J = 0",
+    "Ls T E + Ly C + V A = 0",
+    "Lu + Ly D + V B = 0",
+    "T Fd - N Dd = 0",
+    "Ly Dd + V Fd = 0",
+)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class GeneralForm(Shown, GeneralMatrices):
+class GeneralForm(Shown):
     r"""A residual generator in the general form, with the conditions that make it one.
 
     .. math:: \dot s = M s + J u + N y, \qquad r = L_s s + L_u u + L_y y
@@ -66,8 +67,9 @@ class GeneralForm(Shown, GeneralMatrices):
         What the residual reads of the algebraic equations of a singular plant, ``V E = 0``: :math:`V A` is added to
         the third condition and :math:`V B` to the fourth. Zero otherwise.
     conditions : dict of str to float
-        How far each condition, (4-18) and (4-19), is missed, relative to the terms that have to cancel. The last are
-        there if the plant has disturbances; about one for a generator that does not decouple them.
+        How far each condition, (4-18) and (4-19), is missed, in balanced units: of each row, relative to the largest
+        coefficient of the generator in it. The last two are there if the plant has disturbances, and large for a
+        generator that does not decouple them.
     rank_TF, rank_F : RankDecision
         Condition (4-20): equal where the faults have independent columns in the error, so that structured residuals
         can be made of it.
@@ -76,6 +78,14 @@ class GeneralForm(Shown, GeneralMatrices):
         the fault, :math:`-L_s (T f - N d)`.
     """
 
+    T: NDArray[np.float64]
+    M: NDArray[np.float64]
+    J: NDArray[np.float64]
+    N: NDArray[np.float64]
+    Ls: NDArray[np.float64]
+    Lu: NDArray[np.float64]
+    Ly: NDArray[np.float64]
+    V: NDArray[np.float64]
     conditions: Mapping[str, float]
     rank_TF: RankDecision
     rank_F: RankDecision
@@ -84,12 +94,12 @@ class GeneralForm(Shown, GeneralMatrices):
     @property
     def is_residual_generator(self) -> bool:
         """Whether the conditions (4-18) hold: zero for the fault-free plant without disturbances."""
-        return all(error <= FULFILLED for name, error in self.conditions.items() if name in CONDITIONS[:4])
+        return all(error <= IDENTITY for name, error in self.conditions.items() if name in CONDITIONS[:4])
 
     @property
     def decouples(self) -> bool:
         """Whether also the condition (4-19) holds."""
-        return self.is_residual_generator and all(error <= FULFILLED for error in self.conditions.values())
+        return self.is_residual_generator and all(error <= IDENTITY for error in self.conditions.values())
 
     @property
     def keeps_faults_apart(self) -> bool:
@@ -102,7 +112,6 @@ class GeneralForm(Shown, GeneralMatrices):
         return "\n".join([*lines, f"  rank(T F) = {self.rank_TF.rank}, rank(F) = {self.rank_F.rank}"])
 
 
-@in_own_time()
 def general_form(generator: ResidualGenerator) -> GeneralForm:
     """Return a generator in the general form ``T, M, J, N, Ls, Lu, Ly``, with its conditions as numbers.
 
@@ -135,30 +144,49 @@ def general_form(generator: ResidualGenerator) -> GeneralForm:
             "this generator has no general form: its states are no linear function T x of the plant's, as after "
             "sampling a continuous design; design for plant.discretize(dt)"
         )
-    system, n_u = generator.system, len(generator.plant.inputs)
-    V = np.zeros((generator.n_residuals, generator.plant.n_states))
-    if generator.static_map is not None:
-        V = np.asarray(generator.static_map)
-    matrices = GeneralMatrices(
-        np.asarray(generator.state_map),
-        system.A,
-        system.B[:, :n_u],
-        system.B[:, n_u:],
-        system.C,
-        system.D[:, :n_u],
-        system.D[:, n_u:],
-        V,
+    return _form(generator.system, generator.plant, generator.state_map, generator.static_map)
+
+
+def _form(system: StateSpace, plant: Plant, T: NDArray, V: NDArray | None) -> GeneralForm:
+    n_u, V = len(plant.inputs), np.zeros((system.n_outputs, plant.n_states)) if V is None else V
+    M, J, N = system.A, system.B[:, :n_u], system.B[:, n_u:]
+    Ls, Lu, Ly = system.C, system.D[:, :n_u], system.D[:, n_u:]
+    model = plant.balanced
+    (A, C, E), units = model.written, model.units
+    e, y = units.rate / units.equations, 1 / units.outputs
+    u, d, f = np.split(units.inputs, np.cumsum([n_u, len(plant.disturbances)]))
+    Tb, Nb, Lb, Vb, TE = T * e, N * y, Ly * y, V * e, T / units.equations @ E
+    X = np.abs(TE).max(axis=1, initial=0.0)  # the sizes of the states
+    of_inputs, of_residual = np.hstack([Tb, Nb, J * u]), np.hstack([Ls * X, Lb, Lu * u, Vb])
+    B, D, Bd, Dd, Bf, Df = (
+        M / size[:, None] * by
+        for M, size, by in zip(
+            (plant.B, plant.D, plant.Bd, plant.Dd, plant.Bf, plant.Df), (e, y) * 3, (u, u, d, d, f, f), strict=True
+        )
     )
-    return _form(generator.plant, matrices)
+    missed = (
+        (np.hstack([of_inputs, M * X]), Tb @ A - M @ TE - Nb @ C),
+        (of_inputs, Tb @ B - Nb @ D - J * u),
+        (of_residual, Ls @ TE + Lb @ C + Vb @ A),
+        (of_residual, Lu * u + Lb @ D + Vb @ B),
+        (of_inputs, Tb @ Bd - Nb @ Dd),
+        (of_residual, Lb @ Dd + Vb @ Bd),
+    )
+    conditions = {
+        name: float(np.max(np.abs(off).max(axis=1, initial=0.0) / _largest(rows), initial=0.0))
+        for name, (rows, off) in zip(CONDITIONS, missed if plant.disturbances else missed[:4], strict=False)
+    }
+    TF = Tb @ Bf - Nb @ Df
+    TF = above_rounding(TF, _largest(of_inputs)[:, None], DESIGN_ROUNDING) / f
+    seen, F = np.vstack([TF, Ly @ plant.Df]), np.vstack([plant.Bf, plant.Df])
+    rank_TF, rank_F = (decide_rank(equilibrated(one) if one.size else one) for one in (seen, F))
+    return GeneralForm(T, M, J, N, Ls, Lu, Ly, V, conditions, rank_TF, rank_F, -Ls @ TF)
 
 
-def _form(plant: Plant, m: GeneralMatrices) -> GeneralForm:
-    TF, F = fault_columns(plant, m)
-    rank_F = decide_rank(equilibrated(F)) if F.size else decide_rank(F)
-    seen = np.vstack([TF, m.Ly @ plant.Df])
-    rank_TF = decide_rank(equilibrated(seen)) if seen.size else decide_rank(seen)
-    through = -m.Ls @ TF
-    return GeneralForm(m.T, m.M, m.J, m.N, m.Ls, m.Lu, m.Ly, m.V, condition_errors(plant, m), rank_TF, rank_F, through)
+def _largest(M: NDArray) -> NDArray[np.float64]:
+    """Return the largest entry of each row; one for a row of zeros."""
+    size = np.abs(M).max(axis=1, initial=0.0)
+    return np.where(size > 0, size, 1.0)
 
 
 @method(
@@ -170,7 +198,6 @@ def _form(plant: Plant, m: GeneralMatrices) -> GeneralForm:
     decouples=True,
     singular=True,
 )
-@in_own_time(gain=1, M=1, J=1, N=1)
 def residual_generator_from_observer(
     source: Plant | Observer,
     *,
@@ -309,67 +336,49 @@ def _of_matrices(plant: Plant, entries: dict[str, Any], decouples: bool) -> Resi
     J = np.zeros((k, m)) if entries["J"] is None else matrix(entries["J"], "J", (k, m), what="order x inputs")
     Lu = -Ly @ plant.D if entries["Lu"] is None else matrix(entries["Lu"], "Lu", (r, m), what="residuals x inputs")
     _require_stable(M, plant.dt, "M")
-    form = GeneralMatrices(np.zeros((k, n)), M, J, N, Ls, Lu, Ly, np.zeros((r, n)))
-    if entries["T"] is not None:
-        T = matrix(entries["T"], "T", (k, n), what="order x states")
-    else:
-        T = state_map(plant, form, decouples=decouples, control=entries["J"] is not None)
-    form = static_map(plant, replace(form, T=T))
-    if entries["J"] is None:
-        form = replace(form, J=T @ plant.B - N @ plant.D)
-    if entries["Lu"] is None:
-        form = replace(form, Lu=-Ly @ plant.D - form.V @ plant.B)
-    errors = _checked(plant, form, decouples, solved=entries["T"] is None)
+    names = [f"r{i + 1}" for i in range(r)]
     system = StateSpace(
-        M,
-        np.hstack([form.J, N]),
-        Ls,
-        np.hstack([form.Lu, Ly]),
-        dt=plant.dt,
-        inputs=signal_names(plant),
-        outputs=[f"r{i + 1}" for i in range(r)],
+        M, np.hstack([J, N]), Ls, np.hstack([Lu, Ly]), dt=plant.dt, inputs=signal_names(plant), outputs=names
     )
+    given = entries["T"] is not None
+    T = matrix(entries["T"], "T", (k, n), what="order x states") if given else state_map(system, plant)
+    V = static_map(system, plant, T)
+    J = T @ plant.B - N @ plant.D if entries["J"] is None else J
+    Lu = Lu - V @ plant.B if entries["Lu"] is None and V is not None else Lu
+    system = system.replaced(B=np.hstack([J, N]), D=np.hstack([Lu, Ly]))
+    errors = _form(system, plant, T, V).conditions
+    asked = CONDITIONS if decouples else CONDITIONS[:4]
+    failed = [
+        f"{name} is missed by {errors[name]:.2g} of its terms" for name in asked if errors.get(name, 0) > IDENTITY
+    ]
+    if failed and not given:  # a state that the residual does not show may be anything
+        system, T, V = state_map_of(system, plant)
+        errors = _form(system, plant, T, V).conditions
+        failed = failed if any(errors.get(name, 0) > IDENTITY for name in asked) else []
+    if failed:
+        what = "residual generator that ignores the disturbances" if decouples else "residual generator"
+        hint = "" if given else "; T was found from these conditions: give T=... if you have it"
+        raise DesignError(f"these matrices are no {what} for {plant.name!r}: {'; '.join(failed)}{hint}")
     method = "residual generator in the general form"
-    evidence = Evidence(
-        method=method,
-        poles=explicit_poles(M),
-        conditions=errors,
-        references=(REFERENCE,),
-    )
-    V = form.V if plant.E is not None else None
+    evidence = Evidence(method=method, poles=explicit_poles(system.A), conditions=errors, references=(REFERENCE,))
     promise = Decoupled(disturbances=decouples)
     return make_generator(system, plant, method, evidence, decouples=promise, state_map=T, static_map=V)
 
 
-def _checked(plant: Plant, m: GeneralMatrices, decouples: bool, *, solved: bool) -> dict[str, float]:
-    """Return how far the conditions are missed, or raise with those that fail."""
-    errors = condition_errors(plant, m)
-    asked = CONDITIONS if decouples else CONDITIONS[:4]
-    failed = [
-        f"{name} is missed by {errors[name]:.2g} of its terms" for name in asked if errors.get(name, 0) > FULFILLED
-    ]
-    if failed:
-        what = "residual generator that ignores the disturbances" if decouples else "residual generator"
-        hint = "; T was found from these conditions: give T=... if you have it" if solved else ""
-        raise DesignError(f"these matrices are no {what} for {plant.name!r}: {'; '.join(failed)}{hint}")
-    return errors
-
-
 def _must_decouple(made: ResidualGenerator) -> ResidualGenerator:
     """Return a generator after checking that it ignores the disturbances."""
-    leaks, conditions = made.evidence.decoupling, {}
-    if "disturbance" not in leaks:  # the observer does not promise it
-        w = leak_frequencies(made.system, made.plant)
-        leaks, conditions = leakage(made.system, made.plant, w), measured_from(w, made.plant.dt)
+    p, leaks = made.plant, dict(made.evidence.decoupling)
+    if "disturbance" not in leaks and p.disturbances and made.state_map is not None:  # which it does not promise
+        found = leak(made.system, p, made.state_map, made.static_map)
+        leaks["disturbance"] = float(found.gains[:, len(p.inputs) :].max())
     gain = leaks.get("disturbance", 0.0)
-    if gain > LEAKAGE:
+    if gain > LEAK:
         raise DesignError(
-            f"the residual does not ignore the disturbances {', '.join(made.plant.disturbances)}, as decouples=True "
-            f"asks: they reach it by {gain:.2g} of the terms that would have to cancel (allowed: {LEAKAGE:.0e}); "
-            "leave decouples out to take it as it is, or have one designed, as by unknown_input_observer or "
-            "decoupled_residual"
+            f"the residual does not ignore the disturbances {', '.join(p.disturbances)}, as decouples=True asks: they "
+            f"reach it by {gain:.2g} of the terms that would have to cancel (allowed: {LEAK:.0e}); leave decouples out "
+            "to take it as it is, or have one designed, as by unknown_input_observer or decoupled_residual"
         )
-    return replace(made, evidence=made.evidence.extended(decoupling=leaks, conditions=conditions))
+    return replace(made, evidence=made.evidence.extended(decoupling=leaks))
 
 
 def _require_stable(F: NDArray, dt: float, name: str) -> None:

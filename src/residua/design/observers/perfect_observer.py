@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from math import comb
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,63 +15,33 @@ from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.design.core.method import method
 from residua.design.core.needs import least_order_unless_singular
-from residua.design.core.own_time import has_rates, in_own_time, written_by
 from residua.design.core.signals import sampled_filter, signal_names, stack_signals
-from residua.design.observers.differential_filter import differential_filter, trimmed
-from residua.design.observers.perfect_gain import PerfectGain, full_rank_gain, given_gain, least_order_gain
+from residua.design.core.state_map import state_map_of
+from residua.design.observers.perfect_gain import (
+    PerfectGain,
+    PlantPencil,
+    full_rank_gain,
+    given_gain,
+    least_order_gain,
+)
 from residua.errors import AccuracyError, DesignError, SettingError
-from residua.linear import StateSpace, WeierstrassForm, decide_rank, default_margin, invariant_zeros, weierstrass_form
+from residua.linear import StateSpace, decide_rank, default_margin, invariant_zeros
 from residua.linear.norms.system_norms import h2_norm, hinf_norm
 from residua.linear.poles.spectrum import describe_modes
-from residua.linear.subspaces.rank import DEFAULT_RTOL, left_null_basis, without_noise
-from residua.linear.systems.array_cache import cached_by_contents, copied
-from residua.linear.systems.balancing import descriptor_units, power_of_two, without_rounding
-from residua.linear.systems.descriptor import scaled_pencil
-from residua.linear.systems.response_terms import in_even_units, response_terms
+from residua.linear.subspaces.rank import left_null_basis, without_noise
 from residua.plant import Plant
-from residua.plant.comparable_units import PlantUnits, canonical_units
-from residua.tolerances import RESPONSE_ROUNDING, SAME, above_rounding
+from residua.tolerances import BALANCED_RANK, DESIGN_ROUNDING, LEAK, SAME, above_rounding
 from residua.words import as_given, counted, used_up
 
 REFERENCE = "Twardy and Kaczorek, part I, eqs. (30) to (33), Theorem 4, Procedure 2"
 #: States of a filter beyond which its peak gain is not computed.
 MOST_STATES = 300
+#: A state whose response is below this part of the largest is moved by nothing: its error is compared with the largest.
+_LEAST_STATE = 1e-6
+#: Coefficients, and for each of their entries the sum of the magnitudes of the terms that it is made of.
+Terms = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
-def _in_other_time(observer: PerfectObserver, factor: float) -> PerfectObserver:
-    """Return an observer with the rows that its residual reads in another unit of time: those of the equations."""
-    if observer.complete:
-        return observer
-    equations = np.arange(observer.left.shape[1]) < observer.plant.n_states
-    return replace(observer, left=observer.left * np.where(equations, 1 / factor, 1.0))
-
-
-def in_other_units(
-    observer: PerfectObserver, plant: Plant, units: PlantUnits, power: float = 1.0
-) -> tuple[PerfectObserver, NDArray[np.float64]]:
-    """Return an observer for a scaled plant as one for the plant, or with a power of minus one the other way.
-
-    And the factors of its residuals: that of one output stays so, any other stays as large as it is.
-    """
-    X, R, Y = _both(units) ** power, units.equations**power, units.outputs[observer.rows] ** power
-    whole = np.concatenate([R, Y])
-    left = observer.left * (Y if observer.complete else whole)
-    rows = 1 / power_of_two(np.abs(left).max(axis=1, initial=0.0))
-    g = observer.gain
-    T, L, N = X[:, None] * g.T * R, X[:, None] * g.L * Y, X[:, None] * g.N / X
-    gain = replace(
-        g, T=T, L=L, N=N, basis=X[:, None] * g.basis, inverse=g.inverse / X, W=g.W * whole, Y=g.Y / whole[:, None]
-    )
-    return replace(observer, plant=plant, T=T, L=L, N=N, gain=gain, left=rows[:, None] * left), rows
-
-
-def _both(units: PlantUnits) -> NDArray[np.float64]:
-    """Return the units of states and disturbances, both of which are estimated."""
-    return np.concatenate([units.states, units.disturbances])
-
-
-@has_rates(T=-1, N=-1, bandwidth=1)
-@written_by(_in_other_time)
 @dataclass(frozen=True, eq=False)
 class PerfectObserver:
     r"""An observer without dynamics: its estimate is the state, not something that tends to it.
@@ -109,7 +79,7 @@ class PerfectObserver:
         Whether ``T`` has full column rank, so that the output error shows all that the plant's equations can.
     evidence : Evidence
     gain : PerfectGain
-        The choice behind ``T``, ``L`` and ``N``, with its checks.
+        The choice behind ``T``, ``L`` and ``N``, in balanced units, with its checks.
     left : ndarray
         The rows that the residual reads: ``W`` of the output error, or, of least order, of all equations.
 
@@ -135,25 +105,27 @@ class PerfectObserver:
     @property
     def K(self) -> NDArray[np.float64]:
         """The gain of ``E xh' = A xh + B u + K (C xh - y)``; singular plants without disturbances only."""
-        return np.asarray(np.linalg.solve(self._square_T(), self.L), dtype=float)
+        if not self.complete or self.T.shape[0] != self.T.shape[1]:
+            raise DesignError(
+                "K and A + K C belong to observers of singular plants without disturbances, and with full T; this one "
+                "is N xh' = xh + T B u - L y"
+            )
+        return np.asarray(np.linalg.solve(self.T, self.L), dtype=float)
 
     @property
     def Ab(self) -> NDArray[np.float64]:
         """``A + K C``, whose inverse is ``T``; singular plants without disturbances only."""
         return self.plant.A + self.K @ self.plant.C[self.rows]
 
-    def _square_T(self) -> NDArray[np.float64]:
-        if not self.complete or self.T.shape[0] != self.T.shape[1]:
-            raise DesignError(
-                "K and A + K C belong to observers of singular plants without disturbances, and with full T; this one "
-                "is N xh' = xh + T B u - L y"
-            )
-        return self.T
+    @property
+    def rows(self) -> list[int]:
+        """Numbers of the outputs that drive it."""
+        return arrays.positions(self.outputs, self.plant.outputs, "output")
 
     @property
     def derivatives(self) -> int:
         """How many derivatives of the inputs and outputs the state estimate takes (sampled: steps)."""
-        return len(self._state_polynomial()) - 1
+        return len(self._estimate(slice(0, self.plant.n_states))) - 1
 
     @property
     def delay(self) -> float:
@@ -163,13 +135,13 @@ class PerfectObserver:
     @property
     def system(self) -> StateSpace:
         """The filter from control inputs and outputs to the state estimate."""
-        return self._filter(self._state_polynomial(), [f"estimate {x}" for x in self.plant.states])
+        return self._filter(self._estimate(slice(0, self.plant.n_states)), [f"estimate {x}" for x in self.plant.states])
 
     @property
     def disturbance_system(self) -> StateSpace:
         """The filter from control inputs and outputs to the estimate of the disturbances."""
         n = self.plant.n_states
-        return self._filter(self._polynomial(slice(n, None)), [f"estimate {x}" for x in self.plant.disturbances])
+        return self._filter(self._estimate(slice(n, None)), [f"estimate {x}" for x in self.plant.disturbances])
 
     def estimate(self, u: ArrayLike | None, y: ArrayLike, *, dt: float | None = None) -> NDArray[np.float64]:
         """Return the state estimate over a recording, shape (time, states); late by :attr:`delay`.
@@ -198,23 +170,10 @@ class PerfectObserver:
 
         Each is an array of shape (order + 1, residuals); in sampled time of ``f`` now, one step later, and so on.
         """
-        own, units, rows = self._own
-        coefficients = own._residual_of(own.plant.Bf, own.plant.Df)
-        scaled = [rows[:, None] * P / units.faults for P in coefficients]
-        return {name: np.array([P[:, i] for P in scaled]) for i, name in enumerate(self.plant.faults)}
+        p = self.plant
+        P = self._residual(np.vstack([p.Bf, p.Df[self.rows]]))
+        return {name: np.array([one[:, i] for one in P]) for i, name in enumerate(p.faults)}
 
-    @cached_property
-    def _own(self) -> tuple[PerfectObserver, PlantUnits, NDArray[np.float64]]:
-        """The observer of the plant in its own units, these, and the factors from its residuals to those here.
-
-        Whether a coefficient is rounding is decided there, so that it does not depend on the units of the plant.
-        """
-        units = canonical_units(self.plant)
-        bare = replace(self, evidence=Evidence(self.evidence.method))
-        own, rows = in_other_units(bare, units.applied(self.plant), units, -1.0)
-        return own, units, 1 / rows
-
-    @in_own_time()
     def residual_generator(self) -> ResidualGenerator:
         r"""Return the output error ``r = W (y - D u - C xh - Dd dh)`` of the outputs that drive it, filtered alike.
 
@@ -233,112 +192,61 @@ class PerfectObserver:
                 f"the residual is zero whatever fails: {used_up(len(self.outputs))} by "
                 f"{counted(len(p.disturbances), 'disturbance')}; add a sensor or decouple fewer disturbances"
             )
-        own, units, rows = self._own
-        system, form, order = own._filters()
-        signals, hidden = 1 / units.signals, 1 / units.hidden(len(p.noises))
-        R = rows[:, None]
-        system = system.replaced(B=system.B * signals, C=R * system.C, D=R * system.D * signals)
-        form = form.replaced(B=form.B * hidden, C=R * form.C, D=R * form.D * hidden)
-        note = f"the residual takes {order} derivatives of the measurements" if not p.dt else f"late by {order} steps"
-        evidence = self.evidence.extended(notes=(note,), poles=system.poles())
-        return make_generator(system, p, self.evidence.method, evidence, decouples=Decoupled(), known_form=form)
-
-    @cached_by_contents
-    def _filters(self) -> tuple[StateSpace, StateSpace, int]:
-        """Return the residual of signals, that of faults, disturbances and noise, and the number of derivatives."""
-        p = self.plant
-        known = self._residual_of_signals()
-        hidden = self._residual_of(np.hstack([p.Bf, 0.0 * p.Bd, p.Bw]), np.hstack([p.Df, 0.0 * p.Dd, p.Dw]))
-        order = max(len(known), len(hidden)) - 1
+        known = self._residual(self._known)
         plain = self.complete and len(self.left) == len(self.outputs)
         names = [f"r {x}" for x in self.outputs] if plain else [f"r{i + 1}" for i in range(len(self.left))]
-        form = self._filter(hidden, names, order, p.system(("fault", "disturbance", "noise")).inputs)
-        return self._filter(known, names, order), form, order
+        order = len(known) - 1
+        note = f"the residual takes {order} derivatives of the measurements" if not p.dt else f"late by {order} steps"
+        system, T, V = state_map_of(self._filter(known, names), p)
+        evidence = self.evidence.extended(notes=(note,), poles=system.poles())
+        decouples = Decoupled()
+        return make_generator(system, p, self.evidence.method, evidence, decouples=decouples, state_map=T, static_map=V)
 
     # --------------------------------------------------------------- coefficients
 
     @property
-    def rows(self) -> list[int]:
-        """Numbers of the outputs that drive it."""
-        return arrays.positions(self.outputs, self.plant.outputs, "output")
-
-    @property
     def _known(self) -> NDArray[np.float64]:
-        """``Gv`` of ``X = sum N^i Gv v^(i)``, with ``v`` the control inputs and all outputs."""
-        p = self.plant
-        spread = np.eye(p.n_outputs)[self.rows]
-        return np.hstack([-(self.T @ p.B + self.L @ p.D[self.rows]), self.L @ spread])
-
-    def _state_polynomial(self) -> list[NDArray[np.float64]]:
-        return self._polynomial(slice(0, self.plant.n_states))
-
-    def _polynomial(self, part: slice) -> list[NDArray[np.float64]]:
-        """Return the rows ``part`` of what the state and the disturbances are of the signals, ``Gv, N Gv, ...``."""
-        own, units, _ = self._own
-        pick = np.eye(len(self.N))[part]
-        rows = _both(units)[part][:, None]
-        return [rows * P / units.signals for P in own.series(own._known, pick, [])]
-
-    def series(
-        self, G: NDArray, pick: NDArray, first: list[NDArray], direct: tuple[NDArray, NDArray] | None = None
-    ) -> list[NDArray[np.float64]]:
-        """Return ``first`` and then ``pick G, pick N G, ...`` up to the last that is not zero.
-
-        ``direct``: two factors whose product is added to ``pick G``.
-        """
-        out, sizes = list(first), [np.abs(P) for P in first]
-        # In the coordinates of the chains, where N is triangular, its powers are small when they should be.
-        chain, pick = self.gain.triangular, pick @ self.gain.basis
-        power = self.gain.inverse @ G
-        size = np.abs(power)
-        for _ in range(max(self.index, 1)):
-            out.append(pick @ power)
-            sizes.append(np.abs(pick) @ size)
-            power, size = chain @ power, np.abs(chain) @ size
-        if direct is not None:
-            left, right = direct
-            out[len(first)] = out[len(first)] + left @ right
-            sizes[len(first)] = sizes[len(first)] + np.abs(left) @ np.abs(right)
-        return trimmed(out, sizes, self.bandwidth)
-
-    def _residual_of_signals(self) -> list[NDArray[np.float64]]:
-        """Return the coefficients of the residual in its own signals ``(u, y)``."""
+        """``F``: how control inputs and outputs enter the equations ``S X' = R X - F v``."""
         p, rows = self.plant, self.rows
         spread = np.eye(p.n_outputs)[rows]
-        F = np.block([[-p.B, np.zeros((p.n_states, p.n_outputs))], [-p.D[rows], spread]])
-        return self._residual(self._known, F)
+        return np.block([[-p.B, np.zeros((p.n_states, p.n_outputs))], [-p.D[rows], spread]])
 
-    def _residual_of(self, B: NDArray, D: NDArray) -> list[NDArray[np.float64]]:
-        """Return the coefficients of the residual in inputs that it does not know."""
-        D = D[self.rows]
-        return self._residual(self.T @ B + self.L @ D, np.vstack([B, D]))
+    def _series(self, F: NDArray) -> list[Terms]:
+        """Return ``G F, N G F, ...`` in balanced units, and the sizes of their terms: ``X`` of the signals ``v``."""
+        X, N = self.gain.basis, self.gain.triangular  # its powers are small there when they should be
+        G = self.gain.G * self.gain.pencil.rows
+        power, size = X.T @ G @ F, np.abs(X.T) @ np.abs(G) @ np.abs(F)
+        out = []
+        for _ in range(max(self.index, 1)):
+            out.append((X @ power, np.abs(X) @ size))
+            power, size = N @ power, np.abs(N) @ size
+        return out
 
-    def _residual(self, G: NDArray, F: NDArray) -> list[NDArray[np.float64]]:
-        """Return the coefficients of the residual: of ``X = sum N^i G v^(i)``, and the equations ``F v`` themselves."""
-        p, rows = self.plant, self.rows
+    def _trimmed(self, found: list[Terms]) -> list[NDArray[np.float64]]:
+        """Return coefficients without rounding, in the plant's unit of time."""
+        rate = self.gain.pencil.rate
+        return [P / rate**i for i, P in enumerate(_trimmed(found, self.gain.pencil.beta))]
+
+    def _estimate(self, part: slice) -> list[NDArray[np.float64]]:
+        """Return the coefficients of some of the states and disturbances."""
+        columns = self.gain.pencil.columns[part, None]
+        return [columns * P for P in self._trimmed([(P[part], size[part]) for P, size in self._series(self._known)])]
+
+    def _residual(self, F: NDArray) -> list[NDArray[np.float64]]:
+        """Return the coefficients of the residual, of signals that enter the equations by ``F``."""
+        p, series = self.gain.pencil, self._series(F)
+        left, of = (-self.left / p.rows[p.n :], p.R[p.n :]) if self.complete else (self.left / p.rows, p.S)
+        direct, read = F[p.n :] if self.complete else F, above_rounding(left @ of, np.abs(left) @ np.abs(of))
+        first = self.left @ direct, np.abs(self.left) @ np.abs(direct)
+        found = [(read @ P, np.abs(read) @ size) for P, size in series]
         if self.complete:
-            W, whole = self.left, np.hstack([p.C[rows], p.Dd[rows]])
-            return self.series(G, -W @ whole, [], (W, F[p.n_states :]))
-        E = np.eye(p.n_states) if p.E is None else p.E
-        S = np.zeros((p.n_states + len(rows), len(self.N)))
-        S[: p.n_states, : p.n_states] = E
-        return self.series(G, self.left @ S, [self.left @ F])
+            return self._trimmed([(first[0] + found[0][0], first[1] + found[0][1]), *found[1:]])
+        return self._trimmed([first, *found])
 
-    def _filter(
-        self,
-        coefficients: Sequence[NDArray],
-        names: Sequence[str],
-        order: int | None = None,
-        inputs: Sequence[str] | None = None,
-    ) -> StateSpace:
-        return differential_filter(
-            coefficients,
-            dt=self.plant.dt,
-            bandwidth=self.bandwidth,
-            order=order,
-            inputs=signal_names(self.plant) if inputs is None else inputs,
-            outputs=names,
-        )
+    def _filter(self, coefficients: list[NDArray], names: list[str]) -> StateSpace:
+        p = self.plant
+        inputs = signal_names(p)
+        return differential_filter(coefficients, dt=p.dt, bandwidth=self.bandwidth, inputs=inputs, outputs=names)
 
 
 @method(
@@ -352,7 +260,6 @@ class PerfectObserver:
     noise="differentiated",
     calls=least_order_unless_singular,
 )
-@in_own_time(K=1)
 def perfect_observer(
     plant: Plant,
     *,
@@ -361,7 +268,6 @@ def perfect_observer(
     least_order: bool = False,
     bandwidth: float | None = None,
     seed: int = 0,
-    rtol: float = DEFAULT_RTOL,
 ) -> PerfectObserver:
     r"""Design an observer whose estimate is the state itself, for any disturbance.
 
@@ -397,8 +303,6 @@ def perfect_observer(
         sizes of the plant's poles that are not zero, when omitted.
     seed : int
         For the gains that are tried.
-    rtol : float
-        For every rank decision.
 
     Returns
     -------
@@ -445,87 +349,59 @@ def perfect_observer(
            [0.33333333]])
     """
     rows = arrays.different_positions(outputs, plant.outputs, "output")
-    units = canonical_units(plant)
-    if K is not None:
-        given = np.asarray(arrays.matrix(K, "K", (plant.n_states, len(rows))))
-        K = units.equations[:, None] * given / units.outputs[rows]
-    own = _designed(units.applied(plant), rows, K, bandwidth, rtol, least_order=least_order, seed=seed)
-    made, factors = in_other_units(copied(own), plant, units)  # what is kept is not handed out to be changed
-    if len(own.left) and (least_order or plant.disturbances):
-        heights = factors * np.abs(_of_measurements(own) * units.outputs).max(axis=(0, 2))
-        made = replace(made, left=made.left / power_of_two(heights)[:, None])
-    return replace(made, evidence=_with_noise(made))
-
-
-@cached_by_contents
-def _designed(
-    plant: Plant,
-    rows: list[int],
-    K: NDArray[np.float64] | None,
-    bandwidth: float | None,
-    rtol: float,
-    *,
-    least_order: bool,
-    seed: int,
-) -> PerfectObserver:
-    """Return the observer of a plant in its own units, with what of its evidence does not depend on units."""
-    names = tuple(plant.outputs[i] for i in rows)
-    E = np.eye(plant.n_states) if plant.E is None else plant.E
-    C, Dd = plant.C[rows], plant.Dd[rows]
-    form = weierstrass_form(plant.A, plant.E, rtol=rtol)
     if plant.dt and bandwidth is not None:
         raise SettingError("bandwidth is for continuous plants; a sampled perfect observer is a finite sum of samples")
-    width = _bandwidth(bandwidth, form, plant)
-    check_existence(plant, rows, rtol)
-    n, q = plant.n_states, len(plant.disturbances)
-    R = np.block([[plant.A, plant.Bd], [C, Dd]])
-    S = np.zeros_like(R)
-    S[:n, :n] = E
-    scale = None if plant.dt else width
+    n, q, width = plant.n_states, len(plant.disturbances), _bandwidth(bandwidth, plant)
+    _check_existence(plant, rows)
+    pencil = PlantPencil.of(plant, rows, width)
     if K is not None:
         if q or least_order:
             raise SettingError("a gain K is for plants without disturbances and without least_order")
-        gain = given_gain(plant.A, E, C, K, rtol=rtol, bandwidth=scale)
+        gain = given_gain(pencil, np.asarray(arrays.matrix(K, "K", (n, len(rows)))))
     elif least_order:
-        gain = least_order_gain(R, S, n, rtol=rtol, bandwidth=scale)
+        gain = least_order_gain(pencil)
     else:
-        check_singular(plant, rtol)
-        inputs = np.vstack([plant.B, plant.D[rows]])
-        gain = full_rank_gain(R, S, n, inputs=inputs, rtol=rtol, bandwidth=scale, seed=seed)
-    left = gain.W if least_order else output_error_rows(gain, len(rows))
-    blank = Evidence("perfect observer")
-    observer = PerfectObserver(
-        plant, names, gain.T, gain.L, gain.N, gain.index, width, not least_order, blank, gain, left
+        _check_singular(plant)
+        gain = full_rank_gain(pencil, seed)
+    columns = pencil.columns[:, None]
+    G = columns * gain.G * pencil.rows
+    made = PerfectObserver(
+        plant,
+        tuple(plant.outputs[i] for i in rows),
+        G[:, :n],
+        G[:, n:],
+        columns * gain.N / pencil.columns / pencil.rate,
+        gain.index,
+        width,
+        not least_order,
+        Evidence("perfect observer"),
+        gain,
+        pencil.left * pencil.rows if least_order else np.eye(len(rows)) * (pencil.rows[n:] if q else 1.0),
     )
-    if len(left) and (q or least_order):
-        observer = replace(observer, left=reduced_rows(observer))
-    return replace(observer, evidence=perfect_evidence(observer, R, rtol))
+    if q or least_order:
+        made = replace(made, left=_reduced_rows(made, len(rows) - q))
+    return replace(made, evidence=_evidence(made))
 
 
-def _bandwidth(bandwidth: float | None, form: WeierstrassForm, plant: Plant) -> float:
+def _bandwidth(bandwidth: float | None, plant: Plant) -> float:
     if bandwidth is None:
-        if form.n_finite:
-            return 5.0 * default_margin(form.A1)
-        return 5.0 * scaled_pencil(plant.A, np.eye(plant.n_states) if plant.E is None else plant.E).unit
+        return 5.0 * plant.balanced.units.rate * default_margin(plant.balanced.dynamics)
     if not np.isfinite(bandwidth) or bandwidth <= 0:
         raise SettingError(f"bandwidth must be a positive number of rad/s, got {as_given(bandwidth)!r}")
     return float(bandwidth)
 
 
-def check_singular(plant: Plant, rtol: float) -> None:
+def _check_singular(plant: Plant) -> None:
     """Raise when ``E`` is invertible and nothing else makes the plant singular."""
-    if plant.disturbances or (
-        plant.E is not None and decide_rank(scaled_pencil(plant.A, plant.E).E, rtol=rtol).rank < plant.n_states
-    ):
-        return
-    raise DesignError(
-        "E is invertible and there are no disturbances: det(sE - A - KC) has degree n for every K, so no perfect "
-        "observer of this form exists; least_order=True differentiates the measurements instead, and a Luenberger "
-        "observer or kalman_filter estimates the state without derivatives"
-    )
+    if not plant.disturbances and not len(plant.balanced.algebra):
+        raise DesignError(
+            "E is invertible and there are no disturbances: det(sE - A - KC) has degree n for every K, so no perfect "
+            "observer of this form exists; least_order=True differentiates the measurements instead, and a Luenberger "
+            "observer or kalman_filter estimates the state without derivatives"
+        )
 
 
-def check_existence(plant: Plant, rows: list[int], rtol: float) -> None:
+def _check_existence(plant: Plant, rows: list[int]) -> None:
     """Raise, with the values of ``s``, unless the pencil has full column rank at every finite ``s``."""
     q = len(plant.disturbances)
     if len(rows) < q:
@@ -553,50 +429,32 @@ def check_existence(plant: Plant, rows: list[int], rtol: float) -> None:
         )
 
 
-def output_error_rows(gain: PerfectGain, outputs: int) -> NDArray[np.float64]:
-    """Return ``W`` that leaves as many rows as the output error has independent ones: ``I`` without disturbances."""
-    Q = gain.Y[-outputs:]
-    if Q.shape[1] == outputs:
-        return np.eye(outputs)
-    units = np.abs(Q).max(axis=1, keepdims=True, initial=0.0)
-    units = np.where(units > 0, units, 1.0)
-    return np.linalg.svd(Q / units)[0][:, : Q.shape[1]].T / units.T
-
-
-def reduced_rows(o: PerfectObserver) -> NDArray[np.float64]:
+def _reduced_rows(o: PerfectObserver, independent: int) -> NDArray[np.float64]:
     """Return the rows that the residual reads, combined so that as many as can be take few derivatives.
 
     Those without derivatives come first; each is scaled so that its largest coefficient of a measurement, derivatives
-    counted at the bandwidth, is one. (In units of the plant it is the power of two next to that.)
+    counted at the bandwidth, is one.
     """
-    P = _of_measurements(o)
-    units = np.abs(P).max(axis=(0, 1), initial=0.0)
-    units = np.where(units > 0, units, 1.0)
-    P = P / units
-    # Orthonormal rows first: rows of the caller's choice may be nearly parallel, or far apart in size.
+    m, Y = len(o.plant.inputs), o.plant.balanced.units.outputs
+    P = np.array([o.bandwidth**i * M[:, m:] / Y for i, M in enumerate(o._residual(o._known))])
+    # orthonormal rows first: rows of the caller's choice may be nearly parallel, or far apart in size
     U, s, _ = np.linalg.svd(np.hstack(list(P)), full_matrices=False)
-    kept = s > SAME * s.max(initial=0.0)  # a combination of rows that reads nothing, as of equal sensors, is none
+    kept = s > SAME * s.max(initial=0.0)  # of equal sensors nothing is left
     U = without_noise(U[:, kept]) / s[kept]
-    left, P = without_rounding(U.T, o.left), U.T @ P
-    rows = np.zeros((0, len(left)))
+    P, rows = U.T @ P, np.zeros((0, U.shape[1]))
     for degree in range(len(P)):
-        higher = np.hstack([np.zeros((len(left), 0)), *P[degree + 1 :]])
-        free = left_null_basis(np.hstack([higher, rows.T]), rtol=1e-9, scale=1.0)[0]
-        rows = np.vstack([rows, free.T])
-    size = np.abs(rows @ P * units).max(axis=(0, 2), initial=0.0)
-    return without_rounding(rows, left) / size[:, None]
+        higher = np.hstack([np.zeros((U.shape[1], 0)), *P[degree + 1 :]])
+        rows = np.vstack([rows, left_null_basis(np.hstack([higher, rows.T]), rtol=SAME, scale=1.0)[0].T])
+    size = np.abs(rows @ P * Y).max(axis=(0, 2), initial=0.0)
+    terms = np.abs(rows) @ np.abs(U.T) @ np.abs(o.left)
+    return above_rounding(rows @ U.T @ o.left, terms, DESIGN_ROUNDING) / size[:, None]
 
 
-def _of_measurements(o: PerfectObserver) -> NDArray[np.float64]:
-    """Return the coefficients of the measurements in the residual, derivatives counted at the bandwidth."""
-    m = len(o.plant.inputs)
-    return np.array([o.bandwidth**i * M[:, m:] for i, M in enumerate(o._residual_of_signals())])
-
-
-def perfect_evidence(o: PerfectObserver, R: NDArray, rtol: float) -> Evidence:
-    """Return the evidence of an observer in its own units, or raise when its estimate is not the state."""
-    p, gain = o.plant, o.gain
-    system = o.system
+def _evidence(o: PerfectObserver) -> Evidence:
+    """Return the evidence of an observer, or raise when its estimate is not the state."""
+    p, gain, system = o.plant, o.gain, o.system
+    of_outputs = system.select(inputs=range(len(p.inputs), system.n_inputs))
+    M = (of_outputs.A, of_outputs.B, of_outputs.C, of_outputs.D)
     conditions = {
         "nilpotency index": float(o.index),
         "derivatives" if not p.dt else "steps of delay": float(o.derivatives),
@@ -605,27 +463,9 @@ def perfect_evidence(o: PerfectObserver, R: NDArray, rtol: float) -> Evidence:
         "dropped from N": gain.dropped,
         "estimate off the state": _estimate_off(o, system),
     }
-    if o.complete:
-        conditions["condition of T"] = gain.condition
-    scaled = scaled_pencil(R, np.zeros_like(R), unit=1.0).A
-    method = "perfect observer" if o.complete else "perfect observer of least order"
-    return Evidence(
-        method=method + (", disturbances estimated" if p.disturbances else ""),
-        poles=system.poles(),
-        ranks={"rank[A Bd; C Dd]": decide_rank(scaled, rtol=rtol)},
-        conditions=conditions,
-        references=(REFERENCE,),
-    )
-
-
-def _with_noise(o: PerfectObserver) -> Evidence:
-    """Return the evidence of an observer with what becomes of noise, in the units of its plant."""
-    p = o.plant
-    system = o.system
-    from_outputs = system.select(inputs=range(len(p.inputs), system.n_inputs))
-    conditions = {"sum of |C N^i L|" if p.dt else "sum of |C (bandwidth N)^i L|": _noise_sum(o)}
+    conditions |= {"condition of T": gain.condition} if o.complete else {}
+    conditions |= {"sum of |C N^i L|" if p.dt else "sum of |C (bandwidth N)^i L|": _noise_sum(o)}
     notes: tuple[str, ...] = ()
-    M = (from_outputs.A, from_outputs.B, from_outputs.C, from_outputs.D)
     if p.dt:
         conditions["noise gain, outputs to estimate (H2)"] = h2_norm(*M, p.dt)
     else:
@@ -636,42 +476,42 @@ def _with_noise(o: PerfectObserver) -> Evidence:
             conditions["noise gain, outputs to estimate (peak)"] = hinf_norm(*M).value
         except AccuracyError as error:
             notes = (f"the peak gain from the outputs to the estimate was not found: {error}",)
-    return o.evidence.extended(conditions=conditions, notes=notes)
+    method = "perfect observer" if o.complete else "perfect observer of least order"
+    return Evidence(
+        method=method + (", disturbances estimated" if p.disturbances else ""),
+        poles=system.poles(),
+        ranks={"rank[A Bd; C Dd]": decide_rank(gain.pencil.R, rtol=BALANCED_RANK, scale=1.0)},
+        conditions=conditions,
+        notes=notes,
+        references=(REFERENCE,),
+    )
 
 
-def _estimate_off(o: PerfectObserver, system: StateSpace, limit: float = 1e-6) -> float:
-    """Return how far the filter driven by the plant is from the filtered state, over frequency, or raise.
+def _estimate_off(o: PerfectObserver, system: StateSpace) -> float:
+    """Return how far the filter driven by the plant is from the filtered state within the bandwidth, or raise.
 
-    State by state, relative to its response to each control input and disturbance; where one hardly reaches a state, to
-    what others do to it, in even units; where none does, to the terms that its estimate is the sum of.
+    State by state, relative to the largest response of that state to a control input or disturbance.
     """
-    p = o.plant
-    driven = p.system(("control", "disturbance"))
-    n, m, n_u = p.n_states, driven.n_inputs, len(p.inputs)
-    if not m:
-        return 0.0
-    units = descriptor_units(driven.A, driven.E, driven.B, driven.C, driven.D).inputs
-    points = np.exp(1j * np.array([0.2, 0.9, 2.3])) if p.dt else 1j * o.bandwidth * np.array([0.043, 0.21, 0.93])
-    both = driven.replaced(C=np.vstack([np.eye(n), driven.C]), D=np.vstack([np.zeros((n, m)), driven.D]), outputs=None)
-    even = in_even_units(both)
-    found = response_terms(even.system, points)
-    reached = above_rounding(found.values, found.terms, RESPONSE_ROUNDING) / even.outputs[:, None] / even.inputs
-    X, P = reached[:, :n], reached[:, n:]
-    Q = system.evaluate(points)
-    product = Q[..., n_u:] @ P
-    product[..., :n_u] += Q[..., :n_u]
-    late = (1 / points if p.dt else 1 / (points / o.bandwidth + 1)) ** o.derivatives
-    wanted = late[:, None, None] * X
-    terms = np.abs(Q[..., n_u:]) @ np.abs(P)
-    terms[..., :n_u] += np.abs(Q[..., :n_u])
-    missed, size, terms = ((np.abs(M) * units).max(axis=0) for M in (product - wanted, wanted, terms))
-    size = np.maximum(size, 1e-6 * size.max(axis=1, keepdims=True, initial=0.0))
-    size = np.where(size.max(axis=1, keepdims=True, initial=0.0) > 0, size, terms)
-    worst = float(np.max(missed / np.where(size > 0, size, 1.0), initial=0.0))
-    if not worst <= limit:
+    p, model = o.plant, o.plant.balanced
+    (A, C, E), units, n_u = model.written, model.units, len(p.inputs)
+    driven = slice(0, n_u + len(p.disturbances))
+    U, signals = units.inputs[driven], np.concatenate([units.inputs[:n_u], 1 / units.outputs])
+    B = units.equations[:, None] * np.hstack([p.B, p.Bd]) * U / units.rate
+    D = units.outputs[:, None] * np.hstack([p.D, p.Dd]) * U
+    beta = o.bandwidth / units.rate
+    s = np.exp(1j * np.array([0.2, 0.9, 2.3])) if p.dt else 1j * beta * np.array([0.043, 0.21, 0.93])
+    X = np.linalg.solve(s[:, None, None] * E - A, B.astype(complex))
+    Q = system.evaluate(s if p.dt else s * units.rate) / units.states[:, None] * signals
+    late = (1 / s if p.dt else 1 / (s / beta + 1)) ** o.derivatives
+    missed = Q[..., n_u:] @ (C @ X + D) - late[:, None, None] * X
+    missed[..., :n_u] += Q[..., :n_u]
+    size = np.abs(late[:, None, None] * X).max(axis=(0, 2), initial=0.0)
+    size = np.where(size > _LEAST_STATE * size.max(initial=0.0), size, size.max(initial=0.0))
+    worst = float(np.max(np.abs(missed).max(axis=(0, 2), initial=0.0) / np.where(size > 0, size, 1.0), initial=0.0))
+    if not worst <= LEAK:
         raise AccuracyError(
-            f"the estimate is off the state by {worst:.2g} > {limit:.0e}: the plant is too badly scaled or conditioned "
-            "for a perfect observer; rescale it, choose another bandwidth, or take unknown_input_observer"
+            f"the estimate is off the state by {worst:.2g} > {LEAK:.0e}: the measurements see part of the plant too "
+            "weakly for a perfect observer; choose another bandwidth, or take unknown_input_observer"
         )
     return worst
 
@@ -681,8 +521,83 @@ def _noise_sum(o: PerfectObserver) -> float:
 
     Those of derivatives are seconds to a power: they count as in units of time of one over the bandwidth.
     """
-    own, units, _ = o._own
-    whole, Y = np.hstack([own.plant.C[o.rows], own.plant.Dd[o.rows]]), units.outputs[o.rows]
-    rate = 1.0 if o.plant.dt else o.bandwidth
-    found = [P / Y[:, None] * Y for P in own.series(own.L, whole, [])]
-    return sum(rate**i * float(np.linalg.norm(P, 2)) for i, P in enumerate(found))
+    p, rows = o.gain.pencil, o.gain.pencil.rows[o.plant.n_states :]
+    C, F = p.R[p.n :] / rows[:, None], np.eye(len(p.rows))[:, p.n :]
+    return sum(p.beta**i * float(np.linalg.norm(C @ P, 2)) for i, (P, _) in enumerate(o._series(F)))
+
+
+def _trimmed(coefficients: Sequence[Terms], rate: float, rtol: float = 1e-12) -> list[NDArray[np.float64]]:
+    """Return a polynomial without the highest coefficients that are rounding, and with zeros for entries that are.
+
+    A signal that was decoupled is then not read at all, where rounding of its terms would read it faintly.
+
+    Parameters
+    ----------
+    coefficients : sequence of tuple of ndarray
+        ``P_0, P_1, ...`` in balanced units, each with the sizes of its terms.
+    rate : float
+        The rate at which derivatives are compared with one another.
+    rtol : float
+        Coefficients below this fraction of what their row and their column are made of count as rounding.
+    """
+    total = sum(rate**i * size for i, (_, size) in enumerate(coefficients))
+    columns = np.max(total, axis=0, keepdims=True, initial=0.0)
+    columns = np.where(columns > 0, columns, 1.0)
+    floor = rtol * np.max(total / columns, axis=1, keepdims=True, initial=0.0) * columns
+    out = [np.where(rate**i * np.abs(P) > floor, P, 0.0) for i, (P, _) in enumerate(coefficients)]
+    while len(out) > 1 and not np.any(out[-1]):
+        out.pop()
+    return out
+
+
+def differential_filter(
+    coefficients: Sequence[NDArray],
+    *,
+    dt: float,
+    bandwidth: float,
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+) -> StateSpace:
+    r"""Return a filter that applies :math:`\sum_i P_i \, d^i / dt^i` to its inputs.
+
+    Continuous time: through ``m`` equal lags, as many as derivatives, :math:`g = 1 / (\tau s + 1)`,
+    ``tau = 1 / bandwidth``:
+
+    .. math:: \sum_i P_i \frac{s^i}{(\tau s + 1)^m} = \sum_{j=0}^m Q_j\, g^j, \qquad
+              Q_j = \sum_i \tau^{-i} (-1)^{k} \binom{i}{k} P_i, \quad k = j - m + i
+
+    from :math:`s g = (1 - g) / \tau`. Sampled time: :math:`\sum_i P_i v_{k - m + i}`, a delay of ``m`` steps. The lags
+    are those of the outputs, or those of the inputs where these are fewer.
+
+    Parameters
+    ----------
+    coefficients : sequence of ndarray, shape (outputs, inputs)
+        ``P_0, P_1, ...``.
+    dt : float
+    bandwidth : float
+        In rad/s; not used in sampled time.
+    inputs, outputs : sequence of str
+
+    Returns
+    -------
+    StateSpace
+    """
+    m, width, height, rate = len(coefficients) - 1, len(inputs), len(outputs), 1.0 if dt else bandwidth
+    Q = [np.zeros((height, width))] * (m + 1)
+    for i, P in enumerate(coefficients):
+        for k in range(1 if dt else i + 1):
+            Q[m - i + k] = Q[m - i + k] + rate**i * (-1) ** k * comb(i, k) * P
+    # before the states, which would be many where powers of the bandwidth run away
+    for one in Q:
+        arrays.matrix(one, "coefficient", (height, width))
+    chain = np.eye(m, k=-1) if dt else rate * (np.eye(m, k=-1) - np.eye(m))
+    if height <= width:  # lags of what comes out, all of which the outputs see
+        eye = np.eye(height)
+        A, B, C = np.kron(chain.T, eye), np.vstack([np.zeros((0, width)), *Q[1:]]), rate * np.kron(np.eye(1, m), eye)
+    else:  # lags of what goes in
+        eye = np.eye(width)
+        A, B, C = np.kron(chain, eye), rate * np.kron(np.eye(m, 1), eye), np.hstack([np.zeros((height, 0)), *Q[1:]])
+    k = m * len(eye)
+    return StateSpace(
+        A.reshape(k, k), B.reshape(k, width), C.reshape(height, k), Q[0], dt=dt, inputs=inputs, outputs=outputs
+    )
