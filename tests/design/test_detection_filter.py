@@ -9,7 +9,6 @@ import pytest
 
 import residua as rs
 from generated import random_plant, simulate
-from residua.design.detection_filters.detection_filter import event_matrices
 from residua.design.detection_filters.directional_gain import fault_events, obstacle
 from residua.errors import DesignError, ModelError
 from residua.linear.poles.zeros import invariant_zeros
@@ -70,7 +69,8 @@ def test_faults_are_split_over_as_few_filters_as_needed(seed: int) -> None:
     rng = np.random.default_rng(seed)
     plant = random_plant(rng, n=5, outputs=2, faults=4, dt=0.1)
     generator = rs.design.detection_filter(plant)
-    events, _ = fault_events(plant.A, plant.C, event_matrices(plant, np.eye(5), plant.faults))
+    columns = {name: plant.Bf[:, [i]] / np.linalg.norm(plant.Bf[:, i]) for i, name in enumerate(plant.faults)}
+    events, _ = fault_events(plant.A, plant.C, columns)
 
     def fewest(left: tuple[int, ...]) -> int:
         if not left:
@@ -79,7 +79,7 @@ def test_faults_are_split_over_as_few_filters_as_needed(seed: int) -> None:
         best = len(left)
         for k in range(len(rest) + 1):
             for others in itertools.combinations(rest, k):
-                if obstacle(plant.A, plant.C, [events[i] for i in (first, *others)], 0.1) is None:
+                if obstacle(plant.A, plant.C, [events[i] for i in (first, *others)], sampled=True) is None:
                     best = min(best, 1 + fewest(tuple(i for i in rest if i not in others)))
         return best
 

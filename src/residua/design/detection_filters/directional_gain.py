@@ -4,30 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from residua.design.observers.unknown_input_observer import ErrorPair
 from residua.errors import DesignError
-from residua.linear.poles.placement import Placement, default_margin, place_observer_margin, place_observer_poles
+from residua.linear.poles.observer_gain import observer_gain
 from residua.linear.poles.spectrum import describe_modes
-from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.detection_space import (
     DetectionSpace,
-    detection_space,
-    inverse_without_rounding,
-    separation,
+    are_independent,
+    event_quotient,
     split_blocks,
+    unobservability_space,
 )
-from residua.linear.subspaces.far_gain import refuse_far_gain
-from residua.linear.subspaces.observability import detectability
-from residua.linear.subspaces.observable_part import observable_part
-from residua.linear.subspaces.rank import DEFAULT_RTOL, decide_rank
-from residua.linear.systems.array_cache import cached_by_contents
-from residua.linear.systems.balancing import without_rounding
-from residua.words import as_given, counted
+from residua.linear.subspaces.quotient import observable_split
+from residua.linear.subspaces.rank import decide_rank
+from residua.plant.balanced import is_inside
+from residua.tolerances import BALANCED_RANK, POLE
+from residua.words import counted
 
+Matrix = NDArray[np.float64]
 Poles = Sequence[complex] | ArrayLike | Mapping[str, Sequence[complex]] | None
 
 
@@ -48,262 +46,98 @@ class FaultEvent:
 
 @dataclass(frozen=True, eq=False)
 class DirectionalGain:
-    """A gain with the poles that it reaches.
+    """A gain on the outputs ``W y`` of an error pair, for the states of the balanced plant.
 
     Attributes
     ----------
-    gain : ndarray, shape (n, p)
+    K : ndarray, shape (n, outputs)
     fixed : ndarray
         Poles that no gain can move.
+    requested : ndarray
+        Those that were asked for.
     error : float
         Largest error among the placed poles.
-    note : str
+    notes : tuple of str
     """
 
-    gain: NDArray[np.float64]
+    K: Matrix
     fixed: NDArray[np.complex128]
     requested: NDArray[np.complex128]
     error: float
-    note: str = ""
+    notes: tuple[str, ...] = ()
 
 
-@cached_by_contents
-def fault_events(
-    A: NDArray, C: NDArray, events: Mapping[str, NDArray], *, rtol: float = DEFAULT_RTOL
-) -> tuple[list[FaultEvent], list[str]]:
+def event_matrices(pair: ErrorPair, faults: Sequence[str]) -> dict[str, Matrix]:
+    r"""Return what each fault does to the error, as columns of length one: two for a fault in the outputs.
+
+    A fault :math:`f, d` with :math:`C g = d` acts, after the shift :math:`e + g \eta`, as the events :math:`T g` (with
+    its derivative) and :math:`T (f - G d - A g)`. Where no ``g`` gives all of ``d``, the gain does not read the rest:
+    ``g`` is that of least squares.
+    """
+    plant, (B, D) = pair.model.plant, pair.model.faults
+    inverse, enter, out = np.linalg.pinv(pair.C, rcond=BALANCED_RANK), pair.inverse @ pair.T, {}
+    for name in faults:
+        i = plant.faults.index(name)
+        f, d = B[:, [i]], D[:, [i]]
+        L = enter @ (f - pair.G @ d)
+        if np.any(d):
+            g = inverse @ pair.outputs @ pair.W @ d
+            L = np.hstack([enter @ pair.M @ g, L - pair.A @ g])
+        size = np.linalg.norm(L, axis=0)
+        out[name] = L / np.where(size > BALANCED_RANK, size, np.inf)
+    return out
+
+
+def fault_events(A: Matrix, C: Matrix, events: Mapping[str, Matrix]) -> tuple[list[FaultEvent], list[str]]:
     """Return the detection space of each fault, twins merged, and the faults that no output sees."""
     merged: list[FaultEvent] = []
     unseen: list[str] = []
     for name, L in events.items():
-        space = detection_space(A, C, L, rtol=rtol) if np.any(L) else None
-        if space is None or space.outputs.shape[1] == 0:
+        space = unobservability_space(event_quotient(A, C, L))
+        twin = next((k for k, other in enumerate(merged) if _are_the_same(other.space.basis, space.basis)), None)
+        if not space.outputs.shape[1]:
             unseen.append(name)
-            continue
-        for k, other in enumerate(merged):
-            if _same_space(other.space, space):
-                merged[k] = FaultEvent((*other.faults, name), other.space)
-                break
+        elif twin is not None:
+            merged[twin] = FaultEvent((*merged[twin].faults, name), space)
         else:
             merged.append(FaultEvent((name,), space))
     return merged, unseen
 
 
-def _same_space(a: DetectionSpace, b: DetectionSpace) -> bool:
-    if a.dimension != b.dimension:
-        return False
-    return decide_rank(np.hstack([a.basis, b.basis]), rtol=1e-7).rank == a.dimension
+def _are_the_same(a: Matrix, b: Matrix) -> bool:
+    return a.shape == b.shape and decide_rank(np.hstack([a, b]), rtol=1e-7).rank == a.shape[1]
 
 
-def obstacle(A: NDArray, C: NDArray, events: Sequence[FaultEvent], dt: float) -> str | None:
+def obstacle(A: Matrix, C: Matrix, events: Sequence[FaultEvent], sampled: bool, rate: float = 1.0) -> str | None:
     """Return why no stable gain keeps these faults apart in one filter, or ``None`` when one does."""
-    spaces = [event.space for event in events]
     names = ", ".join(" or ".join(event.faults) for event in events)
-    apart = separation(spaces)
-    if not apart.separable:
+    outputs = [event.space.outputs for event in events]
+    if not are_independent(outputs) or not are_independent([event.space.basis for event in events]):
         return (
-            f"{names}: the signature directions are not linearly independent "
-            f"(rank {apart.outputs.rank} of {apart.wanted_outputs} directions, "
+            f"{names}: the signature directions are not linearly independent (rank "
+            f"{decide_rank(np.hstack(outputs)).rank} of {sum(one.shape[1] for one in outputs)} directions, "
             f"{len(C)} measurements)"
         )
-    blocks = split_blocks(A, C, spaces)
-    rest = detectability(*blocks.rest, dt=dt)
-    if not rest.detectable:
-        bad = describe_modes(rest.unstable_modes)
-        return f"{names}: the invariant zero {bad} of these faults together is a fixed pole, and not stable"
+    bad = unstable(*split_blocks(A, C, [event.space for event in events]).pairs[-1], sampled)
+    if bad.size:
+        zero = describe_modes(rate * bad)
+        return f"{names}: the invariant zero {zero} of these faults together is a fixed pole, and not stable"
     return None
 
 
-def checked_options(poles: Poles, margin: float | None) -> tuple[Any, float | None]:
-    """Return the wanted poles as numbers and the margin, or say what is wrong with them."""
-    if margin is not None:
-        if isinstance(margin, bool) or not isinstance(margin, (int, float, np.number)) or not 0 < margin < np.inf:
-            raise DesignError(f"margin must be a positive number in 1/s, got {as_given(margin)!r}")
-        if poles is not None and not isinstance(poles, Mapping):
-            raise DesignError("give poles or margin, not both")
-    try:
-        if isinstance(poles, Mapping):
-            return {name: np.asarray(values, dtype=complex).reshape(-1) for name, values in poles.items()}, margin
-        return (None if poles is None else np.asarray(cast("ArrayLike", poles), dtype=complex).reshape(-1)), margin
-    except (TypeError, ValueError) as error:
-        raise DesignError(f"poles must be numbers, or a mapping of fault name to numbers: {error}") from error
+def hidden_modes(A: Matrix, C: Matrix) -> NDArray[np.complex128]:
+    """Return the modes of a balanced pair that no output sees."""
+    hidden = observable_split(A, C).hidden
+    return np.asarray(np.linalg.eigvals(hidden.T @ A @ hidden), dtype=complex)
 
 
-def scalar_gain(A: NDArray, C: NDArray, pole: float, weights: NDArray, *, asked: bool) -> DirectionalGain:
-    r"""Return :math:`K = (A - \lambda I) C^+`, which makes :math:`A - KC = \lambda I` when rank C = n (eq. 25).
-
-    The inverse is that of least squares over the weighted outputs.
-    """
-    K = without_rounding(A - pole * np.eye(len(A)), inverse_without_rounding(weights[:, None] * C)) * weights
-    achieved = np.linalg.eigvals(A - K @ C)
-    error = float(np.abs(achieved - pole).max(initial=0.0))
-    note = "as many independent measurements as states: every fault keeps its direction or plane"
-    requested = np.full(len(A) if asked else 0, pole, dtype=complex)
-    return DirectionalGain(K, np.zeros(0, complex), requested, error, note)
+def unstable(A: Matrix, C: Matrix, sampled: bool) -> NDArray[np.complex128]:
+    """Return the modes of a balanced pair that no output sees and that are not stable."""
+    modes = hidden_modes(A, C)
+    return modes[~is_inside(modes, sampled)]
 
 
-def scalar_pole(A: NDArray, C: NDArray, poles: Poles, margin: float | None, dt: float) -> float | None:
-    """Return the single pole of the ideal case (rank C = n, all poles alike), or ``None`` otherwise."""
-    n = len(A)
-    if isinstance(poles, Mapping) or decide_rank(C, rtol=DEFAULT_RTOL).rank < n:
-        return None
-    if poles is None:
-        distance = default_margin(A, dt) if margin is None else margin
-        return float(np.exp(-distance * dt)) if dt else -float(distance)
-    wanted = np.asarray(poles, dtype=complex)
-    if len(wanted) != n or np.any(wanted != wanted[0]) or np.any(np.imag(wanted)):
-        return None
-    pole = float(np.real(wanted[0]))
-    if not is_stable_mode(np.array([pole]), dt).all():
-        raise DesignError(
-            f"the pole {describe_modes([pole])} is not stable for {'a sampled' if dt else 'a continuous'} plant"
-        )
-    return pole
-
-
-@cached_by_contents
-def block_gain(
-    A: NDArray,
-    C: NDArray,
-    events: Sequence[FaultEvent],
-    poles: Poles,
-    margin: float | None,
-    dt: float,
-    *,
-    rtol: float = DEFAULT_RTOL,
-) -> DirectionalGain:
-    r"""Return a gain that keeps each event in its own space, with poles placed block by block.
-
-    The core that detection filters and right eigenvectors share: with detection spaces it is the filter of White and
-    Speyer, all of whose poles are free; with the chains ``f, A f, ...`` of :func:`eigenstructure_assignment`,
-    lines for faults that the outputs see, it makes the faults themselves eigenvectors,
-    :math:`K C F = A F - F \Lambda`.
-    """
-    blocks = split_blocks(A, C, [event.space for event in events], rtol=rtol)
-    pairs = [*blocks.pairs, blocks.rest]
-    seen = [observable_part(Ai, Ci, dt) for Ai, Ci in pairs]
-    fixed = np.concatenate([part.fixed for part in seen])
-    *sizes, rest = (part.order for part in seen)
-    shares = share_poles(poles, [event.faults for event in events], sizes, rest, fixed, dt)
-    distance = default_margin(A, dt) if margin is None else margin
-    gains, requested, errors = [], [], [0.0]
-    for (Ai, Ci), share in zip(pairs, shares, strict=True):
-        placed = placed_share(Ai, Ci, share, distance, dt)
-        gains.append(placed.gain)
-        requested.append(np.zeros(0, complex) if share is None else share)
-        errors.append(float(placed.error))
-    K = blocks.gain(gains[:-1], gains[-1])
-    return DirectionalGain(K, fixed, np.concatenate(requested), max(errors))
-
-
-def placed_share(A: NDArray, C: NDArray, poles: NDArray | None, margin: float, dt: float) -> Placement:
-    """Place the poles of a pair in even units where its share says, or beyond the margin, with no gain from rounding.
-
-    Raises
-    ------
-    DesignError
-        If a mode that no output sees is not stable.
-    AccuracyError
-        If the poles are not reached, or only by a gain so large that rounding would be what it acts through.
-    """
-    placed = place_observer_margin(A, C, margin, dt=dt) if poles is None else place_observer_poles(A, C, poles, dt=dt)
-    refuse_far_gain(A, C, placed.gain, _rate(poles, margin, dt))
-    return placed
-
-
-def _rate(poles: NDArray | None, margin: float, dt: float) -> float:
-    """Return the size of the farthest pole that is asked for; that of a sampled plant is in the unit disk."""
-    return 1.0 if dt else margin if poles is None else float(np.abs(poles).max(initial=0.0))
-
-
-def share_poles(
-    poles: Poles,
-    names: Sequence[tuple[str, ...]],
-    sizes: Sequence[int],
-    rest: int,
-    fixed: NDArray,
-    dt: float,
-) -> list[NDArray[np.complex128] | None]:
-    """Deal the wanted poles out to the faults and the rest, conjugate pairs together.
-
-    ``None`` for a block means: place it by margin.
-    """
-    if poles is None:
-        return [None] * (len(sizes) + 1)
-    if isinstance(poles, Mapping):
-        return _named_shares(poles, names, sizes, rest)
-    wanted = np.atleast_1d(np.asarray(poles, dtype=complex))
-    free = sum(sizes) + rest
-    if len(wanted) == free + len(fixed) and len(fixed):
-        wanted = _without(wanted, fixed)
-    if len(wanted) != free:
-        raise DesignError(
-            f"{len(wanted)} poles were given, {free} are free"
-            + (f" (fixed: {describe_modes(fixed)})" if len(fixed) else "")
-        )
-    reals = [z for z in wanted if z.imag == 0]
-    pairs = [z for z in wanted if z.imag > 0]
-    if len(reals) + 2 * len(pairs) != len(wanted) or any(
-        np.count_nonzero(wanted == z) != np.count_nonzero(wanted == np.conj(z)) for z in pairs
-    ):
-        raise DesignError("poles must come in conjugate pairs")
-    shares: list[NDArray[np.complex128] | None] = []
-    counts = [*sizes, rest]
-    if len(reals) < sum(size % 2 for size in counts):
-        raise DesignError(
-            f"the faults need blocks of {', '.join(map(str, counts))} poles; each odd block needs a real pole, "
-            f"and only {len(reals)} of the requested poles are real"
-        )
-    odd_left = sum(size % 2 for size in counts)
-    for size in counts:
-        share: list[complex] = []
-        if size % 2:
-            share.append(reals.pop(0))
-            odd_left -= 1
-        while len(share) < size:
-            if len(reals) - odd_left >= 2:
-                share += [reals.pop(0), reals.pop(0)]
-            else:
-                z = pairs.pop(0)
-                share += [z, np.conj(z)]
-        shares.append(np.asarray(share, dtype=complex))
-    return shares
-
-
-def _named_shares(
-    poles: Mapping[str, Sequence[complex]], names: Sequence[tuple[str, ...]], sizes: Sequence[int], rest: int
-) -> list[NDArray[np.complex128] | None]:
-    known = {name: k for k, group in enumerate(names) for name in group} | {"rest": len(sizes)}
-    shares: list[NDArray[np.complex128] | None] = [None] * (len(sizes) + 1)
-    for name, values in poles.items():
-        if name not in known:
-            raise DesignError(f"poles: unknown fault {name!r}; known: {', '.join(known)}")
-        k = known[name]
-        share = np.atleast_1d(np.asarray(values, dtype=complex))
-        size = rest if k == len(sizes) else sizes[k]
-        if len(share) != size:
-            raise DesignError(
-                f"poles[{name!r}]: {len(share)} poles were given, {size} belong to it "
-                "(one, plus one for each invariant zero of the fault and each extra integration to the outputs)"
-            )
-        shares[k] = share
-    return shares
-
-
-def _without(wanted: NDArray, fixed: NDArray) -> NDArray:
-    left = list(wanted)
-    for z in fixed:
-        nearest = int(np.argmin(np.abs(np.asarray(left) - z)))
-        if abs(left[nearest] - z) > 1e-6 * max(1.0, abs(z)):
-            raise DesignError(
-                f"the pole {describe_modes([z])} cannot be moved and is not among the requested poles; "
-                f"give the other {counted(len(wanted) - len(fixed), 'pole')}"
-            )
-        left.pop(nearest)
-    return np.asarray(left, dtype=complex)
-
-
-@cached_by_contents
-def partition(A: NDArray, C: NDArray, events: Sequence[FaultEvent], dt: float) -> list[list[FaultEvent]]:
+def partition(A: Matrix, C: Matrix, events: list[FaultEvent], sampled: bool, rate: float) -> list[list[FaultEvent]]:
     """Split the events over as few filters as keep them apart.
 
     Searched exactly: first one filter, then two, and so on; a set that fails makes every larger set fail.
@@ -313,37 +147,142 @@ def partition(A: NDArray, C: NDArray, events: Sequence[FaultEvent], dt: float) -
     DesignError
         If a fault cannot be kept in a direction even alone; the message says why.
     """
-    known: dict[frozenset[int], bool] = {}
+    known: dict[frozenset[int], str | None] = {}
 
-    def fits(members: frozenset[int]) -> bool:
+    def why_not(members: frozenset[int]) -> str | None:
         if members not in known:
-            known[members] = obstacle(A, C, [events[i] for i in sorted(members)], dt) is None
+            known[members] = obstacle(A, C, [events[i] for i in sorted(members)], sampled, rate)
         return known[members]
 
-    if fits(frozenset(range(len(events)))):  # then every part of them does
-        return [list(events)]
-    for event in events:
-        why = obstacle(A, C, [event], dt)
-        if why:
+    if not events or why_not(frozenset(range(len(events)))) is None:  # then every part of them fits too
+        return [events]
+    for i in range(len(events)):
+        if (why := why_not(frozenset({i}))) is not None:
             raise DesignError(f"no stable directional filter exists: {why}")
 
     def fill(i: int, groups: list[frozenset[int]], limit: int) -> list[frozenset[int]] | None:
         if i == len(events):
             return groups
         for g, group in enumerate(groups):
-            wider = group | {i}
-            if fits(wider):
-                result = fill(i + 1, [*groups[:g], wider, *groups[g + 1 :]], limit)
-                if result:
-                    return result
-        if len(groups) < limit:
-            return fill(i + 1, [*groups, frozenset({i})], limit)
-        return None
+            if why_not(group | {i}) is None and (
+                found := fill(i + 1, [*groups[:g], group | {i}, *groups[g + 1 :]], limit)
+            ):
+                return found
+        return fill(i + 1, [*groups, frozenset({i})], limit) if len(groups) < limit else None
 
     total = sum(event.space.outputs.shape[1] for event in events)
-    start = max(1, -(-total // max(1, decide_rank(C).rank)))
-    for limit in range(start, len(events) + 1):
-        groups = fill(0, [], limit)
-        if groups:
+    for limit in range(max(1, -(-total // max(1, decide_rank(C).rank))), len(events) + 1):
+        if groups := fill(0, [], limit):
             return [[events[i] for i in sorted(group)] for group in groups]
-    raise DesignError("no partition of the faults was found")
+    raise AssertionError("every fault has a filter of its own")
+
+
+def block_gain(
+    pair: ErrorPair, events: Sequence[FaultEvent], poles: Poles = None, margin: float | None = None
+) -> DirectionalGain:
+    r"""Return a gain that keeps each event in its own space, with the poles of each block as asked, or by least squares.
+
+    The core that detection filters and right eigenvectors share: with detection spaces it is the filter of White and
+    Speyer, all of whose poles are free; with the chains ``f, A f, ...`` of :func:`eigenstructure_assignment`,
+    lines for faults that the outputs see, it makes the faults themselves eigenvectors,
+    :math:`K C F = A F - F \Lambda`.
+    """
+    rate, sampled = pair.model.units.rate, pair.model.plant.is_discrete
+    blocks = split_blocks(pair.A, pair.C, [event.space for event in events])
+    splits = [observable_split(F, G) for F, G in blocks.pairs]
+    fixed = np.concatenate([hidden_modes(F, G) for F, G in blocks.pairs])
+    sizes = [split.seen.shape[1] for split in splits]
+    shares = share_poles(poles, [event.faults for event in events], sizes, fixed, rate)
+    gains = [
+        observer_gain(
+            F,
+            G,
+            split,
+            sampled=sampled,
+            process=np.eye(len(F)),
+            measurement=read @ read.T,
+            poles=share,
+            margin=margin,
+            rate=rate,
+        )
+        for (F, G), split, read, share in zip(blocks.pairs, splits, blocks.reads, shares, strict=True)
+    ]
+    return DirectionalGain(
+        pair.on_outputs(blocks.gain([gain.K for gain in gains])),
+        fixed,
+        np.concatenate([gain.requested for gain in gains]),
+        max(gain.error for gain in gains),
+        tuple(dict.fromkeys(gain.note for gain in gains if gain.note)),
+    )
+
+
+def share_poles(
+    poles: Poles, names: Sequence[tuple[str, ...]], sizes: Sequence[int], fixed: NDArray, rate: float
+) -> list[NDArray[np.complex128] | None]:
+    """Deal the wanted poles out to the faults and, last, the rest; conjugate pairs together.
+
+    ``None`` for a block means: none were asked for.
+    """
+    if poles is None:
+        return [None] * len(sizes)
+    if isinstance(poles, Mapping):
+        return _named_shares(poles, names, sizes)
+    wanted = np.atleast_1d(np.asarray(poles, dtype=complex))
+    free = sum(sizes)
+    if len(fixed) and len(wanted) == free + len(fixed):
+        wanted = _without(wanted, fixed, rate)
+    if len(wanted) != free:
+        raise DesignError(
+            f"{len(wanted)} poles were given, {free} are free"
+            + (f" (fixed: {describe_modes(rate * fixed)})" if len(fixed) else "")
+        )
+    reals, pairs = [z for z in wanted if z.imag == 0], [z for z in wanted if z.imag > 0]
+    if not np.array_equal(np.sort_complex(wanted), np.sort_complex([*reals, *pairs, *np.conj(pairs)])):
+        raise DesignError("poles must come in conjugate pairs")
+    odd = sum(size % 2 for size in sizes)
+    if len(reals) < odd:
+        raise DesignError(
+            f"the faults need blocks of {', '.join(map(str, sizes))} poles; each odd block needs a real pole, "
+            f"and only {len(reals)} of the requested poles are real"
+        )
+    shares: list[NDArray[np.complex128] | None] = []
+    for size in sizes:
+        share = [reals.pop(0)] if size % 2 else []
+        odd -= size % 2
+        while len(share) < size:
+            if len(reals) - odd >= 2:
+                share += [reals.pop(0), reals.pop(0)]
+            else:
+                share += [pairs[0], np.conj(pairs.pop(0))]
+        shares.append(np.asarray(share, dtype=complex))
+    return shares
+
+
+def _named_shares(
+    poles: Mapping[str, Sequence[complex]], names: Sequence[tuple[str, ...]], sizes: Sequence[int]
+) -> list[NDArray[np.complex128] | None]:
+    known = {name: k for k, group in enumerate(names) for name in group} | {"rest": len(names)}
+    shares: list[NDArray[np.complex128] | None] = [None] * len(sizes)
+    for name, values in poles.items():
+        if name not in known:
+            raise DesignError(f"poles: unknown fault {name!r}; known: {', '.join(known)}")
+        share, size = np.atleast_1d(np.asarray(values, dtype=complex)), sizes[known[name]]
+        if len(share) != size:
+            raise DesignError(
+                f"poles[{name!r}]: {len(share)} poles were given, {size} belong to it "
+                "(one, plus one for each invariant zero of the fault and each extra integration to the outputs)"
+            )
+        shares[known[name]] = share
+    return shares
+
+
+def _without(wanted: NDArray, fixed: NDArray, rate: float) -> NDArray:
+    left = list(wanted)
+    for z in fixed:
+        nearest = int(np.argmin(np.abs(np.asarray(left) - z)))
+        if abs(left.pop(nearest) - z) > POLE * max(1.0, abs(z)):
+            raise DesignError(
+                f"the pole {describe_modes([rate * z])} cannot be moved and is not among the requested poles; "
+                f"give the other {counted(len(wanted) - len(fixed), 'pole')}"
+            )
+    return np.asarray(left, dtype=complex)

@@ -16,7 +16,7 @@ from residua.design.core.method import method
 from residua.design.core.needs import disturbances
 from residua.design.core.own_time import in_own_time
 from residua.design.core.signals import signal_names
-from residua.design.detection_filters.directional_gain import DirectionalGain, checked_options
+from residua.design.detection_filters.directional_gain import DirectionalGain
 from residua.design.detection_filters.ignored_columns import (
     Frame,
     IgnoredColumns,
