@@ -23,19 +23,19 @@ from residua.design.detection_filters.directional_gain import (
     block_gain,
     event_matrices,
     fault_events,
+    gain_evidence,
     partition,
     unstable,
 )
-from residua.design.observers.observer import Observer
 from residua.design.observers.observer_gain import balanced_options
 from residua.design.observers.unknown_input_observer import ErrorPair, error_pair
 from residua.errors import AccuracyError, DesignError
 from residua.linear.poles.placement import default_margin
-from residua.linear.poles.spectrum import describe_modes, spectrum_error
+from residua.linear.poles.spectrum import describe_modes
 from residua.linear.poles.stability import is_stable_mode
 from residua.linear.systems.state_space import stack_systems
 from residua.plant import Plant
-from residua.tolerances import BALANCED_ANSWER, BALANCED_RANK, POLE
+from residua.tolerances import BALANCED_ANSWER, BALANCED_RANK
 
 #: The units in which a pseudoinverse is the smallest.
 Scaling = Literal["plant", "even"]
@@ -164,8 +164,9 @@ def directional_filters(
         gains = [block_gain(pair, group, _poles_for(poles, group), margin) for group in groups]
     if len(groups) > 1:
         notes.append(f"{len(groups)} filters: one cannot keep all faults apart")
-    parts = [_filter(pair, gain, base.extended(notes=tuple(notes))) for gain in gains]
-    return _stacked([part.residual_generator() for part in parts], groups, pole is not None)
+    base = base.extended(notes=tuple(notes))
+    parts = [pair.observer(gain.K, base.extended(**gain_evidence(pair, gain))).residual_generator() for gain in gains]
+    return _stacked(parts, groups, pole is not None)
 
 
 def _scalar_pole(pair: ErrorPair, poles: Poles, margin: float | None) -> float | None:
@@ -199,28 +200,6 @@ def _scalar_gain(pair: ErrorPair, pole: float, *, asked: bool) -> DirectionalGai
     error = float(np.abs(np.linalg.eigvals(A - K @ C) - pole).max(initial=0.0))
     requested = np.full(n if asked else 0, pole, dtype=complex)
     return DirectionalGain(K, np.zeros(0, complex), requested, error, (note,))
-
-
-def _filter(pair: ErrorPair, gain: DirectionalGain, base: Evidence) -> Observer:
-    """Return the observer of a gain, after checking the poles of the whole."""
-    F, rate = pair.T @ pair.A0 - gain.K @ pair.C0, pair.model.units.rate
-    wanted, error = np.concatenate([gain.requested, gain.fixed]), gain.error
-    if gain.requested.size and len(wanted) == len(F):
-        error = max(error, spectrum_error(F, wanted, float(pair.model.plant.is_discrete), POLE)[0])
-        if error > POLE:
-            raise AccuracyError(
-                f"a pole is off by {error:.2g} > {POLE:.0e} of the requested pole: so ill-conditioned that "
-                "rounding moves it; ask for poles nearer to those of the plant or further apart, for a margin, or add "
-                "a sensor"
-            )
-    evidence = base.extended(
-        poles=rate * np.linalg.eigvals(F),
-        requested_poles=rate * gain.requested,
-        fixed_poles=rate * gain.fixed,
-        conditions={"pole error": error, "size of K1": float(np.linalg.norm(gain.K, 2)) if gain.K.size else 0.0},
-        notes=gain.notes,
-    )
-    return pair.observer(gain.K, evidence)
 
 
 def _shared(faults: Sequence[str], directly: Sequence[str]) -> list[str]:

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.design.observers.unknown_input_observer import ErrorPair
-from residua.errors import DesignError
+from residua.errors import AccuracyError, DesignError
 from residua.linear.poles.observer_gain import observer_gain
-from residua.linear.poles.spectrum import describe_modes
+from residua.linear.poles.spectrum import describe_modes, spectrum_error
 from residua.linear.subspaces.detection_space import (
     DetectionSpace,
     are_independent,
@@ -214,6 +215,28 @@ def block_gain(
         max(gain.error for gain in gains),
         tuple(dict.fromkeys(gain.note for gain in gains if gain.note)),
     )
+
+
+def gain_evidence(pair: ErrorPair, gain: DirectionalGain, *, asked: bool = True) -> dict[str, Any]:
+    """Return what the evidence says of a gain, after checking the poles of the whole, if they are as asked for."""
+    F, rate = pair.T @ pair.A0 - gain.K @ pair.C0, pair.model.units.rate
+    requested = gain.requested if asked else gain.requested[:0]
+    wanted, error = np.concatenate([requested, gain.fixed]), gain.error
+    if requested.size and len(wanted) == len(F):
+        error = max(error, spectrum_error(F, wanted, float(pair.model.plant.is_discrete), POLE)[0])
+        if error > POLE:
+            raise AccuracyError(
+                f"a pole is off by {error:.2g} > {POLE:.0e} of the requested pole: so ill-conditioned that "
+                "rounding moves it; ask for poles nearer to those of the plant or further apart, for a margin, or add "
+                "a sensor"
+            )
+    return {
+        "poles": rate * np.linalg.eigvals(F),
+        "requested_poles": rate * requested,
+        "fixed_poles": rate * gain.fixed,
+        "conditions": {"pole error": error, "size of K": float(np.linalg.norm(gain.K, 2)) if gain.K.size else 0.0},
+        "notes": gain.notes,
+    }
 
 
 def share_poles(

@@ -315,8 +315,8 @@ def _without_disturbed_outputs(
     p = len(D)
     U, s, Vh = np.linalg.svd(D) if D.size else (np.eye(p), np.zeros(0), np.eye(D.shape[1]))
     k, U = int(np.count_nonzero(s > BALANCED_RANK)), without_rounding(U)
-    W, G = U[:, k:].T, B @ (Vh[:k].T / s[:k]) @ U[:, :k].T
-    W = np.linalg.qr((W * units).T)[0].T / units if len(W) else W
+    W, G = U[:, k:].T, cleared(B @ (Vh[:k].T / s[:k]) @ U[:, :k].T)
+    W = without_rounding(np.linalg.qr((W * units).T)[0].T) / units if len(W) else W
     return W, G, without_rounding(np.linalg.svd(B @ Vh[k:].T)[0])[:, :rank] if rank else B[:, :0]
 
 
