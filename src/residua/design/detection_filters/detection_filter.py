@@ -164,7 +164,8 @@ def directional_filters(
         gains = [block_gain(pair, group, _poles_for(poles, group), margin) for group in groups]
     if len(groups) > 1:
         notes.append(f"{len(groups)} filters: one cannot keep all faults apart")
-    base = base.extended(notes=tuple(notes))
+    near = [f"near: {one}; double precision hardly decides this rank" for event in events for one in event.near]
+    base = base.extended(notes=(*notes, *near[:1]))
     parts = [pair.observer(gain.K, base.extended(**gain_evidence(pair, gain))).residual_generator() for gain in gains]
     return _stacked(parts, groups, pole is not None)
 

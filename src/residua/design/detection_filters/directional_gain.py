@@ -21,7 +21,7 @@ from residua.linear.subspaces.detection_space import (
     unobservability_space,
 )
 from residua.linear.subspaces.quotient import observable_split
-from residua.linear.subspaces.rank import decide_rank
+from residua.linear.subspaces.rank import RankDecision, decide_rank
 from residua.plant.balanced import is_inside
 from residua.tolerances import BALANCED_RANK, POLE
 from residua.words import counted
@@ -39,10 +39,13 @@ class FaultEvent:
     faults : tuple of str
         Twins share one event: no filter can tell them apart by direction.
     space : DetectionSpace
+    near : tuple of RankDecision
+        Decisions about the space that double precision hardly allows.
     """
 
     faults: tuple[str, ...]
     space: DetectionSpace
+    near: tuple[RankDecision, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,14 +97,15 @@ def fault_events(A: Matrix, C: Matrix, events: Mapping[str, Matrix]) -> tuple[li
     merged: list[FaultEvent] = []
     unseen: list[str] = []
     for name, L in events.items():
-        space = unobservability_space(event_quotient(A, C, L))
+        q = event_quotient(A, C, L)
+        space, near = unobservability_space(q), [one for one in (*q.decisions, *q.split.decisions) if not one.is_clear]
         twin = next((k for k, other in enumerate(merged) if _are_the_same(other.space.basis, space.basis)), None)
         if not space.outputs.shape[1]:
             unseen.append(name)
         elif twin is not None:
-            merged[twin] = FaultEvent((*merged[twin].faults, name), space)
+            merged[twin] = FaultEvent((*merged[twin].faults, name), space, merged[twin].near)
         else:
-            merged.append(FaultEvent((name,), space))
+            merged.append(FaultEvent((name,), space, tuple(near)))
     return merged, unseen
 
 
