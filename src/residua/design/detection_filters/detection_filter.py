@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
 from residua.arrays import index_of
 from residua.design.core.decoupling import Decoupled
@@ -21,11 +20,11 @@ from residua.design.detection_filters.directional_gain import (
     FaultEvent,
     Poles,
     block_gain,
-    event_matrices,
+    entrances,
     fault_events,
     gain_evidence,
+    hidden_modes,
     partition,
-    unstable,
 )
 from residua.design.observers.observer_gain import balanced_options
 from residua.design.observers.unknown_input_observer import ErrorPair, error_pair
@@ -33,9 +32,11 @@ from residua.errors import AccuracyError, DesignError
 from residua.linear.poles.placement import default_margin
 from residua.linear.poles.spectrum import describe_modes
 from residua.linear.poles.stability import is_stable_mode
+from residua.linear.subspaces.quotient import observable_split
 from residua.linear.systems.state_space import stack_systems
 from residua.plant import Plant
-from residua.tolerances import BALANCED_ANSWER, BALANCED_RANK
+from residua.plant.balanced import is_inside
+from residua.tolerances import BALANCED_RANK
 
 #: The units in which a pseudoinverse is the smallest.
 Scaling = Literal["plant", "even"]
@@ -142,17 +143,23 @@ def directional_filters(
     if not chosen:
         raise DesignError("the plant has no faults to tell apart: add some with with_sensor_faults, with_faults")
     pair = pair.white()
-    bad = unstable(pair.A, pair.C, plant.is_discrete)
+    hidden = hidden_modes(pair.A, pair.C)
+    bad = hidden[~is_inside(hidden, plant.is_discrete)]
     if bad.size:
         modes = describe_modes(rate * bad)
         raise DesignError(f"no stable filter exists: no measurement sees the mode {modes}; add a sensor")
-    events, unseen = fault_events(pair.A, pair.C, event_matrices(pair, chosen))
-    directly = [name for name in chosen if _seen_directly(pair, name)]
-    notes = [note for event in events for note in _shared(event.faults, directly)]
-    if unseen := [name for name in unseen if name not in directly]:
+    if hidden.size:
+        pair = pair.seen(observable_split(pair.A, pair.C).seen)
+    events, unseen = fault_events(pair.A, pair.C, entrances(pair, chosen))
+    notes = [
+        f"{', '.join(event.faults)} share one signature: this filter cannot tell them apart"
+        for event in events
+        if len(event.faults) > 1
+    ]
+    if unseen:
         why = "hidden by the decoupled disturbances" if pair.decoupled else "seen by no output"
         notes.append(f"{', '.join(unseen)}: {why}")
-    if not events and not directly:
+    if not events:
         raise DesignError(f"none of the faults reaches the residual ({'; '.join(notes)})")
     if isinstance(poles, Mapping):
         _check_names(poles, events)
@@ -160,11 +167,17 @@ def directional_filters(
     if pole is not None:
         groups, gains = [events], [_scalar_gain(pair, pole, asked=poles is not None)]
     else:
-        groups = partition(pair.A, pair.C, events, plant.is_discrete, rate)
-        gains = [block_gain(pair, group, _poles_for(poles, group), margin) for group in groups]
+        groups, gains = partition(pair, events, hidden)
+        if poles is not None or margin is not None:
+            gains = [block_gain(pair, group, hidden, _poles_for(poles, group), margin) for group in groups]
     if len(groups) > 1:
         notes.append(f"{len(groups)} filters: one cannot keep all faults apart")
-    near = [f"near: {one}; double precision hardly decides this rank" for event in events for one in event.near]
+    near = [
+        f"near: {one}; double precision hardly decides this rank"
+        for event in events
+        for one in event.space.decisions
+        if not one.is_clear
+    ]
     base = base.extended(notes=(*notes, *near[:1]))
     parts = [pair.observer(gain.K, base.extended(**gain_evidence(pair, gain))).residual_generator() for gain in gains]
     return _stacked(parts, groups, pole is not None)
@@ -172,7 +185,7 @@ def directional_filters(
 
 def _scalar_pole(pair: ErrorPair, poles: Poles, margin: float | None) -> float | None:
     """Return the single pole of the ideal case (rank C = n, all poles alike), or ``None`` otherwise."""
-    n, sampled, rate = len(pair.A), pair.model.plant.is_discrete, pair.model.units.rate
+    n, sampled, rate = len(pair.M), pair.model.plant.is_discrete, pair.model.units.rate
     if isinstance(poles, Mapping) or np.count_nonzero(np.linalg.svd(pair.C, compute_uv=False) > BALANCED_RANK) < n:
         return None
     if poles is None:
@@ -190,7 +203,7 @@ def _scalar_pole(pair: ErrorPair, poles: Poles, margin: float | None) -> float |
 
 def _scalar_gain(pair: ErrorPair, pole: float, *, asked: bool) -> DirectionalGain:
     r"""Return :math:`K = (A - \lambda I) C^+`, which makes :math:`A - KC = \lambda I` when rank C = n (eq. 25)."""
-    A, C, n = pair.T @ pair.A0, pair.C0, len(pair.A)
+    A, C, n = pair.T @ pair.A0, pair.C0, len(pair.M)
     # sorted rows and pivoted columns keep outputs in small units accurate
     rows = np.argsort(-np.abs(C).max(axis=1, initial=0.0), kind="stable")
     Q, R, columns = scipy.linalg.qr(C[rows], mode="economic", pivoting=True)
@@ -201,26 +214,6 @@ def _scalar_gain(pair: ErrorPair, pole: float, *, asked: bool) -> DirectionalGai
     error = float(np.abs(np.linalg.eigvals(A - K @ C) - pole).max(initial=0.0))
     requested = np.full(n if asked else 0, pole, dtype=complex)
     return DirectionalGain(K, np.zeros(0, complex), requested, error, (note,))
-
-
-def _shared(faults: Sequence[str], directly: Sequence[str]) -> list[str]:
-    """Return what is to be said of faults that move the error along one signature; ``directly``: seen without it."""
-    if len(faults) < 2:
-        return []
-    alike = [name for name in faults if name not in directly]
-    notes = [f"{', '.join(alike)} share one signature: this filter cannot tell them apart"] if len(alike) > 1 else []
-    if len(alike) < len(faults):
-        notes.append(
-            f"{', '.join(faults)} move the error of the observer along one signature: what tells them apart is how "
-            "they enter the outputs"
-        )
-    return notes
-
-
-def _seen_directly(pair: ErrorPair, name: str) -> bool:
-    """Tell whether a fault in the outputs reaches the residual without the help of the state."""
-    d = pair.W @ pair.model.faults[1][:, pair.model.plant.faults.index(name)]
-    return bool(np.linalg.norm(pair.outputs @ (d - pair.C0 @ pair.H @ d)) > BALANCED_ANSWER)
 
 
 def _poles_for(poles: Poles, group: list[FaultEvent]) -> Poles:
@@ -272,11 +265,9 @@ def _check_directions(generator: ResidualGenerator, group: list[FaultEvent], ide
     plant = generator.plant
     for event in group:
         for name in event.faults:
-            d = plant.Df[:, plant.faults.index(name)]
             basis = generator.subspaces[name]
-            promised = 1 if ideal else event.space.outputs.shape[1]
-            if np.any(d):  # what enters the outputs adds its own direction
-                promised = 2 if ideal else promised + 1
+            d = plant.Df[:, plant.faults.index(name)]
+            promised = 1 + bool(np.any(d)) if ideal else event.space.outputs.shape[1]
             if basis.shape[1] > promised:
                 raise AccuracyError(
                     f"the residual of {name!r} leaves its direction (dimension {basis.shape[1]} instead of "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,36 +16,33 @@ from residua.linear.poles.spectrum import describe_modes, spectrum_error
 from residua.linear.subspaces.detection_space import (
     DetectionSpace,
     are_independent,
-    event_quotient,
+    confined_space,
     split_blocks,
-    unobservability_space,
 )
 from residua.linear.subspaces.quotient import observable_split
-from residua.linear.subspaces.rank import RankDecision, decide_rank
-from residua.plant.balanced import is_inside
-from residua.tolerances import BALANCED_RANK, POLE
+from residua.linear.subspaces.rank import decide_rank
+from residua.plant.balanced import BalancedPlant, is_inside
+from residua.tolerances import BALANCED_ANSWER, POLE, above_rounding
 from residua.words import counted
 
 Matrix = NDArray[np.float64]
+#: Several faults are not kept apart by one filter with a larger gain, in balanced units, if two have smaller ones.
+_LARGE = 1e6
 Poles = Sequence[complex] | ArrayLike | Mapping[str, Sequence[complex]] | None
 
 
 @dataclass(frozen=True, eq=False)
 class FaultEvent:
-    """One fault, or several with the same detection space, as events in the error equation.
+    """One fault, or several that no filter tells apart, and the space that it is confined to.
 
     Attributes
     ----------
     faults : tuple of str
-        Twins share one event: no filter can tell them apart by direction.
     space : DetectionSpace
-    near : tuple of RankDecision
-        Decisions about the space that double precision hardly allows.
     """
 
     faults: tuple[str, ...]
     space: DetectionSpace
-    near: tuple[RankDecision, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,49 +68,49 @@ class DirectionalGain:
     notes: tuple[str, ...] = ()
 
 
-def event_matrices(pair: ErrorPair, faults: Sequence[str]) -> dict[str, Matrix]:
-    r"""Return what each fault does to the error, as columns of length one: two for a fault in the outputs.
+def entrances(pair: ErrorPair, faults: Sequence[str]) -> dict[str, tuple[Matrix, Matrix]]:
+    r"""Return how each fault enters the error and the residual of any gain, as columns that are balanced.
 
-    A fault :math:`f, d` with :math:`C g = d` acts, after the shift :math:`e + g \eta`, as the events :math:`T g` (with
-    its derivative) and :math:`T (f - G d - A g)`. Where no ``g`` gives all of ``d``, the gain does not read the rest:
-    ``g`` is that of least squares.
+    A fault :math:`f, d` enters :math:`\varepsilon = T x - z` as :math:`T (f - G d - A_0 H W d)` less ``K_1`` times how it
+    enters the residual, :math:`(I - C_0 H) W d`.
     """
-    plant, (B, D) = pair.model.plant, pair.model.faults
-    inverse, enter, out = np.linalg.pinv(pair.C, rcond=BALANCED_RANK), pair.inverse @ pair.T, {}
-    for name in faults:
-        i = plant.faults.index(name)
-        f, d = B[:, [i]], D[:, [i]]
-        L = enter @ (f - pair.G @ d)
-        if np.any(d):
-            g = inverse @ pair.outputs @ pair.W @ d
-            L = np.hstack([enter @ pair.M @ g, L - pair.A @ g])
-        size = np.linalg.norm(L, axis=0)
-        out[name] = L / np.where(size > BALANCED_RANK, size, np.inf)
-    return out
+    plant, (B, D), HW = pair.model.plant, pair.model.faults, pair.H @ pair.W
+    columns = [plant.faults.index(name) for name in faults]
+    enter = pair.inverse @ pair.T @ (B - (pair.G + pair.A0 @ HW) @ D)[:, columns]
+    direct = pair.outputs @ (pair.W - pair.C0 @ HW) @ D[:, columns]
+    size = np.linalg.norm(np.vstack([enter, direct]), axis=0)
+    whole = np.vstack([enter, direct]) / np.where(size > BALANCED_ANSWER, size, np.inf)
+    whole = above_rounding(whole, 1.0)
+    return {name: (whole[: len(enter), [i]], whole[len(enter) :, [i]]) for i, name in enumerate(faults)}
 
 
-def fault_events(A: Matrix, C: Matrix, events: Mapping[str, Matrix]) -> tuple[list[FaultEvent], list[str]]:
+def fault_events(
+    A: Matrix, C: Matrix, entering: Mapping[str, tuple[Matrix, Matrix]]
+) -> tuple[list[FaultEvent], list[str]]:
     """Return the detection space of each fault, twins merged, and the faults that no output sees."""
-    merged: list[FaultEvent] = []
+    events: list[FaultEvent] = []
     unseen: list[str] = []
-    for name, L in events.items():
-        q = event_quotient(A, C, L)
-        space, near = unobservability_space(q), [one for one in (*q.decisions, *q.split.decisions) if not one.is_clear]
-        twin = next((k for k, other in enumerate(merged) if _are_the_same(other.space.basis, space.basis)), None)
+    for name, (f, d) in entering.items():
+        space = confined_space(A, C, f, d)
+        twin = next((k for k, event in enumerate(events) if _are_the_same(event.space, space)), None)
         if not space.outputs.shape[1]:
             unseen.append(name)
         elif twin is not None:
-            merged[twin] = FaultEvent((*merged[twin].faults, name), space, merged[twin].near)
+            events[twin] = replace(events[twin], faults=(*events[twin].faults, name))
         else:
-            merged.append(FaultEvent((name,), space, tuple(near)))
-    return merged, unseen
+            events.append(FaultEvent((name,), space))
+    return events, unseen
 
 
-def _are_the_same(a: Matrix, b: Matrix) -> bool:
-    return a.shape == b.shape and decide_rank(np.hstack([a, b]), rtol=1e-7).rank == a.shape[1]
+def _are_the_same(a: DetectionSpace, b: DetectionSpace) -> bool:
+    """Tell whether a gain that confines one fault confines another in the same way."""
+    one, other = (
+        np.block([[s.basis, s.confining], [np.zeros((len(s.outputs), s.dimension)), s.outputs]]) for s in (a, b)
+    )
+    return one.shape == other.shape and decide_rank(np.hstack([one, other]), rtol=1e-7).rank == one.shape[1]
 
 
-def obstacle(A: Matrix, C: Matrix, events: Sequence[FaultEvent], sampled: bool, rate: float = 1.0) -> str | None:
+def obstacle(A: Matrix, C: Matrix, events: Sequence[FaultEvent], model: BalancedPlant) -> str | None:
     """Return why no stable gain keeps these faults apart in one filter, or ``None`` when one does."""
     names = ", ".join(" or ".join(event.faults) for event in events)
     outputs = [event.space.outputs for event in events]
@@ -123,9 +120,9 @@ def obstacle(A: Matrix, C: Matrix, events: Sequence[FaultEvent], sampled: bool, 
             f"{decide_rank(np.hstack(outputs)).rank} of {sum(one.shape[1] for one in outputs)} directions, "
             f"{len(C)} measurements)"
         )
-    bad = unstable(*split_blocks(A, C, [event.space for event in events]).pairs[-1], sampled)
+    bad = unstable(*split_blocks(A, C, [event.space for event in events]).pairs[-1], model.plant.is_discrete)
     if bad.size:
-        zero = describe_modes(rate * bad)
+        zero = describe_modes(model.units.rate * bad)
         return f"{names}: the invariant zero {zero} of these faults together is a fixed pole, and not stable"
     return None
 
@@ -142,48 +139,69 @@ def unstable(A: Matrix, C: Matrix, sampled: bool) -> NDArray[np.complex128]:
     return modes[~is_inside(modes, sampled)]
 
 
-def partition(A: Matrix, C: Matrix, events: list[FaultEvent], sampled: bool, rate: float) -> list[list[FaultEvent]]:
-    """Split the events over as few filters as keep them apart.
+def partition(
+    pair: ErrorPair, events: list[FaultEvent], hidden: NDArray[np.complex128]
+) -> tuple[list[list[FaultEvent]], list[DirectionalGain]]:
+    """Split the events over as few filters as keep them apart; return these, and gains by least squares.
 
-    Searched exactly: first one filter, then two, and so on; a set that fails makes every larger set fail.
+    Searched exactly: first one filter, then two, and so on; a set that fails makes every larger set fail. Several
+    faults whose gain is not found, or large, are split too.
 
     Raises
     ------
     DesignError
         If a fault cannot be kept in a direction even alone; the message says why.
     """
-    known: dict[frozenset[int], str | None] = {}
+    known: dict[tuple[int, ...], DirectionalGain | str] = {}
 
-    def why_not(members: frozenset[int]) -> str | None:
+    def designed(members: tuple[int, ...]) -> DirectionalGain | str:
+        """Return the gain of some events, or why there is none."""
         if members not in known:
-            known[members] = obstacle(A, C, [events[i] for i in sorted(members)], sampled, rate)
+            group = [events[i] for i in members]
+            known[members] = obstacle(pair.A, pair.C, group, pair.model) or _gain_or_why(pair, group, hidden)
         return known[members]
 
-    if not events or why_not(frozenset(range(len(events)))) is None:  # then every part of them fits too
-        return [events]
-    for i in range(len(events)):
-        if (why := why_not(frozenset({i}))) is not None:
+    everything = tuple(range(len(events)))
+    if isinstance(gain := designed(everything), DirectionalGain):
+        return [events], [gain]
+    for i in everything:
+        if isinstance(why := designed((i,)), str):
             raise DesignError(f"no stable directional filter exists: {why}")
 
-    def fill(i: int, groups: list[frozenset[int]], limit: int) -> list[frozenset[int]] | None:
+    def fill(i: int, groups: list[tuple[int, ...]], limit: int) -> list[tuple[int, ...]] | None:
         if i == len(events):
             return groups
         for g, group in enumerate(groups):
-            if why_not(group | {i}) is None and (
-                found := fill(i + 1, [*groups[:g], group | {i}, *groups[g + 1 :]], limit)
+            if isinstance(designed((*group, i)), DirectionalGain) and (
+                found := fill(i + 1, [*groups[:g], (*group, i), *groups[g + 1 :]], limit)
             ):
                 return found
-        return fill(i + 1, [*groups, frozenset({i})], limit) if len(groups) < limit else None
+        return fill(i + 1, [*groups, (i,)], limit) if len(groups) < limit else None
 
     total = sum(event.space.outputs.shape[1] for event in events)
-    for limit in range(max(1, -(-total // max(1, decide_rank(C).rank))), len(events) + 1):
+    for limit in range(max(1, -(-total // max(1, decide_rank(pair.C).rank))), len(events) + 1):
         if groups := fill(0, [], limit):
-            return [[events[i] for i in sorted(group)] for group in groups]
+            gains = [one for group in groups if isinstance(one := designed(group), DirectionalGain)]
+            return [[events[i] for i in group] for group in groups], gains
     raise AssertionError("every fault has a filter of its own")
 
 
+def _gain_or_why(pair: ErrorPair, group: list[FaultEvent], hidden: NDArray) -> DirectionalGain | str:
+    if len(group) == 1:
+        return block_gain(pair, group, hidden)
+    try:
+        gain = block_gain(pair, group, hidden)
+    except AccuracyError as error:
+        return str(error)
+    return gain if np.linalg.norm(gain.K) < _LARGE else "the gain is large"
+
+
 def block_gain(
-    pair: ErrorPair, events: Sequence[FaultEvent], poles: Poles = None, margin: float | None = None
+    pair: ErrorPair,
+    events: Sequence[FaultEvent],
+    hidden: NDArray | None = None,
+    poles: Poles = None,
+    margin: float | None = None,
 ) -> DirectionalGain:
     r"""Return a gain that keeps each event in its own space, with the poles of each block as asked, or by least squares.
 
@@ -191,11 +209,21 @@ def block_gain(
     Speyer, all of whose poles are free; with the chains ``f, A f, ...`` of :func:`eigenstructure_assignment`,
     lines for faults that the outputs see, it makes the faults themselves eigenvectors,
     :math:`K C F = A F - F \Lambda`.
+
+    Parameters
+    ----------
+    pair : ErrorPair
+        With white noise.
+    events : sequence of FaultEvent
+    hidden : ndarray, optional
+        Further poles that no gain moves, of what the pair leaves out.
+    poles, margin
+        In units of time of the balanced plant.
     """
     rate, sampled = pair.model.units.rate, pair.model.plant.is_discrete
     blocks = split_blocks(pair.A, pair.C, [event.space for event in events])
     splits = [observable_split(F, G) for F, G in blocks.pairs]
-    fixed = np.concatenate([hidden_modes(F, G) for F, G in blocks.pairs])
+    fixed = np.concatenate([*(hidden_modes(F, G) for F, G in blocks.pairs), [] if hidden is None else hidden])
     sizes = [split.seen.shape[1] for split in splits]
     shares = share_poles(poles, [event.faults for event in events], sizes, fixed, rate)
     gains = [
@@ -297,7 +325,8 @@ def _named_shares(
         if len(share) != size:
             raise DesignError(
                 f"poles[{name!r}]: {len(share)} poles were given, {size} belong to it "
-                "(one, plus one for each invariant zero of the fault and each extra integration to the outputs)"
+                "(of the states one, plus one for each invariant zero of the fault and each extra integration to the "
+                "outputs; of an output those that the others do not see)"
             )
         shares[known[name]] = share
     return shares

@@ -22,11 +22,10 @@ from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.detection_space import (
     DetectionSpace,
     are_independent,
-    event_quotient,
-    invariant_space,
+    confined_space,
     split_blocks,
-    unobservability_space,
 )
+from residua.linear.subspaces.quotient import quotient
 
 Matrix = NDArray[np.float64]
 
@@ -59,8 +58,8 @@ def confinements(parts: IgnoredColumns, *, combine: bool) -> tuple[Matrix, Matri
     ``combine`` that is another way.
     """
     A, C = parts.pair.A, parts.pair.C
-    q = event_quotient(A, C, parts.stacked)
-    together, whole = invariant_space(q), unobservability_space(q)
+    q = quotient(A, parts.stacked, C, np.zeros((len(C), len(parts.columns))))
+    together, whole = (confined_space(A, C, parts.stacked, zeros=zeros) for zeros in (False, True))
     rank = together.outputs.shape[1]
     if not len(q.H):
         raise DesignError(
@@ -103,7 +102,7 @@ def _chains(parts: IgnoredColumns) -> list[FaultEvent]:
         if twin is not None:
             twin[0].append(name)
             continue
-        space = invariant_space(event_quotient(parts.pair.A, parts.pair.C, f))
+        space = confined_space(parts.pair.A, parts.pair.C, f, zeros=False)
         if space.outputs.shape[1]:
             events.append(([name], f, space))
     return [FaultEvent(tuple(names), space) for names, _, space in events]
@@ -160,4 +159,4 @@ def right_gain(
             if not set(event.faults) & set(poles or {})
         }
         poles = (poles or {}) | own
-    return block_gain(pair, confined.events, poles, margin)
+    return block_gain(pair, confined.events, None, poles, margin)

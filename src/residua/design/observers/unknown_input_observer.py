@@ -214,6 +214,17 @@ class ErrorPair:
             measurement=np.eye(len(y)),
         )
 
+    def seen(self, basis: NDArray) -> ErrorPair:
+        """Return a pair with white noise on some of its states: those that the outputs see."""
+        return replace(
+            self,
+            A=without_rounding(basis.T @ self.A @ basis),
+            C=without_rounding(self.C @ basis),
+            M=self.M @ basis,
+            inverse=basis.T @ self.inverse,
+            process=np.eye(basis.shape[1]),
+        )
+
     @property
     def notes(self) -> tuple[str, ...]:
         """What decoupling costs."""

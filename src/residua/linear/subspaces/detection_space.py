@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua import arrays
-from residua.linear.subspaces.quotient import Quotient, quotient, without_rounding
+from residua.linear.subspaces.quotient import quotient, without_rounding
+from residua.linear.subspaces.rank import RankDecision
 from residua.tolerances import BALANCED_ANSWER, BALANCED_RANK
 
 Matrix = NDArray[np.float64]
@@ -21,14 +22,20 @@ class DetectionSpace:
     Attributes
     ----------
     basis : ndarray, shape (n, nu)
-        Orthonormal basis of the space ``S``: the minimal unobservability subspace that contains the fault
-        events. Its dimension is one plus the invariant zeros of ``(A, l, C)`` (plus the relative degree).
+        Orthonormal basis of the space ``S``: the minimal unobservability subspace of the fault. Its dimension is one
+        plus the invariant zeros of ``(A, l, C)`` (plus the relative degree) for a fault of the states, and the number
+        of states that the other outputs do not see for one of an output.
     outputs : ndarray, shape (p, q)
-        Orthonormal basis of ``C S``, where the residual of the fault stays.
+        Orthonormal basis of where the residual of the fault stays.
+    confining : ndarray, shape (n, q)
+        The smallest gain on these outputs that confines it.
+    decisions : tuple of RankDecision
     """
 
     basis: Matrix
     outputs: Matrix
+    confining: Matrix
+    decisions: tuple[RankDecision, ...] = ()
 
     @property
     def dimension(self) -> int:
@@ -57,22 +64,27 @@ def detection_space(A: ArrayLike, C: ArrayLike, L: ArrayLike) -> DetectionSpace:
     A = arrays.matrix(A, "A", (None, None))
     C, L = arrays.matrix(C, "C", (None, len(A))), arrays.matrix(L, "L", (len(A), None))
     A, C, L = (M / (float(np.linalg.norm(M)) or 1.0) for M in (A, C, L))
-    return unobservability_space(event_quotient(A, C, L))
+    return confined_space(A, C, L)
 
 
-def event_quotient(A: Matrix, C: Matrix, L: Matrix) -> Quotient:
-    """Return what is left of a balanced pair when events are divided out."""
-    return quotient(A, L, C, np.zeros((len(C), L.shape[1])))
+def confined_space(A: Matrix, C: Matrix, L: Matrix, D: Matrix | None = None, *, zeros: bool = True) -> DetectionSpace:
+    r"""Return the smallest space that a gain ``K`` makes invariant, and that holds :math:`L - K D`.
 
+    The error of a fault :math:`L \nu` that enters the outputs as :math:`D \nu` stays in it.
 
-def unobservability_space(q: Quotient) -> DetectionSpace:
-    """Return the smallest space of a quotient by events whose poles a gain makes free."""
-    return DetectionSpace(complement((q.split.seen.T @ q.N).T), _basis(q.D))
-
-
-def invariant_space(q: Quotient) -> DetectionSpace:
-    """Return the smallest space of a quotient by events that a gain makes invariant: without their zeros."""
-    return DetectionSpace(complement(q.N.T), _basis(q.D))
+    Parameters
+    ----------
+    A, C, L, D : ndarray
+        Of a balanced pair.
+    zeros : bool
+        Whether the space holds its invariant zeros too, so that all of its poles are free.
+    """
+    D = np.zeros((len(C), L.shape[1])) if D is None else D
+    q = quotient(A, L, C, D)
+    S, outputs = complement((q.split.seen.T @ q.N if zeros else q.N).T), _basis(q.D)
+    image, seen = np.hstack([A @ S, L]), outputs.T @ np.hstack([C @ S, D])
+    confining = (image - S @ (S.T @ image)) @ np.linalg.pinv(seen)
+    return DetectionSpace(S, outputs, without_rounding(confining), (*q.decisions, *q.split.decisions))
 
 
 def complement(V: Matrix) -> Matrix:
@@ -132,12 +144,8 @@ def split_blocks(A: Matrix, C: Matrix, spaces: list[DetectionSpace]) -> Blocks:
     rest = left @ U[:, s > BALANCED_RANK]
     read = without_rounding(np.linalg.pinv(np.hstack([D, rest])))
     reads = np.split(read, np.cumsum([space.outputs.shape[1] for space in spaces]).astype(int))
-    pairs, confining = [], np.zeros((n, p))
-    for space, own in zip(spaces, reads[:-1], strict=True):
-        S = space.basis
-        image, seen = A @ S, space.outputs.T @ C @ S
-        confining += (image - S @ (S.T @ image)) @ np.linalg.pinv(seen) @ own
-        pairs.append((S.T @ image, seen))
+    confining = sum((space.confining @ own for space, own in zip(spaces, reads, strict=False)), np.zeros((n, p)))
+    pairs = [(space.basis.T @ A @ space.basis, space.outputs.T @ C @ space.basis) for space in spaces]
     R = complement(np.hstack([np.zeros((n, 0)), *(space.basis for space in spaces)]))
     pairs.append((R.T @ (A - confining @ C) @ R, reads[-1] @ C @ R))
     pairs = [(without_rounding(F), without_rounding(G)) for F, G in pairs]
