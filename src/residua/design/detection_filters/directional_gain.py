@@ -71,8 +71,8 @@ class DirectionalGain:
 def entrances(pair: ErrorPair, faults: Sequence[str]) -> dict[str, tuple[Matrix, Matrix]]:
     r"""Return how each fault enters the error and the residual of any gain, as columns that are balanced.
 
-    A fault :math:`f, d` enters :math:`\varepsilon = T x - z` as :math:`T (f - G d - A_0 H W d)` less ``K_1`` times how it
-    enters the residual, :math:`(I - C_0 H) W d`.
+    A fault :math:`f, d` enters :math:`\varepsilon = T x - z` as :math:`T (f - G d - A_0 H W d)`, less ``K_1`` times
+    how it enters the residual, :math:`(I - C_0 H) W d`.
     """
     plant, (B, D), HW = pair.model.plant, pair.model.faults, pair.H @ pair.W
     columns = [plant.faults.index(name) for name in faults]
@@ -203,7 +203,7 @@ def block_gain(
     poles: Poles = None,
     margin: float | None = None,
 ) -> DirectionalGain:
-    r"""Return a gain that keeps each event in its own space, with the poles of each block as asked, or by least squares.
+    r"""Return a gain that keeps each event in its own space, with poles as asked for or by least squares.
 
     The core that detection filters and right eigenvectors share: with detection spaces it is the filter of White and
     Speyer, all of whose poles are free; with the chains ``f, A f, ...`` of :func:`eigenstructure_assignment`,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -139,15 +139,9 @@ def eigenstructure_assignment(
         raise SettingError("approximate=True belongs to side='left': right eigenvectors are exact or do not exist")
     parts = ignored_columns(plant, insensitive_to)
     poles, margin = balanced_options(parts.pair.model.plant, poles, margin)
-    ways = _right_ways(parts, poles, margin, combine) if side == "right" else _left_ways(parts, poles, margin, approximate)
-    failure: DesignError | AccuracyError | None = None
-    for way in ways:
-        try:
-            return way()
-        except (DesignError, AccuracyError) as error:
-            failure = failure or error
-    assert failure is not None  # there is at least one way
-    raise failure
+    if side == "left":
+        return _left(parts, poles, margin, approximate)
+    return _right(parts, poles, margin, combine)
 
 
 def _first(parts: IgnoredColumns, margin: float | None) -> float:
@@ -157,35 +151,30 @@ def _first(parts: IgnoredColumns, margin: float | None) -> float:
     return -(default_margin(parts.pair.A) if margin is None else margin)
 
 
-def _right_ways(
-    parts: IgnoredColumns, poles: Any, margin: float | None, combine: bool
-) -> list[Callable[[], ResidualGenerator]]:
-    """Return the designs to try with right eigenvectors: the columns themselves, then combinations."""
+def _right(parts: IgnoredColumns, poles: Any, margin: float | None, combine: bool) -> ResidualGenerator:
+    """Return the design with right eigenvectors: the columns themselves, then combinations."""
     S, seen, ways = confinements(parts, combine=combine)
     require_detectable(parts)
     S, ranks = parts.rows(S), {"ignored in the outputs": parts.direct}
+    failure: DesignError | AccuracyError | None = None
+    for way in ways:
+        try:
+            gain = right_gain(parts, way, poles, margin, _first(parts, margin))
+            return _generator(parts, S, seen, gain, "right eigenvectors", way.note, ranks)
+        except (DesignError, AccuracyError) as error:
+            failure = failure or error
+    assert failure is not None  # there is at least one way
+    raise failure
 
-    def way(k: int) -> ResidualGenerator:
-        gain = right_gain(parts, ways[k], poles, margin, _first(parts, margin))
-        return _generator(parts, S, seen, gain, "right eigenvectors", ways[k].note, ranks)
 
-    return [lambda k=k: way(k) for k in range(len(ways))]
-
-
-def _left_ways(
-    parts: IgnoredColumns, poles: Any, margin: float | None, approximate: bool
-) -> list[Callable[[], ResidualGenerator]]:
+def _left(parts: IgnoredColumns, poles: Any, margin: float | None, approximate: bool) -> ResidualGenerator:
     """Return the design with left eigenvectors."""
     rows = left_rows(parts, approximate=approximate)
     require_detectable(parts)
     S, seen = parts.rows(np.vstack([rows.moving, rows.still])), (rows.moving @ parts.pair.C).T
     note = "" if rows.exact else "approximate: h A is no row of C, what is ignored leaks"
-
-    def way() -> ResidualGenerator:
-        gain = left_gain(parts, rows, poles, margin, _first(parts, margin))
-        return _generator(parts, S, seen if rows.exact else None, gain, "left eigenvectors", note, rows.ranks)
-
-    return [way]
+    gain = left_gain(parts, rows, poles, margin, _first(parts, margin))
+    return _generator(parts, S, seen if rows.exact else None, gain, "left eigenvectors", note, rows.ranks)
 
 
 def _generator(
@@ -207,8 +196,9 @@ def _generator(
     plant, units, n = pair.model.plant, pair.model.units, len(pair.A)
     V = np.eye(n) if seen is None else seen
     F = pair.A0 - gain.K @ pair.C0
-    if not is_inside(np.linalg.eigvals(F), plant.is_discrete).all():
-        raise AccuracyError(f"the observer is not stable: poles {describe_modes(units.rate * np.linalg.eigvals(F))}")
+    poles = np.asarray(np.linalg.eigvals(F), dtype=complex)
+    if not is_inside(poles, plant.is_discrete).all():
+        raise AccuracyError(f"the observer is not stable: poles {describe_modes(units.rate * poles)}")
     notes = (*((f"ignores {parts.text}",) if parts.names else ()), *((note,) if note else ()))
     evidence = Evidence(
         method=f"eigenstructure assignment, {kind}", ranks=ranks, notes=notes, references=(REFERENCE,)
@@ -228,9 +218,7 @@ def _generator(
     )
     faults = tuple(name for name in plant.faults if name in parts.names)
     decouples = Decoupled(faults=faults, apart=True) if exact else Decoupled(disturbances=False)
-    made = make_generator(
-        system, plant, evidence.method, evidence, decouples=decouples, state_map=T, observer=observer
-    )
+    made = make_generator(system, plant, evidence.method, evidence, decouples=decouples, state_map=T, observer=observer)
     leaks = made.evidence.decoupling
     own = {name: gain for name, gain in leaks.items() if name != IGNORED}
     observer = replace(observer, evidence=evidence.extended(decoupling=own))

@@ -81,9 +81,7 @@ def ignored_columns(plant: Plant, insensitive_to: Iterable[str | int] | str) -> 
     B, D = (np.hstack([model.disturbances[k], model.faults[k][:, chosen]]) for k in (0, 1))
     pair = error_pair(model, (B, D), 0, "even")
     if not len(pair.W):
-        raise DesignError(
-            f"no residual ignores {', '.join(names)}: they enter all {plant.n_outputs} outputs directly"
-        )
+        raise DesignError(f"no residual ignores {', '.join(names)}: they enter all {plant.n_outputs} outputs directly")
     pair = pair.white()
     left, direct = pair.inverse @ (B - pair.G @ D), np.any(D, axis=0)
     size = np.linalg.norm(left, axis=0)

@@ -79,9 +79,7 @@ def _left_null(M: Matrix) -> tuple[Matrix, RankDecision]:
     return without_rounding(np.linalg.svd(M)[0][:, decision.rank :].T), decision
 
 
-def _not_implementable(
-    parts: IgnoredColumns, h: Matrix, ranks: dict[str, RankDecision], repeated: bool
-) -> DesignError:
+def _not_implementable(parts: IgnoredColumns, h: Matrix, ranks: dict[str, RankDecision], repeated: bool) -> DesignError:
     A, plain = parts.pair.A, (h @ parts.pair.inverse / parts.pair.model.units.states).ravel()
     distance = float(np.linalg.norm(h @ A @ _left_null(parts.pair.C.T)[0].T) / max(np.linalg.norm(h @ A), TINY))
     plain = plain / plain[np.argmax(np.abs(plain) > 1e-9 * np.abs(plain).max())]
@@ -94,9 +92,7 @@ def _not_implementable(
     )
 
 
-def left_gain(
-    parts: IgnoredColumns, rows: LeftRows, poles: Any, margin: float | None, first: float
-) -> DirectionalGain:
+def left_gain(parts: IgnoredColumns, rows: LeftRows, poles: Any, margin: float | None, first: float) -> DirectionalGain:
     r"""Return a gain with :math:`H (A - K C) = \Lambda H`, the other poles placed on the null space of ``H``.
 
     :math:`H K C = H A - \Lambda H` fixes ``H K``; what is left of the gain acts inside the null space ``N`` of ``H``,

@@ -158,5 +158,5 @@ def right_gain(
             for event in confined.events
             if not set(event.faults) & set(poles or {})
         }
-        poles = (poles or {}) | own
+        poles = {**(poles or {}), **own}
     return block_gain(pair, confined.events, None, poles, margin)

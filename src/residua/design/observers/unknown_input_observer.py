@@ -305,7 +305,7 @@ def error_pair(
     read, rest, white = _apart(C @ E, np.sqrt(measurement) @ W.T if white_outputs else np.eye(len(W)))
     # x = E a + N b, and the outputs read a, and b alone: of T E = 0 nothing is left to rounding
     M, outputs = np.hstack([E, N]), np.vstack([read, rest]) @ white
-    inverse = np.linalg.inv(M)
+    inverse = np.asarray(np.linalg.inv(M), dtype=np.float64)
     A1, C1 = inverse @ T @ A @ M, outputs @ C @ M
     C1[:, :q] = np.eye(len(C1), q)
     if not white_outputs:
@@ -316,9 +316,7 @@ def error_pair(
     return ErrorPair(model, A1, C1, M, inverse, outputs, inverse @ process @ inverse.T, noise, T, H, W, G, q, decouples)
 
 
-def _without_disturbed_outputs(
-    B: NDArray, D: NDArray, rank: int, units: NDArray
-) -> tuple[NDArray, NDArray, NDArray]:
+def _without_disturbed_outputs(B: NDArray, D: NDArray, rank: int, units: NDArray) -> tuple[NDArray, NDArray, NDArray]:
     """Return the outputs ``W y`` without disturbances, how the others replace theirs, and a basis of what is left.
 
     The rows of ``W`` are orthonormal on outputs of which the balanced ones are ``units`` as large.
