@@ -35,7 +35,7 @@ from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.quotient import observable_split
 from residua.linear.systems.state_space import stack_systems
 from residua.plant import Plant
-from residua.plant.balanced import is_inside
+from residua.plant.balanced import undetectable
 from residua.tolerances import BALANCED_RANK
 
 #: The units in which a pseudoinverse is the smallest.
@@ -128,7 +128,12 @@ def detection_filter(
            [ 0.1 ,  0.05],
            [-0.2 ,  0.4 ]])
     """
-    pair = error_pair(plant.explicit().balanced, None, 0, scaling)
+    model = plant.explicit().balanced
+    bad = undetectable(model)
+    if bad.size:
+        modes = describe_modes(bad)
+        raise DesignError(f"no stable filter exists: no measurement sees the mode {modes}; add a sensor")
+    pair = error_pair(model, None, 0, scaling)
     return directional_filters(pair, poles, margin, faults, Evidence(method="detection filter", references=REFERENCES))
 
 
@@ -136,7 +141,7 @@ def directional_filters(
     pair: ErrorPair, poles: Poles, margin: float | None, faults: Iterable[str] | None, base: Evidence
 ) -> ResidualGenerator:
     """Design directional filters for an error pair: that of the plant, or of what no disturbance reaches."""
-    plant, rate = pair.model.plant, pair.model.units.rate
+    plant = pair.model.plant
     poles, margin = balanced_options(plant, poles, margin)
     wanted = plant.faults if faults is None else (faults,) if isinstance(faults, str) else tuple(faults)
     chosen = tuple(plant.faults[index_of(name, plant.faults, "fault")] for name in wanted)
@@ -144,10 +149,6 @@ def directional_filters(
         raise DesignError("the plant has no faults to tell apart: add some with with_sensor_faults, with_faults")
     pair = pair.white()
     hidden = hidden_modes(pair.A, pair.C)
-    bad = hidden[~is_inside(hidden, plant.is_discrete)]
-    if bad.size:
-        modes = describe_modes(rate * bad)
-        raise DesignError(f"no stable filter exists: no measurement sees the mode {modes}; add a sensor")
     if hidden.size:
         pair = pair.seen(observable_split(pair.A, pair.C).seen)
     events, unseen = fault_events(pair.A, pair.C, entrances(pair, chosen))

@@ -18,7 +18,7 @@ from residua.design.observers.observer import Observer, with_checked_estimate
 from residua.design.observers.observer_gain import asked, default_weights, gain_evidence
 from residua.errors import DesignError, SettingError
 from residua.linear.poles.observer_gain import ObserverGain, cleared, observer_gain
-from residua.linear.subspaces.quotient import observable_split, without_rounding
+from residua.linear.subspaces.quotient import NEGLIGIBLE, observable_split, without_rounding
 from residua.linear.subspaces.rank import RankDecision
 from residua.plant import Plant
 from residua.plant.balanced import BalancedPlant
@@ -244,7 +244,9 @@ class ErrorPair:
         """Return the observer of a gain for the balanced plant and the outputs ``W y``, in the units of the plant."""
         plant, units = self.model.plant, self.model.units
         X, Y, none = units.states[:, None], units.outputs, np.zeros((plant.n_states, plant.n_outputs))
-        F, HW = self.T @ self.A0 - K1 @ self.C0, _summed(none, self.H, self.W)
+        A, C, HW = self.A0, self.C0, _summed(none, self.H, self.W)
+        terms = np.abs(self.T) @ np.abs(A) + np.abs(K1) @ np.abs(C)
+        F = above_rounding(self.T @ A - K1 @ C, terms, NEGLIGIBLE)
         K = _summed(_summed(_summed(none, self.T, self.G), F, HW), K1, self.W)
         return Observer(
             plant,
