@@ -155,12 +155,12 @@ def _right(parts: IgnoredColumns, poles: Any, margin: float | None, combine: boo
     """Return the design with right eigenvectors: the columns themselves, then combinations."""
     S, seen, ways = confinements(parts, combine=combine)
     require_detectable(parts)
-    rows, ranks = parts.rows(S), {"ignored in the outputs": parts.direct}
+    W, ranks = parts.rows(S), {"ignored in the outputs": parts.direct}
     failure: DesignError | AccuracyError | None = None
     for way in ways:
         try:
             gain = right_gain(parts, way, poles, margin, _first(parts, margin))
-            return _generator(parts, rows, seen, gain, "right eigenvectors", way.note, ranks)
+            return _generator(parts, W, seen, gain, "right eigenvectors", way.note, ranks)
         except (DesignError, AccuracyError) as error:
             failure = failure or error
     assert failure is not None  # there is at least one way
@@ -171,15 +171,15 @@ def _left(parts: IgnoredColumns, poles: Any, margin: float | None, approximate: 
     """Return the design with left eigenvectors."""
     rows = left_rows(parts, approximate=approximate)
     require_detectable(parts)
-    both, seen = parts.rows(np.vstack([rows.moving, rows.still])), (rows.moving @ parts.pair.C).T
+    W, seen = parts.rows(np.vstack([rows.moving, rows.still])), (rows.moving @ parts.pair.C).T
     note = "" if rows.exact else "approximate: h A is no row of C, what is ignored leaks"
     gain = left_gain(parts, rows, poles, margin, _first(parts, margin))
-    return _generator(parts, both, seen if rows.exact else None, gain, "left eigenvectors", note, rows.ranks)
+    return _generator(parts, W, seen if rows.exact else None, gain, "left eigenvectors", note, rows.ranks)
 
 
 def _generator(
     parts: IgnoredColumns,
-    rows: tuple[NDArray, NDArray],
+    W: NDArray,
     seen: NDArray | None,
     gain: DirectionalGain,
     kind: str,
@@ -192,7 +192,7 @@ def _generator(
     what is ignored, are left out, so that rounding does not bring them back. Without such columns the gain is an
     approximate one, and what is ignored leaks.
     """
-    pair, exact, (S, W) = parts.pair, seen is not None, rows
+    pair, exact = parts.pair, seen is not None
     plant, units, n = pair.model.plant, pair.model.units, len(pair.A)
     V = np.eye(n) if seen is None else seen
     F = pair.A0 - gain.K @ pair.C0
@@ -204,17 +204,17 @@ def _generator(
         method=f"eigenstructure assignment, {kind}", ranks=ranks, notes=notes, references=(REFERENCE,)
     ).extended(**gain_evidence(pair, gain, asked=exact))
     observer = replace(pair.observer(gain.K, evidence), decouples=exact, W=W)
-    T = V.T @ pair.inverse / units.states
-    own, read = T @ observer.K, S @ pair.C @ V  # measurements that repeat one another need no state
-    terms = np.abs(T) @ np.abs(plant.B) + np.abs(own) @ np.abs(plant.D)
+    T, back = V.T @ pair.inverse / units.states, units.states[:, None] * pair.M @ V
+    Ky, terms = T @ observer.K, np.abs(W) @ np.abs(plant.C) @ np.abs(back)
+    driving = np.abs(T) @ np.abs(plant.B) + np.abs(Ky) @ np.abs(plant.D)
     system = StateSpace(
         units.rate * (V.T @ pair.inverse @ F @ pair.M @ V),
-        np.hstack([above_rounding(T @ plant.B - own @ plant.D, terms), own]),
-        above_rounding(-read, np.abs(S) @ np.abs(pair.C) @ np.abs(V), RESIDUE),
+        np.hstack([above_rounding(T @ plant.B - Ky @ plant.D, driving), Ky]),
+        above_rounding(-W @ plant.C @ back, terms, RESIDUE),  # measurements that repeat one another need no state
         np.hstack([-W @ plant.D, W]),
         dt=plant.dt,
         inputs=signal_names(plant),
-        outputs=[f"r{i + 1}" for i in range(len(S))],
+        outputs=[f"r{i + 1}" for i in range(len(W))],
     )
     faults = tuple(name for name in plant.faults if name in parts.names)
     decouples = Decoupled(faults=faults, apart=True) if exact else Decoupled(disturbances=False)

@@ -54,24 +54,22 @@ class IgnoredColumns:
         """The columns side by side."""
         return np.hstack([np.zeros((len(self.pair.A), 0)), *self.columns.values()])
 
-    def rows(self, S: Matrix) -> tuple[Matrix, Matrix]:
-        """Return rows for the outputs of the pair that span the same, each with an output of its own; and the same for
-        the outputs of the plant, where they are as long as one, and the first entry is positive.
+    def rows(self, S: Matrix) -> Matrix:
+        """Return rows on the outputs of the plant that span what rows on those of the pair do.
+
+        Each has an output of its own and length one, the first entry positive.
         """
         even, pivots = S @ self.pair.outputs @ self.pair.W, []
         for i in range(len(S)):
             size = np.linalg.norm(even[i:], axis=0)
-            j = int(np.argmax(size > 0.9 * size.max()))
-            pivots.append(j)
+            pivots.append(j := int(np.argmax(size > 0.9 * size.max())))
             k = i + int(np.argmax(np.abs(even[i:, j])))
-            S[[i, k]], even[[i, k]] = S[[k, i]], even[[k, i]]
+            even[[i, k]] = even[[k, i]]
             own = np.where(np.arange(len(S)) == i, 0.0, even[:, j] / even[i, j])[:, None]
-            S, even = S - own * S[i], above_rounding(even - own * even[i], np.abs(even) + np.abs(own * even[i]))
-        order = np.argsort(pivots, kind="stable")
-        S, whole = S[order], even[order] * self.pair.model.units.outputs
+            even = above_rounding(even - own * even[i], np.abs(even) + np.abs(own * even[i]))
+        whole = even[np.argsort(pivots, kind="stable")] * self.pair.model.units.outputs
         lead = np.argmax(whole != 0, axis=1)
-        length = (np.sign(whole[np.arange(len(S)), lead]) / np.linalg.norm(whole, axis=1))[:, None]
-        return S * length, whole * length
+        return whole * (np.sign(whole[np.arange(len(S)), lead]) / np.linalg.norm(whole, axis=1))[:, None]
 
 
 def ignored_columns(plant: Plant, insensitive_to: Iterable[str | int] | str) -> IgnoredColumns:

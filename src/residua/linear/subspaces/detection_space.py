@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from residua import arrays
 from residua.linear.subspaces.quotient import quotient, without_rounding
 from residua.linear.subspaces.rank import RankDecision
-from residua.tolerances import BALANCED_ANSWER, BALANCED_RANK
+from residua.tolerances import BALANCED_ANSWER, BALANCED_RANK, RESIDUE, above_rounding
 
 Matrix = NDArray[np.float64]
 
@@ -142,7 +142,8 @@ def split_blocks(A: Matrix, C: Matrix, spaces: list[DetectionSpace]) -> Blocks:
     left = complement(D)
     U, s, _ = np.linalg.svd(left.T @ C, full_matrices=False)
     rest = left @ U[:, s > BALANCED_RANK]
-    read = without_rounding(np.linalg.pinv(np.hstack([D, rest])))
+    read = np.linalg.pinv(np.hstack([D, rest]))
+    read = above_rounding(read, np.abs(read).max(axis=1, keepdims=True, initial=0.0), RESIDUE)
     reads = np.split(read, np.cumsum([space.outputs.shape[1] for space in spaces]).astype(int))
     confining = sum((space.confining @ own for space, own in zip(spaces, reads, strict=False)), np.zeros((n, p)))
     pairs = [(space.basis.T @ A @ space.basis, space.outputs.T @ C @ space.basis) for space in spaces]
