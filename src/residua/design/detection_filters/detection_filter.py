@@ -10,7 +10,7 @@ import numpy as np
 import scipy.linalg
 
 from residua.arrays import index_of
-from residua.design.core.decoupling import Decoupled
+from residua.design.banks.bank import measured_of_members
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import Member, ResidualGenerator, make_generator
 from residua.design.core.method import method
@@ -254,7 +254,7 @@ def _stacked(parts: list[ResidualGenerator], groups: list[list[FaultEvent]], ide
         first.plant,
         first.method,
         evidence,
-        decouples=Decoupled(disturbances=first.observer is not None and first.observer.decouples),
+        decouples=measured_of_members(system, parts),
         state_map=np.vstack([part.state_map for part in parts if part.state_map is not None]),
         observer=first.observer,
         members=tuple(members),
