@@ -144,17 +144,17 @@ WRONG = [
         id="identities of the inverse form",
     ),
     pytest.param(
-        "linear.poles.observer_gain:place_observer_poles",
-        lambda placed: replace(placed, error=OFF),
+        "linear.poles.pole_assignment:spectrum_error",
+        lambda found: (OFF, found[1], False),
         lambda: D.unknown_input_observer(ordinary(), poles=[-2, -2 + 1j, -2 - 1j]),
-        marks=trips("linear.poles.observer_gain:observer_gain:1"),
+        marks=trips("linear.poles.pole_assignment:assigned_gain"),
         id="poles of an observer",
     ),
     pytest.param(
         "linear.poles.observer_gain:_least_squares",
         lambda gain: None,
         lambda: D.luenberger_observer(gertler()),
-        marks=trips("linear.poles.observer_gain:observer_gain:2"),
+        marks=trips("linear.poles.observer_gain:observer_gain"),
         id="gain of an observer",
     ),
     pytest.param(
