@@ -21,7 +21,7 @@ CENTRAL = (
     "design.detection_filters.detection_filter:_check_directions",
     "design.parity.directional_pencil:check_directions",
     "design.observers.observer_gain:place",
-    "design.detection_filters.detection_filter:_pole_error",
+    "design.detection_filters.directional_gain:gain_evidence",
     "design.core.internal_form:_accepted",
 )
 

@@ -8,6 +8,7 @@ import scipy.linalg
 
 import residua as rs
 from generated import random_plant, singular_plant
+from residua.errors import DesignError
 
 SIZE = 40_000
 #: Four deviations of a correlation estimated from that many samples, a few hundred of which are looked at.
@@ -137,3 +138,15 @@ def test_a_continuous_observer_has_it_once_it_is_sampled() -> None:
     sampled = generator.discretize(0.01)
     assert sampled.covariance is not None
     assert rs.Monitor(generator, dt=0.01).is_fitted
+
+
+def test_sampled_measurements_without_noise_have_a_filter_where_the_innovations_differ() -> None:
+    plant = rs.Plant([[0.9, 0.2], [0, 0.7]], [[1], [1]], np.eye(2), dt=1)
+    made = rs.design.kalman_filter(plant.with_noise(process=0.1, measurement=0))
+    np.testing.assert_allclose(made.covariance, 0.1 * np.eye(2), rtol=1e-9)
+    np.testing.assert_allclose(made.observer.K, plant.A, rtol=1e-9)
+    twice = rs.Plant(plant.A, plant.B, [[1, 0], [2, 0]], dt=1)
+    with pytest.raises(DesignError, match="innovations have a singular covariance"):
+        rs.design.kalman_filter(twice.with_noise(process=0.1, measurement=0))
+    with pytest.raises(DesignError, match="measurement noise is singular"):
+        rs.design.kalman_filter(rs.Plant([[-1]], [[1]], [[1]]).with_noise(process=0.1, measurement=0))

@@ -249,7 +249,7 @@ def test_one_of_a_kind_is_said_in_the_singular() -> None:
     with pytest.raises(DesignError, match=r"^1 measurement is used up to decouple 1 disturbance:"):
         rs.design.robust_detection_filter(plant)
     made = rs.design.robust_detection_filter(rs.library.gertler().with_disturbances({"d": [1.0, 0.0, 0.0]}))
-    assert any("residuals are independent, 1 is used up by decoupling" in note for note in made.evidence.notes)
+    assert any("the price of decoupling 1 disturbance" in note for note in made.evidence.notes)
 
 
 def test_the_size_of_a_gain_depends_on_no_unit() -> None:

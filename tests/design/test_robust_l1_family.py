@@ -80,7 +80,8 @@ def test_cost_is_made_of_the_exact_norms(seed):
     weights = Weights(0.3, 0.7)
     bounded = {plant.faults[-1]: 0.5}
     cost = sampled_cost(family, members, weights, radius=0.98, band=4.0, bounded=bounded)
-    tried = points(family, 30, seed)
+    stable = starting_gains(family, 0.98)[2]
+    tried = points(family, 30, seed) + family.point(stable, np.zeros(family.rows))
     found = cost.norms(tried)
     disturbance, fault, radius = found.disturbance, found.fault, found.radius
     assert np.isfinite(disturbance).sum() >= 5

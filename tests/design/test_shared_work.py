@@ -85,9 +85,9 @@ def test_faults_that_one_filter_keeps_apart_are_tried_once(monkeypatch: pytest.M
     asked: list[int] = []
     own = directional_gain.obstacle
 
-    def counted(A: Any, C: Any, events: Any, dt: float) -> str | None:
+    def counted(A: Any, C: Any, events: Any, *options: Any) -> str | None:
         asked.append(len(events))
-        return own(A, C, events, dt)
+        return own(A, C, events, *options)
 
     monkeypatch.setattr(directional_gain, "obstacle", counted)
     rs.design.detection_filter(_plant())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,10 +18,8 @@ from exact_campaign import designs
 from exact_campaign.answers import Subject
 from exact_campaign.cases import base_units, plant_of, units
 from exact_campaign.kinds import KINDS, case_of
-from guards import trips
 from residua.design.core.internal_form import check_state_map
-from residua.design.detection_filters import detection_filter
-from residua.errors import AccuracyError, DesignError
+from residua.errors import DesignError
 from residua.linear.systems.response_terms import response_terms
 from residua.plant import Plant
 from residua.plant.comparable_units import canonical_units, even_plant
@@ -86,31 +83,6 @@ def test_no_gain_is_rounding(kind: str, seed: int, design: Any) -> None:
     plant = plant_of(case_of(kind, seed))
     made = design(plant)
     assert max(v for name, v in made.evidence.conditions.items() if name.startswith(("norm of", "size of"))) < GAIN
-
-
-@trips("linear.subspaces.far_gain:refuse_far_gain")
-def test_a_far_gain_is_refused_as_a_whole(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Blocks have units of their own: what is modest there may be far in those of the plant."""
-    own = detection_filter.block_gain
-
-    def far(*pair: Any, **options: Any) -> Any:
-        design = own(*pair, **options)
-        return replace(design, gain=1e17 * design.gain)
-
-    plant = plant_of(case_of("repeated poles", 25))
-    rs.design.detection_filter(plant)
-    monkeypatch.setattr(detection_filter, "block_gain", far)
-    with pytest.raises(AccuracyError, match="more than 1e"):
-        rs.design.detection_filter(plant)
-
-
-def test_faults_of_sensors_are_no_event_where_nothing_of_the_output_is_read() -> None:
-    """A pseudo-inverse leaves 1e-17 in rows of states that no output sees, and units are balanced by these."""
-    plant = plant_of(case_of("repeated poles", 25))
-    events = detection_filter.event_matrices(plant, np.eye(plant.n_states), plant.faults)
-    for name, L in events.items():
-        sizes = np.abs(L[L != 0])
-        assert sizes.min() > 1e-3, name
 
 
 @pytest.mark.parametrize(

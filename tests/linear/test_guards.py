@@ -121,18 +121,18 @@ def test_a_riccati_equation_that_no_way_solves_is_no_question_of_existence() -> 
         filter_riccati(swing, [[1e-11, 0.0]], 1e-22 * np.eye(2), [[1.0]])
 
 
-@trips("linear.poles.placement:place_observer_poles")
+@trips("linear.poles.pole_assignment:assigned_gain")
 def test_poles_that_are_not_reached_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     place_observer_poles(A, C, [0.1, 0.2], dt=1.0)
-    changed(monkeypatch, "linear.poles.placement:spectrum_error", lambda found: (OFF, found[1], False))
+    changed(monkeypatch, "linear.poles.pole_assignment:spectrum_error", lambda found: (OFF, found[1], False))
     with pytest.raises(AccuracyError, match="cannot be placed"):
         place_observer_poles(A, C, [0.1, 0.2], dt=1.0)
 
 
-@trips("linear.poles.placement:place_observer_margin")
+@trips("linear.poles.placement:_placement")
 def test_a_margin_that_is_not_reached_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     place_observer_margin(A, C, 1.0)
-    changed(monkeypatch, "linear.poles.placement:_shifted_riccati", lambda L: None if L is None else 0.0 * L)
+    changed(monkeypatch, "linear.poles.placement:observer_gain", lambda gain: replace(gain, note="less"))
     with pytest.raises(AccuracyError, match="no gain found"):
         place_observer_margin(A, C, 1.0)
 

@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import ModelError
-from residua.linear.poles.placement import default_margin
-from residua.linear.poles.pole_assignment import real_block_diagonal
+from residua.linear.poles.spectrum import mean_rate
 from residua.plant.plant import Plant
 from residua.tolerances import RANK
 
@@ -21,7 +20,7 @@ def sensible_step(plant: Plant) -> float:
     """Return the step of a sampled plant, or a tenth of the time constant of the mean rate of a continuous one."""
     if plant.is_discrete:
         return plant.dt
-    return 1 / (_SAMPLES * default_margin(real_block_diagonal(plant.system(()).poles())))
+    return 1 / (_SAMPLES * mean_rate(plant.system(()).poles()))
 
 
 def lasting_gains(plant: Plant, role: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from residua.analysis.codes import equal_codes, strongly_isolating
 from residua.analysis.coding_sets import Structure, structure_rows
-from residua.design.core.decoupling import Decoupled, MeasuredBefore
+from residua.design.core.decoupling import IGNORED, MeasuredBefore
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import Member, ResidualGenerator, make_generator
 from residua.design.core.own_time import has_rates
@@ -21,7 +21,6 @@ from residua.linear import StateSpace
 from residua.linear.systems.state_space import stack_systems
 from residua.plant import Plant
 from residua.shown import Shown
-from residua.tolerances import LEAK, POLYNOMIAL_LEAKAGE
 from residua.words import counted
 
 #: Designs one member: takes its name, and the plant in which what the member ignores are disturbances; returns it for
@@ -251,18 +250,16 @@ def check_promise(generator: ResidualGenerator, one: Wanted) -> None:
         )
 
 
-def stacked_members(
-    parts: dict[str, ResidualGenerator], method: str, reference: str, *, decoupled: bool = True
-) -> ResidualGenerator:
-    """Return the members as one generator, with their codes; ``decoupled``: from the disturbances of the plant."""
-    made = _stacked(parts, method, reference, decoupled)
+def stacked_members(parts: dict[str, ResidualGenerator], method: str, reference: str) -> ResidualGenerator:
+    """Return the members as one generator, with their codes and the leaks that were measured of each."""
+    made = _stacked(parts, method, reference)
     relations = [part.relations for part in parts.values() if part.relations is not None]
     if len(relations) < len(parts):
         return made
     return replace(made, relations=relations[0].stacked_with(relations[1:], tuple(parts)))
 
 
-def _stacked(parts: dict[str, ResidualGenerator], method: str, reference: str, decoupled: bool) -> ResidualGenerator:
+def _stacked(parts: dict[str, ResidualGenerator], method: str, reference: str) -> ResidualGenerator:
     """Return members for one plant as one generator."""
     generators = list(parts.values())
     plant = generators[0].plant
@@ -284,11 +281,7 @@ def _stacked(parts: dict[str, ResidualGenerator], method: str, reference: str, d
         references=(reference,),
     )
     options: dict[str, Any] = {
-        # filters of polynomials have passed by what these may lose
-        "decouples": Decoupled(
-            disturbances=decoupled,
-            limit=LEAK if all(g.relations is None for g in generators) else POLYNOMIAL_LEAKAGE,
-        ),
+        "decouples": measured_of_members(system, generators),
         "members": tuple(members),
         "codes": np.array(codes, dtype=bool).reshape(len(codes), len(plant.faults)),
     }
@@ -301,6 +294,17 @@ def _stacked(parts: dict[str, ResidualGenerator], method: str, reference: str, d
         none = [np.zeros((g.n_residuals, plant.n_states)) for g in generators]
         static = np.vstack([z if g.static_map is None else g.static_map for z, g in zip(none, generators, strict=True)])
     return make_generator(system, plant, method, evidence, state_map=np.vstack(maps), static_map=static, **options)
+
+
+def measured_of_members(system: StateSpace, members: list[ResidualGenerator]) -> MeasuredBefore:
+    """Return the largest leaks of filters that have passed, for all of them side by side."""
+    gains: dict[str, float] = {}
+    for member in members:
+        for name, gain in member.evidence.decoupling.items():
+            name = "disturbance" if name == IGNORED else name
+            if name == "control" or (name == "disturbance" and member.plant.disturbances):
+                gains[name] = max(gains.get(name, 0.0), gain)
+    return MeasuredBefore(system, members[0].plant, gains)
 
 
 def _code(generator: ResidualGenerator) -> list[bool]:

@@ -3,42 +3,41 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, cast
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residua.errors import DesignError
-from residua.linear.poles.placement import Placement, default_margin, place_observer_margin, place_observer_poles
-from residua.linear.poles.spectrum import describe_modes
-from residua.linear.poles.stability import is_stable_mode
+from residua.design.observers.unknown_input_observer import ErrorPair
+from residua.errors import AccuracyError, DesignError
+from residua.linear.poles.observer_gain import observer_gain
+from residua.linear.poles.spectrum import describe_modes, spectrum_error
 from residua.linear.subspaces.detection_space import (
     DetectionSpace,
-    detection_space,
-    inverse_without_rounding,
-    separation,
+    are_independent,
+    confined_space,
     split_blocks,
 )
-from residua.linear.subspaces.far_gain import refuse_far_gain
-from residua.linear.subspaces.observability import detectability
-from residua.linear.subspaces.observable_part import observable_part
-from residua.linear.subspaces.rank import DEFAULT_RTOL, decide_rank
-from residua.linear.systems.array_cache import cached_by_contents
-from residua.linear.systems.balancing import without_rounding
-from residua.words import as_given, counted
+from residua.linear.subspaces.quotient import observable_split
+from residua.linear.subspaces.rank import decide_rank
+from residua.plant.balanced import BalancedPlant, is_inside
+from residua.tolerances import BALANCED_ANSWER, POLE, above_rounding
+from residua.words import counted
 
+Matrix = NDArray[np.float64]
+#: Several faults are not kept apart by one filter with a larger gain, in balanced units, if two have smaller ones.
+_LARGE = 1e6
 Poles = Sequence[complex] | ArrayLike | Mapping[str, Sequence[complex]] | None
 
 
 @dataclass(frozen=True, eq=False)
 class FaultEvent:
-    """One fault, or several with the same detection space, as events in the error equation.
+    """One fault, or several that no filter tells apart, and the space that it is confined to.
 
     Attributes
     ----------
     faults : tuple of str
-        Twins share one event: no filter can tell them apart by direction.
     space : DetectionSpace
     """
 
@@ -48,302 +47,298 @@ class FaultEvent:
 
 @dataclass(frozen=True, eq=False)
 class DirectionalGain:
-    """A gain with the poles that it reaches.
+    """A gain on the outputs ``W y`` of an error pair, for the states of the balanced plant.
 
     Attributes
     ----------
-    gain : ndarray, shape (n, p)
+    K : ndarray, shape (n, outputs)
     fixed : ndarray
         Poles that no gain can move.
+    requested : ndarray
+        Those that were asked for.
     error : float
         Largest error among the placed poles.
-    note : str
+    notes : tuple of str
     """
 
-    gain: NDArray[np.float64]
+    K: Matrix
     fixed: NDArray[np.complex128]
     requested: NDArray[np.complex128]
     error: float
-    note: str = ""
+    notes: tuple[str, ...] = ()
 
 
-@cached_by_contents
+def entrances(pair: ErrorPair, faults: Sequence[str]) -> dict[str, tuple[Matrix, Matrix]]:
+    r"""Return how each fault enters the error and the residual of any gain, as columns that are balanced.
+
+    A fault :math:`f, d` enters :math:`\varepsilon = T x - z` as :math:`T (f - G d - A_0 H W d)`, less ``K_1`` times
+    how it enters the residual, :math:`(I - C_0 H) W d`.
+    """
+    plant, (B, D), HW = pair.model.plant, pair.model.faults, pair.H @ pair.W
+    columns = [plant.faults.index(name) for name in faults]
+    enter = pair.inverse @ pair.T @ (B - (pair.G + pair.A0 @ HW) @ D)[:, columns]
+    direct = pair.outputs @ (pair.W - pair.C0 @ HW) @ D[:, columns]
+    size = np.linalg.norm(np.vstack([enter, direct]), axis=0)
+    whole = np.vstack([enter, direct]) / np.where(size > BALANCED_ANSWER, size, np.inf)
+    whole = above_rounding(whole, 1.0)
+    return {name: (whole[: len(enter), [i]], whole[len(enter) :, [i]]) for i, name in enumerate(faults)}
+
+
 def fault_events(
-    A: NDArray, C: NDArray, events: Mapping[str, NDArray], *, rtol: float = DEFAULT_RTOL
+    A: Matrix, C: Matrix, entering: Mapping[str, tuple[Matrix, Matrix]]
 ) -> tuple[list[FaultEvent], list[str]]:
     """Return the detection space of each fault, twins merged, and the faults that no output sees."""
-    merged: list[FaultEvent] = []
+    events: list[FaultEvent] = []
     unseen: list[str] = []
-    for name, L in events.items():
-        space = detection_space(A, C, L, rtol=rtol) if np.any(L) else None
-        if space is None or space.outputs.shape[1] == 0:
+    for name, (f, d) in entering.items():
+        space = confined_space(A, C, f, d)
+        twin = next((k for k, event in enumerate(events) if _are_the_same(event.space, space)), None)
+        if not space.outputs.shape[1]:
             unseen.append(name)
-            continue
-        for k, other in enumerate(merged):
-            if _same_space(other.space, space):
-                merged[k] = FaultEvent((*other.faults, name), other.space)
-                break
+        elif twin is not None:
+            events[twin] = replace(events[twin], faults=(*events[twin].faults, name))
         else:
-            merged.append(FaultEvent((name,), space))
-    return merged, unseen
+            events.append(FaultEvent((name,), space))
+    return events, unseen
 
 
-def _same_space(a: DetectionSpace, b: DetectionSpace) -> bool:
-    if a.dimension != b.dimension:
-        return False
-    return decide_rank(np.hstack([a.basis, b.basis]), rtol=1e-7).rank == a.dimension
+def _are_the_same(a: DetectionSpace, b: DetectionSpace) -> bool:
+    """Tell whether a gain that confines one fault confines another in the same way."""
+    one, other = (
+        np.block([[s.basis, s.confining], [np.zeros((len(s.outputs), s.dimension)), s.outputs]]) for s in (a, b)
+    )
+    return one.shape == other.shape and decide_rank(np.hstack([one, other]), rtol=1e-7).rank == one.shape[1]
 
 
-def obstacle(A: NDArray, C: NDArray, events: Sequence[FaultEvent], dt: float) -> str | None:
+def obstacle(A: Matrix, C: Matrix, events: Sequence[FaultEvent], model: BalancedPlant) -> str | None:
     """Return why no stable gain keeps these faults apart in one filter, or ``None`` when one does."""
-    spaces = [event.space for event in events]
     names = ", ".join(" or ".join(event.faults) for event in events)
-    apart = separation(spaces)
-    if not apart.separable:
+    outputs = [event.space.outputs for event in events]
+    if not are_independent(outputs) or not are_independent([event.space.basis for event in events]):
         return (
-            f"{names}: the signature directions are not linearly independent "
-            f"(rank {apart.outputs.rank} of {apart.wanted_outputs} directions, "
+            f"{names}: the signature directions are not linearly independent (rank "
+            f"{decide_rank(np.hstack(outputs)).rank} of {sum(one.shape[1] for one in outputs)} directions, "
             f"{len(C)} measurements)"
         )
-    blocks = split_blocks(A, C, spaces)
-    rest = detectability(*blocks.rest, dt=dt)
-    if not rest.detectable:
-        bad = describe_modes(rest.unstable_modes)
-        return f"{names}: the invariant zero {bad} of these faults together is a fixed pole, and not stable"
+    bad = unstable(*split_blocks(A, C, [event.space for event in events]).pairs[-1], model.plant.is_discrete)
+    if bad.size:
+        zero = describe_modes(model.units.rate * bad)
+        return f"{names}: the invariant zero {zero} of these faults together is a fixed pole, and not stable"
     return None
 
 
-def checked_options(poles: Poles, margin: float | None) -> tuple[Any, float | None]:
-    """Return the wanted poles as numbers and the margin, or say what is wrong with them."""
-    if margin is not None:
-        if isinstance(margin, bool) or not isinstance(margin, (int, float, np.number)) or not 0 < margin < np.inf:
-            raise DesignError(f"margin must be a positive number in 1/s, got {as_given(margin)!r}")
-        if poles is not None and not isinstance(poles, Mapping):
-            raise DesignError("give poles or margin, not both")
-    try:
-        if isinstance(poles, Mapping):
-            return {name: np.asarray(values, dtype=complex).reshape(-1) for name, values in poles.items()}, margin
-        return (None if poles is None else np.asarray(cast("ArrayLike", poles), dtype=complex).reshape(-1)), margin
-    except (TypeError, ValueError) as error:
-        raise DesignError(f"poles must be numbers, or a mapping of fault name to numbers: {error}") from error
+def hidden_modes(A: Matrix, C: Matrix) -> NDArray[np.complex128]:
+    """Return the modes of a balanced pair that no output sees."""
+    hidden = observable_split(A, C).hidden
+    return np.asarray(np.linalg.eigvals(hidden.T @ A @ hidden), dtype=complex)
 
 
-def scalar_gain(A: NDArray, C: NDArray, pole: float, weights: NDArray, *, asked: bool) -> DirectionalGain:
-    r"""Return :math:`K = (A - \lambda I) C^+`, which makes :math:`A - KC = \lambda I` when rank C = n (eq. 25).
-
-    The inverse is that of least squares over the weighted outputs.
-    """
-    K = without_rounding(A - pole * np.eye(len(A)), inverse_without_rounding(weights[:, None] * C)) * weights
-    achieved = np.linalg.eigvals(A - K @ C)
-    error = float(np.abs(achieved - pole).max(initial=0.0))
-    note = "as many independent measurements as states: every fault keeps its direction or plane"
-    requested = np.full(len(A) if asked else 0, pole, dtype=complex)
-    return DirectionalGain(K, np.zeros(0, complex), requested, error, note)
+def unstable(A: Matrix, C: Matrix, sampled: bool) -> NDArray[np.complex128]:
+    """Return the modes of a balanced pair that no output sees and that are not stable."""
+    modes = hidden_modes(A, C)
+    return modes[~is_inside(modes, sampled)]
 
 
-def scalar_pole(A: NDArray, C: NDArray, poles: Poles, margin: float | None, dt: float) -> float | None:
-    """Return the single pole of the ideal case (rank C = n, all poles alike), or ``None`` otherwise."""
-    n = len(A)
-    if isinstance(poles, Mapping) or decide_rank(C, rtol=DEFAULT_RTOL).rank < n:
-        return None
-    if poles is None:
-        distance = default_margin(A, dt) if margin is None else margin
-        return float(np.exp(-distance * dt)) if dt else -float(distance)
-    wanted = np.asarray(poles, dtype=complex)
-    if len(wanted) != n or np.any(wanted != wanted[0]) or np.any(np.imag(wanted)):
-        return None
-    pole = float(np.real(wanted[0]))
-    if not is_stable_mode(np.array([pole]), dt).all():
-        raise DesignError(
-            f"the pole {describe_modes([pole])} is not stable for {'a sampled' if dt else 'a continuous'} plant"
-        )
-    return pole
+def partition(
+    pair: ErrorPair, events: list[FaultEvent], hidden: NDArray[np.complex128]
+) -> tuple[list[list[FaultEvent]], list[DirectionalGain]]:
+    """Split the events over as few filters as keep them apart; return these, and gains by least squares.
 
-
-@cached_by_contents
-def block_gain(
-    A: NDArray,
-    C: NDArray,
-    events: Sequence[FaultEvent],
-    poles: Poles,
-    margin: float | None,
-    dt: float,
-    *,
-    rtol: float = DEFAULT_RTOL,
-) -> DirectionalGain:
-    r"""Return a gain that keeps each event in its own space, with poles placed block by block.
-
-    The core that detection filters and right eigenvectors share: with detection spaces it is the filter of White and
-    Speyer, all of whose poles are free; with the chains ``f, A f, ...`` of :func:`eigenstructure_assignment`,
-    lines for faults that the outputs see, it makes the faults themselves eigenvectors,
-    :math:`K C F = A F - F \Lambda`.
-    """
-    blocks = split_blocks(A, C, [event.space for event in events], rtol=rtol)
-    pairs = [*blocks.pairs, blocks.rest]
-    seen = [observable_part(Ai, Ci, dt) for Ai, Ci in pairs]
-    fixed = np.concatenate([part.fixed for part in seen])
-    *sizes, rest = (part.order for part in seen)
-    shares = share_poles(poles, [event.faults for event in events], sizes, rest, fixed, dt)
-    distance = default_margin(A, dt) if margin is None else margin
-    gains, requested, errors = [], [], [0.0]
-    for (Ai, Ci), share in zip(pairs, shares, strict=True):
-        placed = placed_share(Ai, Ci, share, distance, dt)
-        gains.append(placed.gain)
-        requested.append(np.zeros(0, complex) if share is None else share)
-        errors.append(float(placed.error))
-    K = blocks.gain(gains[:-1], gains[-1])
-    return DirectionalGain(K, fixed, np.concatenate(requested), max(errors))
-
-
-def placed_share(A: NDArray, C: NDArray, poles: NDArray | None, margin: float, dt: float) -> Placement:
-    """Place the poles of a pair in even units where its share says, or beyond the margin, with no gain from rounding.
-
-    Raises
-    ------
-    DesignError
-        If a mode that no output sees is not stable.
-    AccuracyError
-        If the poles are not reached, or only by a gain so large that rounding would be what it acts through.
-    """
-    placed = place_observer_margin(A, C, margin, dt=dt) if poles is None else place_observer_poles(A, C, poles, dt=dt)
-    refuse_far_gain(A, C, placed.gain, _rate(poles, margin, dt))
-    return placed
-
-
-def _rate(poles: NDArray | None, margin: float, dt: float) -> float:
-    """Return the size of the farthest pole that is asked for; that of a sampled plant is in the unit disk."""
-    return 1.0 if dt else margin if poles is None else float(np.abs(poles).max(initial=0.0))
-
-
-def share_poles(
-    poles: Poles,
-    names: Sequence[tuple[str, ...]],
-    sizes: Sequence[int],
-    rest: int,
-    fixed: NDArray,
-    dt: float,
-) -> list[NDArray[np.complex128] | None]:
-    """Deal the wanted poles out to the faults and the rest, conjugate pairs together.
-
-    ``None`` for a block means: place it by margin.
-    """
-    if poles is None:
-        return [None] * (len(sizes) + 1)
-    if isinstance(poles, Mapping):
-        return _named_shares(poles, names, sizes, rest)
-    wanted = np.atleast_1d(np.asarray(poles, dtype=complex))
-    free = sum(sizes) + rest
-    if len(wanted) == free + len(fixed) and len(fixed):
-        wanted = _without(wanted, fixed)
-    if len(wanted) != free:
-        raise DesignError(
-            f"{len(wanted)} poles were given, {free} are free"
-            + (f" (fixed: {describe_modes(fixed)})" if len(fixed) else "")
-        )
-    reals = [z for z in wanted if z.imag == 0]
-    pairs = [z for z in wanted if z.imag > 0]
-    if len(reals) + 2 * len(pairs) != len(wanted) or any(
-        np.count_nonzero(wanted == z) != np.count_nonzero(wanted == np.conj(z)) for z in pairs
-    ):
-        raise DesignError("poles must come in conjugate pairs")
-    shares: list[NDArray[np.complex128] | None] = []
-    counts = [*sizes, rest]
-    if len(reals) < sum(size % 2 for size in counts):
-        raise DesignError(
-            f"the faults need blocks of {', '.join(map(str, counts))} poles; each odd block needs a real pole, "
-            f"and only {len(reals)} of the requested poles are real"
-        )
-    odd_left = sum(size % 2 for size in counts)
-    for size in counts:
-        share: list[complex] = []
-        if size % 2:
-            share.append(reals.pop(0))
-            odd_left -= 1
-        while len(share) < size:
-            if len(reals) - odd_left >= 2:
-                share += [reals.pop(0), reals.pop(0)]
-            else:
-                z = pairs.pop(0)
-                share += [z, np.conj(z)]
-        shares.append(np.asarray(share, dtype=complex))
-    return shares
-
-
-def _named_shares(
-    poles: Mapping[str, Sequence[complex]], names: Sequence[tuple[str, ...]], sizes: Sequence[int], rest: int
-) -> list[NDArray[np.complex128] | None]:
-    known = {name: k for k, group in enumerate(names) for name in group} | {"rest": len(sizes)}
-    shares: list[NDArray[np.complex128] | None] = [None] * (len(sizes) + 1)
-    for name, values in poles.items():
-        if name not in known:
-            raise DesignError(f"poles: unknown fault {name!r}; known: {', '.join(known)}")
-        k = known[name]
-        share = np.atleast_1d(np.asarray(values, dtype=complex))
-        size = rest if k == len(sizes) else sizes[k]
-        if len(share) != size:
-            raise DesignError(
-                f"poles[{name!r}]: {len(share)} poles were given, {size} belong to it "
-                "(one, plus one for each invariant zero of the fault and each extra integration to the outputs)"
-            )
-        shares[k] = share
-    return shares
-
-
-def _without(wanted: NDArray, fixed: NDArray) -> NDArray:
-    left = list(wanted)
-    for z in fixed:
-        nearest = int(np.argmin(np.abs(np.asarray(left) - z)))
-        if abs(left[nearest] - z) > 1e-6 * max(1.0, abs(z)):
-            raise DesignError(
-                f"the pole {describe_modes([z])} cannot be moved and is not among the requested poles; "
-                f"give the other {counted(len(wanted) - len(fixed), 'pole')}"
-            )
-        left.pop(nearest)
-    return np.asarray(left, dtype=complex)
-
-
-@cached_by_contents
-def partition(A: NDArray, C: NDArray, events: Sequence[FaultEvent], dt: float) -> list[list[FaultEvent]]:
-    """Split the events over as few filters as keep them apart.
-
-    Searched exactly: first one filter, then two, and so on; a set that fails makes every larger set fail.
+    Searched exactly: first one filter, then two, and so on; a set that fails makes every larger set fail. Several
+    faults whose gain is not found, or large, are split too.
 
     Raises
     ------
     DesignError
         If a fault cannot be kept in a direction even alone; the message says why.
     """
-    known: dict[frozenset[int], bool] = {}
+    known: dict[tuple[int, ...], DirectionalGain | str] = {}
 
-    def fits(members: frozenset[int]) -> bool:
+    def designed(members: tuple[int, ...]) -> DirectionalGain | str:
+        """Return the gain of some events, or why there is none."""
         if members not in known:
-            known[members] = obstacle(A, C, [events[i] for i in sorted(members)], dt) is None
+            group = [events[i] for i in members]
+            known[members] = obstacle(pair.A, pair.C, group, pair.model) or _gain_or_why(pair, group, hidden)
         return known[members]
 
-    if fits(frozenset(range(len(events)))):  # then every part of them does
-        return [list(events)]
-    for event in events:
-        why = obstacle(A, C, [event], dt)
-        if why:
+    everything = tuple(range(len(events)))
+    if isinstance(gain := designed(everything), DirectionalGain):
+        return [events], [gain]
+    for i in everything:
+        if isinstance(why := designed((i,)), str):
             raise DesignError(f"no stable directional filter exists: {why}")
 
-    def fill(i: int, groups: list[frozenset[int]], limit: int) -> list[frozenset[int]] | None:
+    def fill(i: int, groups: list[tuple[int, ...]], limit: int) -> list[tuple[int, ...]] | None:
         if i == len(events):
             return groups
         for g, group in enumerate(groups):
-            wider = group | {i}
-            if fits(wider):
-                result = fill(i + 1, [*groups[:g], wider, *groups[g + 1 :]], limit)
-                if result:
-                    return result
-        if len(groups) < limit:
-            return fill(i + 1, [*groups, frozenset({i})], limit)
-        return None
+            if isinstance(designed((*group, i)), DirectionalGain) and (
+                found := fill(i + 1, [*groups[:g], (*group, i), *groups[g + 1 :]], limit)
+            ):
+                return found
+        return fill(i + 1, [*groups, (i,)], limit) if len(groups) < limit else None
 
     total = sum(event.space.outputs.shape[1] for event in events)
-    start = max(1, -(-total // max(1, decide_rank(C).rank)))
-    for limit in range(start, len(events) + 1):
-        groups = fill(0, [], limit)
-        if groups:
-            return [[events[i] for i in sorted(group)] for group in groups]
-    raise DesignError("no partition of the faults was found")
+    for limit in range(max(1, -(-total // max(1, decide_rank(pair.C).rank))), len(events) + 1):
+        if groups := fill(0, [], limit):
+            gains = [one for group in groups if isinstance(one := designed(group), DirectionalGain)]
+            return [[events[i] for i in group] for group in groups], gains
+    raise AssertionError("every fault has a filter of its own")
+
+
+def _gain_or_why(pair: ErrorPair, group: list[FaultEvent], hidden: NDArray) -> DirectionalGain | str:
+    if len(group) == 1:
+        return block_gain(pair, group, hidden)
+    try:
+        gain = block_gain(pair, group, hidden)
+    except AccuracyError as error:
+        return str(error)
+    return gain if np.linalg.norm(gain.K) < _LARGE else "the gain is large"
+
+
+def block_gain(
+    pair: ErrorPair,
+    events: Sequence[FaultEvent],
+    hidden: NDArray | None = None,
+    poles: Poles = None,
+    margin: float | None = None,
+) -> DirectionalGain:
+    r"""Return a gain that keeps each event in its own space, with poles as asked for or by least squares.
+
+    The core that detection filters and right eigenvectors share: with detection spaces it is the filter of White and
+    Speyer, all of whose poles are free; with the chains ``f, A f, ...`` of :func:`eigenstructure_assignment`,
+    lines for faults that the outputs see, it makes the faults themselves eigenvectors,
+    :math:`K C F = A F - F \Lambda`.
+
+    Parameters
+    ----------
+    pair : ErrorPair
+        With white noise.
+    events : sequence of FaultEvent
+    hidden : ndarray, optional
+        Further poles that no gain moves, of what the pair leaves out.
+    poles, margin
+        In units of time of the balanced plant.
+    """
+    rate, sampled = pair.model.units.rate, pair.model.plant.is_discrete
+    blocks = split_blocks(pair.A, pair.C, [event.space for event in events])
+    splits = [observable_split(F, G) for F, G in blocks.pairs]
+    fixed = np.concatenate([*(hidden_modes(F, G) for F, G in blocks.pairs), [] if hidden is None else hidden])
+    sizes = [split.seen.shape[1] for split in splits]
+    shares = share_poles(poles, [event.faults for event in events], sizes, fixed, rate)
+    gains = [
+        observer_gain(
+            F,
+            G,
+            split,
+            sampled=sampled,
+            process=np.eye(len(F)),
+            measurement=read @ read.T,
+            poles=share,
+            margin=margin,
+            rate=rate,
+        )
+        for (F, G), split, read, share in zip(blocks.pairs, splits, blocks.reads, shares, strict=True)
+    ]
+    return DirectionalGain(
+        pair.on_outputs(blocks.gain([gain.K for gain in gains])),
+        fixed,
+        np.concatenate([gain.requested for gain in gains]),
+        max(gain.error for gain in gains),
+        tuple(dict.fromkeys(gain.note for gain in gains if gain.note)),
+    )
+
+
+def gain_evidence(pair: ErrorPair, gain: DirectionalGain, *, asked: bool = True) -> dict[str, Any]:
+    """Return what the evidence says of a gain, after checking the poles of the whole, if they are as asked for."""
+    F, rate = pair.T @ pair.A0 - gain.K @ pair.C0, pair.model.units.rate
+    requested = gain.requested if asked else gain.requested[:0]
+    wanted, error = np.concatenate([requested, gain.fixed]), gain.error
+    if requested.size and len(wanted) == len(F):
+        error = max(error, spectrum_error(F, wanted, float(pair.model.plant.is_discrete), POLE)[0])
+        if error > POLE:
+            raise AccuracyError(
+                f"a pole is off by {error:.2g} > {POLE:.0e} of the requested pole: so ill-conditioned that "
+                "rounding moves it; ask for poles nearer to those of the plant or further apart, for a margin, or add "
+                "a sensor"
+            )
+    return {
+        "poles": rate * np.linalg.eigvals(F),
+        "requested_poles": rate * requested,
+        "fixed_poles": rate * gain.fixed,
+        "conditions": {"pole error": error, "size of K": float(np.linalg.norm(gain.K, 2)) if gain.K.size else 0.0},
+        "notes": gain.notes,
+    }
+
+
+def share_poles(
+    poles: Poles, names: Sequence[tuple[str, ...]], sizes: Sequence[int], fixed: NDArray, rate: float
+) -> list[NDArray[np.complex128] | None]:
+    """Deal the wanted poles out to the faults and, last, the rest; conjugate pairs together.
+
+    ``None`` for a block means: none were asked for.
+    """
+    if poles is None:
+        return [None] * len(sizes)
+    if isinstance(poles, Mapping):
+        return _named_shares(poles, names, sizes)
+    wanted = np.atleast_1d(np.asarray(poles, dtype=complex))
+    free = sum(sizes)
+    if len(fixed) and len(wanted) == free + len(fixed):
+        wanted = _without(wanted, fixed, rate)
+    if len(wanted) != free:
+        raise DesignError(
+            f"{len(wanted)} poles were given, {free} are free"
+            + (f" (fixed: {describe_modes(rate * fixed)})" if len(fixed) else "")
+        )
+    reals, pairs = [z for z in wanted if z.imag == 0], [z for z in wanted if z.imag > 0]
+    if not np.array_equal(np.sort_complex(wanted), np.sort_complex([*reals, *pairs, *np.conj(pairs)])):
+        raise DesignError("poles must come in conjugate pairs")
+    odd = sum(size % 2 for size in sizes)
+    if len(reals) < odd:
+        raise DesignError(
+            f"the faults need blocks of {', '.join(map(str, sizes))} poles; each odd block needs a real pole, "
+            f"and only {len(reals)} of the requested poles are real"
+        )
+    shares: list[NDArray[np.complex128] | None] = []
+    for size in sizes:
+        share = [reals.pop(0)] if size % 2 else []
+        odd -= size % 2
+        while len(share) < size:
+            if len(reals) - odd >= 2:
+                share += [reals.pop(0), reals.pop(0)]
+            else:
+                share += [pairs[0], np.conj(pairs.pop(0))]
+        shares.append(np.asarray(share, dtype=complex))
+    return shares
+
+
+def _named_shares(
+    poles: Mapping[str, Sequence[complex]], names: Sequence[tuple[str, ...]], sizes: Sequence[int]
+) -> list[NDArray[np.complex128] | None]:
+    known = {name: k for k, group in enumerate(names) for name in group} | {"rest": len(names)}
+    shares: list[NDArray[np.complex128] | None] = [None] * len(sizes)
+    for name, values in poles.items():
+        if name not in known:
+            raise DesignError(f"poles: unknown fault {name!r}; known: {', '.join(known)}")
+        share, size = np.atleast_1d(np.asarray(values, dtype=complex)), sizes[known[name]]
+        if len(share) != size:
+            raise DesignError(
+                f"poles[{name!r}]: {len(share)} poles were given, {size} belong to it "
+                "(of the states one, plus one for each invariant zero of the fault and each extra integration to the "
+                "outputs; of an output those that the others do not see)"
+            )
+        shares[known[name]] = share
+    return shares
+
+
+def _without(wanted: NDArray, fixed: NDArray, rate: float) -> NDArray:
+    left = list(wanted)
+    for z in fixed:
+        nearest = int(np.argmin(np.abs(np.asarray(left) - z)))
+        if abs(left.pop(nearest) - z) > POLE * max(1.0, abs(z)):
+            raise DesignError(
+                f"the pole {describe_modes([rate * z])} cannot be moved and is not among the requested poles; "
+                f"give the other {counted(len(wanted) - len(fixed), 'pole')}"
+            )
+    return np.asarray(left, dtype=complex)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -14,38 +14,23 @@ from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.design.core.method import method
 from residua.design.core.needs import disturbances
-from residua.design.core.own_time import in_own_time
 from residua.design.core.signals import signal_names
-from residua.design.detection_filters.directional_gain import DirectionalGain, checked_options
-from residua.design.detection_filters.ignored_columns import (
-    Frame,
-    IgnoredColumns,
-    ignored_columns,
-    require_detectable,
-)
-from residua.design.detection_filters.left_eigenvectors import left_frame, left_gain, left_rows, row_error
-from residua.design.detection_filters.right_eigenvectors import (
-    column_error,
-    confinements,
-    right_frame,
-    right_gain,
-)
-from residua.design.observers.observer import Observer
+from residua.design.detection_filters.directional_gain import DirectionalGain, gain_evidence
+from residua.design.detection_filters.ignored_columns import IgnoredColumns, ignored_columns, require_detectable
+from residua.design.detection_filters.left_eigenvectors import left_gain, left_rows
+from residua.design.detection_filters.right_eigenvectors import confinements, right_gain
+from residua.design.observers.observer_gain import balanced_options
 from residua.errors import AccuracyError, DesignError, SettingError
 from residua.linear import StateSpace
 from residua.linear.norms.system_norms import hinf_norm
-from residua.linear.poles.matrix_poles import explicit_poles
 from residua.linear.poles.placement import default_margin
 from residua.linear.poles.spectrum import describe_modes
-from residua.linear.poles.stability import is_stable_mode
-from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision
-from residua.linear.systems.balancing import without_rounding
+from residua.linear.subspaces.rank import RankDecision
 from residua.plant import Plant
-from residua.words import unit_of_rates
+from residua.plant.balanced import is_inside
+from residua.tolerances import RESIDUE, above_rounding
 
 REFERENCE = "Gertler (1991), Automatica 27(4), section 4.3, eqs. (4-5) to (4-14), after Patton and Kangethe (1989)"
-#: Largest error of an assigned eigenvalue, and of an assigned eigenvector relative to its terms.
-_POLE_ERROR, _VECTOR_ERROR = 1e-6, 1e-8
 
 
 @method(
@@ -55,7 +40,6 @@ _POLE_ERROR, _VECTOR_ERROR = 1e-6, 1e-8
     source="Gertler (1991), section 4.3, eqs. (4-5) to (4-14)",
     decouples=True,
 )
-@in_own_time()
 def eigenstructure_assignment(
     plant: Plant,
     *,
@@ -65,7 +49,6 @@ def eigenstructure_assignment(
     margin: float | None = None,
     combine: bool = True,
     approximate: bool = False,
-    rtol: float = DEFAULT_RTOL,
 ) -> ResidualGenerator:
     r"""Design an observer whose eigenvectors keep the disturbances and the named faults out of the residual.
 
@@ -98,7 +81,8 @@ def eigenstructure_assignment(
         pole there get 0 in sampled time and the negative margin in continuous time; the rest is placed beyond the
         margin.
     margin : float, optional
-        Stability margin in 1/s; the geometric mean of the sizes of the plant's poles when omitted.
+        Stability margin in 1/s. When omitted, assigned eigenvectors get the geometric mean of the sizes of the plant's
+        poles, and the rest is that of least squares with equal noise in all states and outputs of the balanced plant.
     combine : bool
         Right: where the columns cannot be eigenvectors themselves, because invariant zeros of theirs would be fixed
         poles that are not stable or not asked for, whether they may be combinations of more eigenvectors (5-5).
@@ -106,8 +90,6 @@ def eigenstructure_assignment(
         Left: where ``h A`` is no row of ``C``, whether to take the ``h`` for which it is nearest, and the gain that
         fits best. What is ignored then leaks; ``evidence.decoupling`` tells by how much, relative to the faults
         that are seen, at the worst frequency. Control inputs never leak.
-    rtol : float
-        Relative tolerance of every rank decision, in balanced units.
 
     Returns
     -------
@@ -155,147 +137,88 @@ def eigenstructure_assignment(
         raise SettingError(f"side must be 'right' or 'left', got {side!r}")
     if approximate and side == "right":
         raise SettingError("approximate=True belongs to side='left': right eigenvectors are exact or do not exist")
-    poles, margin = checked_options(poles, margin)
-    parts = ignored_columns(plant, insensitive_to, rtol=rtol)
-    ways = (
-        _right_ways(parts, poles, margin, combine, rtol)
-        if side == "right"
-        else _left_ways(parts, poles, margin, approximate, rtol)
-    )
+    parts = ignored_columns(plant, insensitive_to)
+    poles, margin = balanced_options(parts.pair.model.plant, poles, margin)
+    if side == "left":
+        return _left(parts, poles, margin, approximate)
+    return _right(parts, poles, margin, combine)
+
+
+def _first(parts: IgnoredColumns, margin: float | None) -> float:
+    """Return the eigenvalue of assigned eigenvectors when the user names none: as the paper, 0 in sampled time."""
+    if parts.pair.model.plant.is_discrete:
+        return 0.0
+    return -(default_margin(parts.pair.A) if margin is None else margin)
+
+
+def _right(parts: IgnoredColumns, poles: Any, margin: float | None, combine: bool) -> ResidualGenerator:
+    """Return the design with right eigenvectors: the columns themselves, then combinations."""
+    S, seen, ways = confinements(parts, combine=combine)
+    require_detectable(parts)
+    W, ranks = parts.rows(S), {"ignored in the outputs": parts.direct}
     failure: DesignError | AccuracyError | None = None
     for way in ways:
         try:
-            return way()
+            gain = right_gain(parts, way, poles, margin, _first(parts, margin))
+            return _generator(parts, W, seen, gain, "right eigenvectors", way.note, ranks)
         except (DesignError, AccuracyError) as error:
             failure = failure or error
     assert failure is not None  # there is at least one way
     raise failure
 
 
-def _margins(parts: IgnoredColumns, margin: float | None) -> list[tuple[float, str]]:
-    """Return the margins to try, each with what to say about it: the one asked for, or defaults of falling demands."""
-    if margin is not None:
-        return [(margin, "")]
-    default = default_margin(parts.A, parts.plant.dt)
-    notes = (
-        (part, f"the default margin was lowered to {default / part * unit_of_rates():.3g} per second")
-        for part in (4, 16, 64)
-    )
-    return [(default, ""), *((default / part, note) for part, note in notes)]
-
-
-def _first(parts: IgnoredColumns, distance: float) -> float:
-    """Return the eigenvalue of assigned eigenvectors when the user names none: as the paper, 0 in sampled time."""
-    return 0.0 if parts.plant.dt else -distance
-
-
-def _right_ways(
-    parts: IgnoredColumns, poles: Any, margin: float | None, combine: bool, rtol: float
-) -> list[Callable[[], ResidualGenerator]]:
-    """Return the designs to try with right eigenvectors: the columns themselves, then combinations."""
-    S0, confinement = confinements(parts, combine=combine, rtol=rtol)
+def _left(parts: IgnoredColumns, poles: Any, margin: float | None, approximate: bool) -> ResidualGenerator:
+    """Return the design with left eigenvectors."""
+    rows = left_rows(parts, approximate=approximate)
     require_detectable(parts)
-    ranks = {"ignored in the outputs": parts.direct}
-
-    def way(k: int, distance: float, lowered: str) -> ResidualGenerator:
-        confined = confinement[k]
-        gain = right_gain(parts, confined, poles, margin, distance, _first(parts, distance), rtol=rtol)
-        _require(column_error(parts, confined, S0, gain.gain), "columns")
-        notes = (confined.note, lowered)
-        return _generator(parts, S0, gain, "right eigenvectors", notes, ranks, frame=right_frame(parts, confined))
-
-    S0 = parts.with_even_rows(S0)
-    return [
-        lambda k=k, d=distance, note=note: way(k, d, note)
-        for k in range(len(confinement))
-        for distance, note in _margins(parts, margin)
-    ]
-
-
-def _left_ways(
-    parts: IgnoredColumns, poles: Any, margin: float | None, approximate: bool, rtol: float
-) -> list[Callable[[], ResidualGenerator]]:
-    """Return the designs to try with left eigenvectors."""
-    rows = left_rows(parts, approximate=approximate, rtol=rtol)
-    require_detectable(parts)
-    S0 = parts.with_even_rows(np.vstack([rows.moving, rows.still]))
-
-    def way(distance: float, lowered: str) -> ResidualGenerator:
-        gain = left_gain(parts, rows, poles, distance, _first(parts, distance), rtol=rtol)
-        if rows.exact:
-            _require(row_error(parts, rows, gain.gain), "rows")
-        frame = left_frame(parts, rows) if rows.exact else None
-        notes = ("" if rows.exact else "approximate: h A is no row of C, what is ignored leaks", lowered)
-        return _generator(parts, S0, gain, "left eigenvectors", notes, rows.ranks, frame=frame)
-
-    return [lambda d=distance, note=note: way(d, note) for distance, note in _margins(parts, margin)]
-
-
-def _require(error: float, what: str) -> None:
-    """Raise when assigned vectors are no eigenvectors after all."""
-    if not error <= _VECTOR_ERROR:
-        raise AccuracyError(
-            f"the {what} miss being eigenvectors by {error:.2g} > {_VECTOR_ERROR:.0e} of their terms: too badly "
-            "conditioned for an observer of the whole state; use decoupled_residual"
-        )
+    W, seen = parts.rows(np.vstack([rows.moving, rows.still])), (rows.moving @ parts.pair.C).T
+    note = "" if rows.exact else "approximate: h A is no row of C, what is ignored leaks"
+    gain = left_gain(parts, rows, poles, margin, _first(parts, margin))
+    return _generator(parts, W, seen if rows.exact else None, gain, "left eigenvectors", note, rows.ranks)
 
 
 def _generator(
     parts: IgnoredColumns,
-    S0: NDArray,
+    W: NDArray,
+    seen: NDArray | None,
     gain: DirectionalGain,
     kind: str,
-    notes: tuple[str, ...],
+    note: str,
     ranks: dict[str, RankDecision],
-    *,
-    frame: Frame | None = None,
 ) -> ResidualGenerator:
-    """Return the generator of a gain on the outputs that are used, with what it promises checked.
+    """Return the generator of a gain, with what it promises checked.
 
-    Its states are those of the estimate that the residual sees; the others, and with them what is ignored, are left
-    out, so that rounding does not bring them back. Without a frame the gain is an approximate one, and what is ignored
-    leaks.
+    Its states are those of the estimate that the residual sees, along orthonormal columns; the others, and with them
+    what is ignored, are left out, so that rounding does not bring them back. Without such columns the gain is an
+    approximate one, and what is ignored leaks.
     """
-    if not gain.error <= _POLE_ERROR:
-        raise AccuracyError(f"a pole is off by {gain.error:.2g} > {_POLE_ERROR:.0e}: ask for poles further apart")
-    plant, n, exact = parts.plant, parts.plant.n_states, frame is not None
-    K, S = parts.observer_gain(gain.gain), S0 @ parts.W * parts.outputs
-    F = without_rounding(np.hstack([np.eye(n), -K]), np.vstack([plant.A, plant.C]))  # what cancels couples nothing
-    method = f"eigenstructure assignment, {kind}"
-    frame = frame or Frame(np.eye(n), np.eye(n), n)
-    k = frame.seen
-    whole = frame.T @ (parts.A - gain.gain @ parts.C) @ frame.inverse
-    T = frame.T[:k] / parts.states
-    own = frame.T[:k] @ parts.on_all_outputs(gain.gain)
-    read = without_rounding(S0, parts.C, frame.inverse)  # measurements that repeat one another need no state
+    pair, exact = parts.pair, seen is not None
+    plant, units, n = pair.model.plant, pair.model.units, len(pair.A)
+    V = np.eye(n) if seen is None else seen
+    F = pair.A0 - gain.K @ pair.C0
+    poles = np.asarray(np.linalg.eigvals(F), dtype=complex)
+    if not is_inside(poles, plant.is_discrete).all():
+        raise AccuracyError(f"the observer is not stable: poles {describe_modes(units.rate * poles)}")
+    notes = (*((f"ignores {parts.text}",) if parts.names else ()), *((note,) if note else ()))
+    evidence = Evidence(
+        method=f"eigenstructure assignment, {kind}", ranks=ranks, notes=notes, references=(REFERENCE,)
+    ).extended(**gain_evidence(pair, gain, asked=exact))
+    observer = replace(pair.observer(gain.K, evidence), decouples=exact, W=W)
+    T, back = V.T @ pair.inverse / units.states, units.states[:, None] * pair.M @ V
+    Ky, terms = T @ observer.K, np.abs(W) @ np.abs(plant.C) @ np.abs(back)
+    driving = np.abs(T) @ np.abs(plant.B) + np.abs(Ky) @ np.abs(plant.D)
     system = StateSpace(
-        whole[:k, :k],
-        np.hstack([T @ plant.B - own @ plant.D, own]),
-        -read[:, :k],
-        np.hstack([-S @ plant.D, S]),
+        units.rate * (V.T @ pair.inverse @ F @ pair.M @ V),
+        np.hstack([above_rounding(T @ plant.B - Ky @ plant.D, driving), Ky]),
+        above_rounding(-W @ plant.C @ back, terms, RESIDUE),  # measurements that repeat one another need no state
+        np.hstack([-W @ plant.D, W]),
         dt=plant.dt,
         inputs=signal_names(plant),
-        outputs=[f"r{i + 1}" for i in range(len(S))],
+        outputs=[f"r{i + 1}" for i in range(len(W))],
     )
-    if exact:
-        _require(_seen_error(parts, T, own, F, whole[:k, :k]), "vectors, with K in the units of the plant,")
-    poles = explicit_poles(whole)
-    if not is_stable_mode(poles, plant.dt).all():
-        raise AccuracyError(f"the observer is not stable: poles {describe_modes(poles)}")
-    evidence = Evidence(
-        method=method,
-        poles=poles,
-        requested_poles=gain.requested if exact else np.zeros(0, dtype=complex),
-        fixed_poles=gain.fixed,
-        ranks=ranks,
-        conditions={"pole error": gain.error, "size of K": parts.size_of(F, K)},
-        notes=(*((f"ignores {parts.text}",) if parts.names else ()), *(note for note in notes if note)),
-        references=(REFERENCE,),
-    )
-    observer = Observer(plant, F, np.eye(n), K, np.eye(n), np.zeros(K.shape), S, method, exact, evidence)
     faults = tuple(name for name in plant.faults if name in parts.names)
     decouples = Decoupled(faults=faults, apart=True) if exact else Decoupled(disturbances=False)
-    made = make_generator(system, plant, method, evidence, decouples=decouples, state_map=T, observer=observer)
+    made = make_generator(system, plant, evidence.method, evidence, decouples=decouples, state_map=T, observer=observer)
     leaks = made.evidence.decoupling
     own = {name: gain for name, gain in leaks.items() if name != IGNORED}
     observer = replace(observer, evidence=evidence.extended(decoupling=own))
@@ -304,17 +227,6 @@ def _generator(
     else:
         more = {} if faults or "disturbance" not in leaks else {IGNORED: leaks["disturbance"]}
     return replace(made, observer=observer, evidence=made.evidence.extended(decoupling=more))
-
-
-def _seen_error(parts: IgnoredColumns, T: NDArray, own: NDArray, F: NDArray, Q: NDArray) -> float:
-    """Return how far :math:`T (A - K C) = Q T` is missed by ``K`` as it is, relative to ``T A``, ``(T K) C``, ``Q T``.
-
-    Not to ``T`` times a ``K`` that is so large that its columns cancel: that would be rounding.
-    """
-    plant = parts.plant
-    terms = np.abs(T) @ np.abs(plant.A) + np.abs(own) @ np.abs(plant.C) + np.abs(Q) @ np.abs(T)
-    off, size = np.abs(T @ F - Q @ T) * parts.states, (terms * parts.states).max(axis=1, initial=0.0)
-    return float((off.max(axis=1, initial=0.0) / np.where(size > 0, size, 1.0)).max(initial=0.0))
 
 
 def _leaks(generator: ResidualGenerator, parts: IgnoredColumns) -> dict[str, float]:

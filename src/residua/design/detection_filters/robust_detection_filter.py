@@ -5,25 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from residua.analysis.existence import unknown_input_observer_existence
-from residua.analysis.output_free_form import OutputFreeForm, decoupling_map, output_free_form
-from residua.arrays import matrix
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator
 from residua.design.core.method import method
 from residua.design.core.needs import FAULTS, disturbances
-from residua.design.core.own_time import in_own_time
-from residua.design.detection_filters.detection_filter import REFERENCES, Scaling, directional_filters, weights_of
+from residua.design.detection_filters.detection_filter import REFERENCES, Scaling, directional_filters
 from residua.design.detection_filters.directional_gain import Poles
-from residua.design.observers.unknown_input_observer import REFERENCE
+from residua.design.observers.unknown_input_observer import REFERENCE, error_pair
 from residua.errors import DesignError
-from residua.linear.subspaces.rank import DEFAULT_RTOL
-from residua.linear.systems.balancing import without_rounding
 from residua.plant import Plant
-from residua.plant.comparable_units import even_plant, own_units
-from residua.tolerances import above_rounding
 from residua.words import counted, used_up
 
 
@@ -35,7 +28,6 @@ from residua.words import counted, used_up
     faults="by direction, whatever its time course",
     decouples=True,
 )
-@in_own_time()
 def robust_detection_filter(
     plant: Plant,
     *,
@@ -44,7 +36,6 @@ def robust_detection_filter(
     faults: Iterable[str] | None = None,
     H0: ArrayLike | None = None,
     scaling: Scaling = "plant",
-    rtol: float = DEFAULT_RTOL,
 ) -> ResidualGenerator:
     r"""Design a filter that no disturbance reaches and that tells faults apart by direction.
 
@@ -67,13 +58,10 @@ def robust_detection_filter(
     faults : iterable of str, optional
         The faults to be kept apart; all faults of the plant when omitted.
     H0 : array_like, shape (n, outputs), optional
-        The free matrix of the general decoupling gain, in the units of the plant: zeros give the smallest ``H``
-        in these units, as in the paper; when omitted, ``H`` is the smallest with evenly weighted outputs.
+        The free matrix of the general decoupling gain, in the units of the plant; zero when omitted.
     scaling : {"plant", "even"}
         The units of the outputs in which a pseudoinverse is the smallest: those of the plant, as in the paper, or
         balanced ones, so that the filter does not depend on the units of the plant.
-    rtol : float
-        Relative tolerance of the rank decisions.
 
     Returns
     -------
@@ -118,56 +106,13 @@ def robust_detection_filter(
             f"{used_up(plant.n_outputs)} to decouple {counted(len(plant.disturbances), 'disturbance')}: "
             "nothing is left to see faults with; add a sensor or decouple fewer disturbances"
         )
-    even = even_plant(plant, explicit=True)
-    if H0 is not None and np.any(H0):  # as the equations say, in the units of the plant
-        even = own_units(plant)
-    form = output_free_form(even.plant, rtol=rtol)
-    H = decoupling_gain(form, weights_of(even, scaling, form.A, form.E, form.C, form.W), H0)
-    T = decoupling_map(H, even.plant.C)
-    p, q = len(form.W), form.E.shape[1]
-    used = f"{q} {'is' if q == 1 else 'are'}"
+    model = plant.balanced
+    pair = error_pair(model, model.disturbances, existence.rank_E.rank, scaling, H0)
     base = Evidence(
         method="robust detection filter",
-        ranks={"rank(CE)": existence.rank_CE, "rank(E)": existence.rank_E} if q else {},
-        conditions={"|T E|": float(np.linalg.norm(T @ form.E))},
-        notes=(f"{p - q} of the {p} residuals are independent, {used} used up by decoupling",) if q else (),
+        ranks={"rank(CE)": existence.rank_CE, "rank(E)": existence.rank_E} if pair.decoupled else {},
+        conditions={"|T E|": float(np.linalg.norm(pair.T @ (model.disturbances[0] - pair.G @ model.disturbances[1])))},
+        notes=pair.notes,
         references=(REFERENCE, *REFERENCES),
     )
-    return directional_filters(
-        plant,
-        even,
-        without_rounding(T, form.A),
-        form.C,
-        T=T,
-        H=H,
-        W=form.W,
-        offset=T @ form.G,
-        poles=poles,
-        margin=margin,
-        faults=faults,
-        base=base,
-        decouples=True,
-        scaling=scaling,
-        rtol=rtol,
-        form=form,
-    )
-
-
-def decoupling_gain(
-    form: OutputFreeForm, weights: NDArray[np.float64], H0: ArrayLike | None = None
-) -> NDArray[np.float64]:
-    """Return ``H`` on the measured outputs, with ``(H C - I) E = 0`` (eq. 5; Lemma 1): the smallest by some weights."""
-    CE = form.C @ form.E
-    p = len(form.C)
-    inverse = np.linalg.pinv(weights[:, None] * CE) * weights if CE.size else np.zeros((CE.shape[1], p))
-    inverse = np.where(np.any(form.C, axis=1), inverse, 0.0)  # rounding on a dead output is no gain
-    H = form.E @ inverse
-    for _ in range(2):  # channels in very different units make one pseudoinverse inexact
-        H = H + (form.E - H @ CE) @ inverse
-    # what rounding left of nothing would couple states that nothing couples, in some units strongly
-    H = above_rounding(H, p * (np.abs(form.E) @ np.abs(inverse)))
-    if H0 is not None:
-        n = len(form.A)
-        free = matrix(H0, "H0", (n, form.W.shape[1]), what="states x outputs") @ form.W.T
-        H = H + free @ (np.eye(p) - CE @ inverse)
-    return H @ form.W
+    return directional_filters(pair, poles, margin, faults, base)

@@ -15,7 +15,6 @@ from residua.design.estimation.fault_estimator import FaultEstimator
 from residua.design.observers.observer import Observer
 from residua.errors import DesignError, ModelError, SettingError
 from residua.linear import StateSpace
-from residua.linear.systems.balancing import descriptor_units
 from residua.plant import Plant
 from residua.tolerances import RESPONSE_ROUNDING, TINY
 
@@ -74,8 +73,8 @@ def compensation_gain(plant: Plant, faults: Iterable[str] | str | None = None) -
     if not plant.inputs:
         raise DesignError("this plant has no control input that could compensate a fault")
     columns = arrays.positions(faults, plant.faults, "fault")
-    u = descriptor_units(plant.A, plant.E, np.hstack([plant.B, plant.Bf]), plant.C, np.hstack([plant.D, plant.Df]))
-    B, Bf = u.equations[:, None] * plant.B, u.equations[:, None] * plant.Bf[:, columns]
+    R = plant.balanced.units.exact[0][:, None]
+    B, Bf = R * plant.B, R * plant.Bf[:, columns]
     size = np.linalg.norm(B, axis=0)
     size = np.where(size > 0, size, 1.0)
     gain = np.linalg.pinv(B / size, rcond=1e-9) @ Bf / size[:, None]

@@ -19,15 +19,14 @@ from residua.design.core.needs import FAULTS, groups_of_faults
 from residua.design.core.own_time import has_rates
 from residua.design.core.signals import sampled_filter, stack_signals
 from residua.design.estimation.fault_reading import FaultReading, read_faults
-from residua.design.observers.even_units import own_rate
 from residua.design.observers.observer import Observer
 from residua.design.observers.unknown_input_observer import unknown_input_observer
 from residua.errors import AccuracyError, DesignError, SettingError
 from residua.linear import StateSpace
 from residua.linear.norms.system_norms import h2_norm, hinf_norm
-from residua.linear.poles.placement import default_margin
-from residua.linear.systems.balancing import sum_without_rounding
+from residua.linear.poles.spectrum import mean_rate
 from residua.plant import Plant
+from residua.tolerances import LEAK, above_rounding
 from residua.words import as_given
 
 _METHOD = "fault estimator"
@@ -326,7 +325,8 @@ def _smoothing(plant: Plant, observer: Observer, reading: FaultReading, bandwidt
         return _Smoothing(late | (pole > 0), late, bandwidth or 0.0, pole)
     if bandwidth is not None:
         return _Smoothing(np.ones(len(late), dtype=bool), late, float(bandwidth), 0.0)
-    return _Smoothing(late, late, max(default_margin(observer.F), own_rate(plant)) if late.any() else 0.0, 0.0)
+    rate = max(mean_rate(observer.poles), mean_rate(plant.system(()).poles())) if late.any() else 0.0
+    return _Smoothing(late, late, rate, 0.0)
 
 
 def _realised(
@@ -340,12 +340,12 @@ def _realised(
     :math:`q_k = \hat f_k - (1 - a) L_d y_{0,k}`.
     """
     n, n_f = observer.order, len(names)
-    J = sum_without_rounding((reading.static, plant.C), (reading.dynamics, plant.A))
+    J = _summed((reading.static, plant.C), (reading.dynamics, plant.A))
     dynamics = reading.dynamics
     if observer.J is not None:
-        dynamics = sum_without_rounding((dynamics, np.eye(plant.n_states)), (-J, observer.J))
+        dynamics = _summed((dynamics, np.eye(plant.n_states)), (-J, observer.J))
     # r and L_d y_0 as functions of (z, [u, y])
-    on_y0 = sum_without_rounding((reading.static, np.eye(plant.n_outputs)), (-J, observer.H))
+    on_y0 = _summed((reading.static, np.eye(plant.n_outputs)), (-J, observer.H))
     r_z, r_v = -J @ observer.M, _on_signals(plant, on_y0, dynamics)
     d_v = _on_signals(plant, reading.derivative, np.zeros((n_f, plant.n_states)))
     own = np.flatnonzero(smoothing.filtered)
@@ -384,9 +384,15 @@ def _realised(
     return system, internal_form(system, plant, *maps), maps
 
 
+def _summed(*products: tuple[NDArray, NDArray]) -> NDArray[np.float64]:
+    """Return a sum of products without what rounding leaves of sums that cancel."""
+    total = np.add.reduce([left @ right for left, right in products])
+    return above_rounding(total, np.add.reduce([np.abs(left) @ np.abs(right) for left, right in products]))
+
+
 def _on_signals(plant: Plant, on_y0: NDArray, dynamics: NDArray) -> NDArray:
     """Return a gain on ``y - D u`` and one on ``-B u`` as one on ``[u, y]``."""
-    return np.hstack([sum_without_rounding((-dynamics, plant.B), (-on_y0, plant.D)), on_y0])
+    return np.hstack([_summed((-dynamics, plant.B), (-on_y0, plant.D)), on_y0])
 
 
 def _missed(
@@ -404,7 +410,7 @@ def _missed(
     points = np.exp(1j * w * plant.dt) if plant.is_discrete else 1j * w
     wanted = smoothing.expected(points, plant.dt)[:, :, None] * np.eye(len(names))
     missed = float(np.abs((response - wanted) / reading.units[:, None] * reading.units).max())
-    if not missed < 1e-6:
+    if not missed <= LEAK:
         raise AccuracyError(
             f"the estimates are off the faults by {missed:.2g} (relative): the plant is too badly scaled or "
             "conditioned for this estimator; rescale its states and channels"

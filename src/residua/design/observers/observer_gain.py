@@ -3,29 +3,54 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residua.design.detection_filters.directional_gain import checked_options
 from residua.errors import DesignError
 from residua.plant import Plant
 from residua.plant.balanced import BalancedPlant
+from residua.words import as_given
+
+
+def checked_options(poles: Any, margin: float | None) -> tuple[Any, float | None]:
+    """Return the wanted poles as numbers, by name where they were, and the margin; or say what is wrong with them."""
+    if margin is not None:
+        if isinstance(margin, bool) or not isinstance(margin, (int, float, np.number)) or not 0 < margin < np.inf:
+            raise DesignError(f"margin must be a positive number in 1/s, got {as_given(margin)!r}")
+        if poles is not None and not isinstance(poles, Mapping):
+            raise DesignError("give poles or margin, not both")
+    poles = list(poles) if isinstance(poles, Iterator) else poles
+    try:
+        if isinstance(poles, Mapping):
+            return {name: np.asarray(values, dtype=complex).reshape(-1) for name, values in poles.items()}, margin
+        return (None if poles is None else np.asarray(cast("ArrayLike", poles), dtype=complex).reshape(-1)), margin
+    except (TypeError, ValueError) as error:
+        raise DesignError(f"poles must be numbers, or a mapping of fault name to numbers: {error}") from error
+
+
+def balanced_options(plant: Plant, poles: Any, margin: float | None) -> tuple[Any, float | None]:
+    """Return poles, by name where they were, and a margin in the units of time of the balanced plant.
+
+    The margin of a sampled plant is per sample.
+    """
+    poles, margin = checked_options(poles, margin)
+    rate = plant.balanced.units.rate
+    if margin is not None:
+        margin = margin * plant.dt if plant.is_discrete else margin / rate
+    if isinstance(poles, Mapping):
+        return {name: values / rate for name, values in poles.items()}, margin
+    return None if poles is None else poles / rate, margin
 
 
 def asked(
     plant: Plant, poles: Sequence[complex] | ArrayLike | None, margin: float | None
 ) -> tuple[NDArray[np.complex128] | None, float | None]:
-    """Return poles and a margin in the units of time of the balanced plant; a margin of a sampled one, per sample."""
-    poles = list(poles) if isinstance(poles, Iterator) else poles
-    poles, margin = checked_options(poles, margin)
+    """Return the list of poles or the margin of an observer in the units of time of the balanced plant."""
     if isinstance(poles, Mapping):
         raise DesignError("an observer takes a list of poles; poles per fault are for the detection filters")
-    rate = plant.balanced.units.rate
-    if margin is not None:
-        margin = margin * plant.dt if plant.is_discrete else margin / rate
-    return None if poles is None else np.atleast_1d(np.asarray(np.asarray(poles) / rate, dtype=complex)), margin
+    return balanced_options(plant, poles, margin)
 
 
 def default_weights(model: BalancedPlant) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -15,9 +16,9 @@ from residua.design.core.evidence import Evidence
 from residua.design.core.method import method
 from residua.design.observers.observer import Observer, with_checked_estimate
 from residua.design.observers.observer_gain import asked, default_weights, gain_evidence
-from residua.errors import DesignError
+from residua.errors import DesignError, SettingError
 from residua.linear.poles.observer_gain import ObserverGain, cleared, observer_gain
-from residua.linear.subspaces.quotient import observable_split, without_rounding
+from residua.linear.subspaces.quotient import NEGLIGIBLE, observable_split, without_rounding
 from residua.linear.subspaces.rank import RankDecision
 from residua.plant import Plant
 from residua.plant.balanced import BalancedPlant
@@ -132,83 +133,211 @@ def _of_ordinary_plant(
 ) -> Observer:
     """Return the observer of the paper, after the disturbances in the outputs are expressed by these."""
     model = plant.balanced
-    units, n, p = model.units, plant.n_states, plant.n_outputs
-    W, G, E = _without_disturbed_outputs(model, existence.rank_E.rank, scaling)
+    poles, margin = asked(plant, poles, margin)
+    pair = error_pair(model, model.disturbances, existence.rank_E.rank, scaling, H0, white_outputs=poles is None)
+    gain = observer_gain(
+        pair.A,
+        pair.C,
+        observable_split(pair.A, pair.C),
+        sampled=plant.is_discrete,
+        process=pair.process,
+        measurement=pair.measurement,
+        poles=poles,
+        margin=margin,
+        rate=model.units.rate,
+    )
+    return pair.observer(pair.on_outputs(gain.K), _evidence(model, existence, gain, pair.notes))
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorPair:
+    r"""A full-order observer before its gain is chosen: the pair of its error, in coordinates :math:`x = M z`.
+
+    All matrices are of the balanced plant. With :math:`\dot x = A_0 x + G y + \dots` and outputs :math:`W y` that no
+    disturbance enters, :math:`T = I - H W C_0` and any gain ``K1`` on these outputs makes
+    :math:`F = T A_0 - K_1 C_0`.
+
+    Attributes
+    ----------
+    model : BalancedPlant
+    A, C : ndarray
+        :math:`M^{-1} T A_0 M` and :math:`S C_0 M`.
+    M, inverse : ndarray
+    outputs : ndarray
+        ``S``.
+    process, measurement : ndarray
+        Covariances of the default noise, in these coordinates.
+    T, H, W, G : ndarray
+    decoupled : int
+        Independent disturbances that the outputs do not show at once.
+    decouples : bool
+        Whether any were to be decoupled.
+    """
+
+    model: BalancedPlant
+    A: NDArray[np.float64]
+    C: NDArray[np.float64]
+    M: NDArray[np.float64]
+    inverse: NDArray[np.float64]
+    outputs: NDArray[np.float64]
+    process: NDArray[np.float64]
+    measurement: NDArray[np.float64]
+    T: NDArray[np.float64]
+    H: NDArray[np.float64]
+    W: NDArray[np.float64]
+    G: NDArray[np.float64]
+    decoupled: int
+    decouples: bool
+
+    @property
+    def A0(self) -> NDArray[np.float64]:
+        """``A - G C``."""
+        return self.model.A - self.G @ self.model.C
+
+    @property
+    def C0(self) -> NDArray[np.float64]:
+        """``W C``."""
+        return self.W @ self.model.C
+
+    def white(self) -> ErrorPair:
+        """Return the pair in coordinates in which all of its noise is white: no unit of the plant is left in it."""
+        L, S = np.linalg.cholesky(self.process), np.linalg.cholesky(self.measurement)
+        x, y = np.linalg.inv(L), np.linalg.inv(S)
+        return replace(
+            self,
+            A=x @ self.A @ L,
+            C=y @ self.C @ L,
+            M=self.M @ L,
+            inverse=x @ self.inverse,
+            outputs=y @ self.outputs,
+            process=np.eye(len(x)),
+            measurement=np.eye(len(y)),
+        )
+
+    def seen(self, basis: NDArray) -> ErrorPair:
+        """Return a pair with white noise on some of its states: those that the outputs see."""
+        return replace(
+            self,
+            A=without_rounding(basis.T @ self.A @ basis),
+            C=without_rounding(self.C @ basis),
+            M=self.M @ basis,
+            inverse=basis.T @ self.inverse,
+            process=np.eye(basis.shape[1]),
+        )
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What decoupling costs."""
+        p, q = len(self.W), self.decoupled
+        if not q or p == q:
+            return ()
+        return (
+            f"{p - q} of the {p} residuals are independent: the others are filtered copies, the price of decoupling "
+            f"{counted(q, 'disturbance')}",
+        )
+
+    def on_outputs(self, K: NDArray) -> NDArray[np.float64]:
+        """Return a gain of the pair as one on the outputs ``W y``, for the states of the balanced plant."""
+        return _summed(np.zeros((len(self.M), len(self.W))), self.M @ K, self.outputs)
+
+    def observer(self, K1: NDArray, evidence: Evidence) -> Observer:
+        """Return the observer of a gain for the balanced plant and the outputs ``W y``, in the units of the plant."""
+        plant, units = self.model.plant, self.model.units
+        X, Y, none = units.states[:, None], units.outputs, np.zeros((plant.n_states, plant.n_outputs))
+        A, C, HW = self.A0, self.C0, _summed(none, self.H, self.W)
+        terms = np.abs(self.T) @ np.abs(A) + np.abs(K1) @ np.abs(C)
+        F = above_rounding(self.T @ A - K1 @ C, terms, NEGLIGIBLE)
+        K = _summed(_summed(_summed(none, self.T, self.G), F, HW), K1, self.W)
+        return Observer(
+            plant,
+            units.rate * X * F / units.states,
+            X * self.T / units.states,
+            units.rate * X * K * Y,
+            np.eye(plant.n_states),
+            X * HW * Y,
+            in_units_of_outputs(self.W * Y),
+            evidence.method,
+            self.decouples,
+            evidence,
+        )
+
+
+def error_pair(
+    model: BalancedPlant,
+    unknown: tuple[NDArray, NDArray] | None,
+    rank: int,
+    scaling: str,
+    H0: ArrayLike | None = None,
+    *,
+    white_outputs: bool = True,
+) -> ErrorPair:
+    """Return the error pair of an observer that disturbances do not reach.
+
+    Parameters
+    ----------
+    model : BalancedPlant
+        Of a plant without ``E``.
+    unknown : tuple of ndarray or None
+        ``B`` and ``D`` of what is decoupled, of the balanced plant; ``None`` for an observer that decouples nothing.
+    rank : int
+        Of the disturbances that the outputs do not show at once.
+    scaling : {"plant", "even"}
+        The units of the outputs in which ``H`` is the smallest.
+    H0 : array_like, optional
+        See :func:`unknown_input_observer`.
+    white_outputs : bool
+        Whether the outputs are combined so that their default noise is white, instead of left as they are.
+    """
+    if scaling not in ("plant", "even"):
+        raise SettingError(f"scaling must be 'plant' or 'even', got {scaling!r}")
+    units, n = model.units, len(model.A)
+    process, measurement = default_weights(model)
+    Y = units.outputs if scaling == "plant" else np.sqrt(units.measurement_weight)
+    decouples, B, D = unknown is not None, *(unknown or (np.zeros((n, 0)), np.zeros((len(model.C), 0))))
+    W, G, E = _without_disturbed_outputs(B, D, rank, Y)
     A, C = model.A - G @ model.C, W @ model.C
-    X, Y = units.states[:, None], units.outputs
     q = E.shape[1]
     P = cleared(np.linalg.pinv(C @ E))
     H, N = E @ P, without_rounding(np.linalg.svd(P @ C)[2][q:].T) if q else np.eye(n)
     plain = H0 is None or not np.any(H0)
     if H0 is not None and not plain:
-        free = matrix(H0, "H0", (n, p), what="states x outputs") / X / Y @ np.linalg.pinv(W)
-        H = H + free @ (np.eye(len(C)) - C @ H)
+        given = matrix(H0, "H0", (n, model.plant.n_outputs), what="states x outputs")
+        H = H + given / units.states[:, None] / units.outputs @ np.linalg.pinv(W) @ (np.eye(len(C)) - C @ H)
     T = _summed(np.eye(n), -H, C)
-    poles, margin = asked(plant, poles, margin)
-    process, measurement = default_weights(model)
-    read, rest, white = _apart(C @ E, np.eye(len(W)) if poles is not None else W @ measurement @ W.T)
+    read, rest, white = _apart(C @ E, np.sqrt(measurement) @ W.T if white_outputs else np.eye(len(W)))
     # x = E a + N b, and the outputs read a, and b alone: of T E = 0 nothing is left to rounding
     M, outputs = np.hstack([E, N]), np.vstack([read, rest]) @ white
-    inverse = np.linalg.inv(M)
+    inverse = np.asarray(np.linalg.inv(M), dtype=np.float64)
     A1, C1 = inverse @ T @ A @ M, outputs @ C @ M
     C1[:, :q] = np.eye(len(C1), q)
-    if poles is not None:
+    if not white_outputs:
         C1[:q, q:] = 0.0
     if plain:
         A1[:q] = 0.0
-    gain = observer_gain(
-        A1,
-        C1,
-        observable_split(A1, C1),
-        sampled=plant.is_discrete,
-        process=inverse @ process @ inverse.T,
-        measurement=scipy.linalg.block_diag(read @ read.T, np.eye(len(rest))),
-        poles=poles,
-        margin=margin,
-        rate=model.units.rate,
-    )
-    K1 = _summed(np.zeros((n, len(W))), M @ gain.K, outputs)
-    F = T @ A - K1 @ C
-    HW = _summed(np.zeros((n, p)), H, W)
-    K = _summed(_summed(_summed(np.zeros((n, p)), T, G), F, HW), K1, W)
-    notes = ()
-    if q and len(W) > q:
-        notes = (
-            f"{len(W) - q} of the {len(W)} residuals are independent: the others are filtered copies, the price of "
-            f"decoupling {counted(q, 'disturbance')}",
-        )
-    return Observer(
-        plant,
-        units.rate * X * F / units.states,
-        X * T / units.states,
-        units.rate * X * K * Y,
-        np.eye(n),
-        X * HW * Y,
-        in_units_of_outputs(W * Y),
-        "unknown input observer",
-        True,
-        _evidence(model, existence, gain, notes),
-    )
+    noise = scipy.linalg.block_diag(read @ read.T, np.eye(len(rest)))
+    return ErrorPair(model, A1, C1, M, inverse, outputs, inverse @ process @ inverse.T, noise, T, H, W, G, q, decouples)
 
 
-def _without_disturbed_outputs(model: BalancedPlant, rank: int, scaling: str) -> tuple[NDArray, NDArray, NDArray]:
-    """Return the outputs ``W y`` without disturbances, how the others replace theirs, and a basis of what is left."""
-    B, D = model.disturbances
+def _without_disturbed_outputs(B: NDArray, D: NDArray, rank: int, units: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+    """Return the outputs ``W y`` without disturbances, how the others replace theirs, and a basis of what is left.
+
+    The rows of ``W`` are orthonormal on outputs of which the balanced ones are ``units`` as large.
+    """
     p = len(D)
     U, s, Vh = np.linalg.svd(D) if D.size else (np.eye(p), np.zeros(0), np.eye(D.shape[1]))
     k, U = int(np.count_nonzero(s > BALANCED_RANK)), without_rounding(U)
-    W, G = U[:, k:].T, B @ (Vh[:k].T / s[:k]) @ U[:, :k].T
-    if scaling == "plant" and len(W):
-        W = np.linalg.qr((W * model.units.outputs).T)[0].T / model.units.outputs
+    W, G = U[:, k:].T, cleared(B @ (Vh[:k].T / s[:k]) @ U[:, :k].T)
+    W = without_rounding(np.linalg.qr((W * units).T)[0].T) / units if len(W) else W
     return W, G, without_rounding(np.linalg.svd(B @ Vh[k:].T)[0])[:, :rank] if rank else B[:, :0]
 
 
-def _apart(CE: NDArray, noise: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+def _apart(CE: NDArray, root: NDArray) -> tuple[NDArray, NDArray, NDArray]:
     """Return rows that invert ``CE``, rows that annihilate it, and what brings outputs to where they are rows.
 
-    The noises of both have nothing in common there, however far the units of the plant are from even ones.
+    The noises of both, of covariance ``root' root``, have nothing in common there, however far the units of the plant
+    are from even ones.
     """
-    white = np.linalg.inv(np.linalg.cholesky(noise))
+    white = np.linalg.inv(np.linalg.qr(root, mode="r")).T
     q = CE.shape[1]
     rest = without_rounding(np.linalg.svd(white @ CE)[0][:, q:].T) if q else np.eye(len(CE))
     return cleared(np.linalg.pinv(white @ CE)), rest, white

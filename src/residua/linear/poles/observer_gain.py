@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import AccuracyError, DesignError
 from residua.linear.poles.doubling import filter_covariance
-from residua.linear.poles.placement import place_observer_poles
-from residua.linear.poles.spectrum import describe_modes
+from residua.linear.poles.pole_assignment import assigned_gain, checked_poles
+from residua.linear.poles.spectrum import describe_modes, match_poles
 from residua.linear.subspaces.quotient import ObservableSplit, without_rounding
 from residua.tolerances import BALANCED_STABLE, POLE, above_rounding
 from residua.words import counted
@@ -64,6 +64,7 @@ def observer_gain(
     poles: Sequence[complex] | ArrayLike | None = None,
     margin: float | None = None,
     rate: float = 1.0,
+    tolerance: float = POLE,
 ) -> ObserverGain:
     """Return the gain of an observer.
 
@@ -81,23 +82,18 @@ def observer_gain(
     margin : float, optional
         Decay rate that all poles of the part that is seen must have; a smaller one is taken where it has no gain.
     rate : float
-        The unit of rates of the balanced plant in 1/s, a power of two: errors say poles in 1/s.
+        The unit of rates of the balanced plant in 1/s: errors say poles in 1/s.
+    tolerance : float
+        Of poles that were asked for.
     """
     hidden = split.hidden
     O = split.seen if hidden.shape[1] else np.eye(len(A))  # noqa: E741
     fixed = np.asarray(np.linalg.eigvals(hidden.T @ A @ hidden), dtype=complex)
     F, G, none = without_rounding(O.T @ A @ O), without_rounding(C @ O), np.zeros(0, dtype=complex)
     if poles is not None:
-        wanted = rate * _movable(poles, len(F), fixed)
-        placed = place_observer_poles(rate * F, G, wanted, dt=1.0 if sampled else 0.0)
-        if placed.error > POLE:
-            raise AccuracyError(
-                f"a pole is off by {placed.error:.2g} > {POLE:.0e} of the requested pole: so ill-conditioned that "
-                "rounding moves it; ask for poles nearer to those of the plant or further apart, leave them out, or "
-                "add a sensor"
-            )
-        K = cleared(O @ placed.gain) / rate
-        return ObserverGain(K, placed.achieved / rate, placed.requested / rate, fixed, placed.error)
+        wanted = _movable(checked_poles(poles, sampled, rate), len(F), fixed, rate, tolerance)
+        K, found, error = assigned_gain(F, G, wanted, sampled, rate, tolerance)
+        return ObserverGain(cleared(O @ K), found, wanted, fixed, error)
     W = O.T @ process @ O
     S = None if cross is None else O.T @ cross
     for part in _PARTS if margin else (0.0,):
@@ -118,25 +114,29 @@ def cleared(K: NDArray) -> Matrix:
     return above_rounding(K, np.abs(K).max(axis=1, keepdims=True, initial=0.0))
 
 
-def _movable(poles: Sequence[complex] | ArrayLike, count: int, fixed: NDArray[np.complex128]) -> NDArray:
+def _movable(
+    wanted: NDArray[np.complex128], count: int, fixed: NDArray[np.complex128], rate: float, tolerance: float
+) -> NDArray[np.complex128]:
     """Return the poles that can be placed: all that were asked for, less those that are fixed."""
-    wanted = np.atleast_1d(np.asarray(poles, dtype=complex)).ravel()
     if len(wanted) == count:
         return wanted
+    hint = f"; give the {counted(count, 'pole')} of the observable part" if fixed.size else ""
     if len(wanted) != count + len(fixed):
+        are = "is" if count == 1 else "are"
         raise DesignError(
-            f"got {counted(len(wanted), 'pole')} for {counted(count + len(fixed), 'state')}, of which {count} "
-            f"{'is' if count == 1 else 'are'} observable"
+            f"got {counted(len(wanted), 'pole')} for {counted(count + len(fixed), 'state')}, of which {count} {are} "
+            f"observable{hint}"
         )
-    left = list(wanted)
-    for mode in fixed:
-        nearest = int(np.argmin(np.abs(np.asarray(left) - mode)))
-        if abs(left.pop(nearest) - mode) > POLE * max(1.0, abs(mode)):
-            raise DesignError(
-                f"{len(fixed)} of the poles are fixed: their modes are not observable and stay where they are, and one "
-                f"of them is not among the poles asked for; ask for the other {count}"
-            )
-    return np.asarray(left)
+    order = match_poles(fixed, wanted)
+    missed = np.abs(wanted[order] - fixed) > max(tolerance, POLE) * np.maximum(np.abs(fixed), np.finfo(float).tiny)
+    rest = np.delete(wanted, order)
+    if missed.any() or not np.allclose(np.sort_complex(rest), np.sort_complex(rest.conj())):
+        raise DesignError(
+            f"the modes {describe_modes(rate * fixed)} are not observable and stay where they are, but "
+            f"{describe_modes(rate * (fixed[missed] if missed.any() else fixed))} are not among the requested "
+            f"poles{hint}"
+        )
+    return rest
 
 
 def _least_squares(

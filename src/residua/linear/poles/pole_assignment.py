@@ -1,4 +1,4 @@
-"""Methods that assign the poles of an observable pair; `placement` chooses among them and checks the outcome."""
+"""Gains that put the poles of an observable pair where they are asked for, by the method that does it best."""
 
 from __future__ import annotations
 
@@ -6,13 +6,102 @@ import warnings
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from residua.linear.poles.spectrum import match_poles
+from residua.errors import AccuracyError, DesignError, ModelError
+from residua.linear.poles.spectrum import describe_modes, match_poles, spectrum_error
+from residua.linear.poles.stability import is_stable_mode
+from residua.tolerances import BALANCED_RANK, POLE
 
 Matrix = NDArray[np.float64]
 #: Eigenvectors of a larger condition belong to poles that are multiple, or nearly so: no simple eigenvalues.
 _SIMPLE = 1e8
+
+
+def assigned_gain(
+    F: Matrix, G: Matrix, poles: NDArray[np.complex128], sampled: bool, rate: float = 1.0, tolerance: float = POLE
+) -> tuple[Matrix, NDArray[np.complex128], float]:
+    r"""Return a gain that puts the poles of a balanced observable pair where they are asked for.
+
+    Where every state is seen by an output of its own it is :math:`(F - \Lambda) G^+`, with no iteration; otherwise a
+    robust method and a Schur method compete, and the smaller gain among those that reach the poles wins.
+
+    Parameters
+    ----------
+    F : ndarray, shape (k, k)
+    G : ndarray, shape (p, k)
+    poles : ndarray of complex, shape (k,)
+        Stable, closed under conjugation, of any multiplicity.
+    sampled : bool
+    rate : float
+        The unit of rates in 1/s, for messages.
+    tolerance : float
+        Largest error of a pole, relative (continuous) or absolute (sampled), of a cluster that of its mean.
+
+    Returns
+    -------
+    tuple
+        The gain, the poles in the order asked for, and the largest error.
+
+    Raises
+    ------
+    AccuracyError
+        If no method reaches the poles.
+    """
+    U, s, Vh = np.linalg.svd(G, full_matrices=False)
+    r, dt = int(np.count_nonzero(s > BALANCED_RANK)), float(sampled)
+    H = Vh[:r]
+    if not len(F):
+        return np.zeros((0, len(G))), poles, 0.0
+    if r == len(F):
+        gains = [(F - real_block_diagonal(poles)) @ H.T]
+    else:
+        found = robust_assignment(F, H, poles), schur_assignment(F, H, poles)
+        gains = [polished(F, H, L, poles) for L in found if L is not None and np.all(np.isfinite(L))]
+    tried = []
+    for L in gains:
+        error, achieved, reached = spectrum_error(F - L @ H, poles, dt, tolerance)
+        reached = reached and bool(is_stable_mode(achieved, dt).all())
+        tried.append(((not reached, float(np.linalg.norm(L)) if reached else error), L, achieved, error))
+    best = min(tried, key=lambda one: one[0], default=None)
+    if best is None or best[0][0]:
+        reason = "every method broke down"
+        if best is not None:
+            reason = (
+                f"reached {describe_modes(rate * best[2])}, error {best[3]:.3g} against {tolerance:.3g}, "
+                f"norm of the gain {describe_modes([rate * float(np.linalg.norm(best[1]))])}"
+            )
+        raise AccuracyError(
+            f"the poles {describe_modes(rate * poles)} cannot be placed to the tolerance: {reason}; ask for poles "
+            "nearer to those of the plant or further apart, for a margin, or add a sensor"
+        )
+    _, L, achieved, error = best
+    return L / s[:r] @ U[:, :r].T, achieved, error
+
+
+def checked_poles(poles: ArrayLike, sampled: bool, rate: float = 1.0) -> NDArray[np.complex128]:
+    """Return poles that are finite, stable and exactly closed under conjugation; errors say them times a rate."""
+    requested = np.atleast_1d(np.asarray(poles, dtype=complex)).ravel()
+    if not np.all(np.isfinite(requested)):
+        raise ModelError(f"pole {describe_modes(requested[~np.isfinite(requested)][:1])} is not finite")
+    unstable = requested[~is_stable_mode(requested, float(sampled))]
+    if unstable.size:
+        where = "abs(z) < 1" if sampled else "Re(s) < 0"
+        raise DesignError(f"pole {describe_modes(rate * unstable[:1])} is not stable: every pole needs {where}")
+    requested = np.where(np.abs(np.imag(requested)) <= 1e-12 * np.abs(requested), np.real(requested) + 0j, requested)
+    waiting = [p for p in requested if p.imag < 0]
+    out: list[complex] = []
+    for p in (p for p in requested if p.imag >= 0):
+        out.append(p)
+        if p.imag > 0:
+            partner = min(waiting, key=lambda q: abs(q - np.conj(p)), default=None)
+            if partner is None or abs(partner - np.conj(p)) > 1e-8 * abs(p):
+                raise ModelError(f"pole {describe_modes([rate * p])} is given without its conjugate")
+            waiting.remove(partner)
+            out.append(np.conj(p))
+    if waiting:
+        raise ModelError(f"pole {describe_modes([rate * waiting[0]])} is given without its conjugate")
+    return np.array(out, dtype=complex)
 
 
 def real_block_diagonal(poles: NDArray[np.complex128]) -> Matrix:

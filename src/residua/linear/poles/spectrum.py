@@ -14,6 +14,8 @@ from residua.words import counted, unit_of_rates
 
 Poles = NDArray[np.complex128]
 _EPS = float(np.finfo(float).eps)
+#: Rates below this, of the fastest or per sample, are those of integrators.
+_NO_RATE = 1e-5
 #: No pole may miss by more than this, however ill-conditioned it is.
 _MOST_BY_ROUNDING = 1e-3
 #: Relative distances beyond this are all the same, so that sums of them are finite.
@@ -27,6 +29,21 @@ def describe_modes(modes: Iterable[complex] | NDArray) -> str:
         real = f"{mode.real:.5g}"
         out.append(real if mode.imag == 0 else f"{real}{mode.imag:+.5g}j")
     return ", ".join(out) if out else "none"
+
+
+def mean_rate(poles: NDArray, dt: float = 0.0) -> float:
+    """Return the geometric mean of the rates of poles, in 1/s; those that have none, such as integrators, are left out.
+
+    Where none has a rate, 1 per second, or one time constant in ten samples. Never beyond 1 per sample.
+    """
+    poles = np.asarray(poles, dtype=complex)
+    if not dt:
+        rates = np.abs(poles)
+        rates = rates[rates > _NO_RATE * rates.max(initial=0.0)]
+        return float(np.exp(np.mean(np.log(rates)))) if rates.size else 1.0
+    rates = np.abs(np.log(poles[np.abs(poles) > _NO_RATE]))
+    rates = rates[rates > _NO_RATE]
+    return min(float(np.exp(np.mean(np.log(rates)))) if rates.size else 0.1, 1.0) / dt
 
 
 def spectral_radius(A: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -99,6 +99,8 @@ class Staircase:
     decisions : tuple of RankDecision
     states, outputs : ndarray
         ``T`` and ``Y``.
+    rate : float
+        A rate that suits the pair.
     dropped : float
         Norm of what is not zero of the zeros of the form.
     """
@@ -111,6 +113,7 @@ class Staircase:
     decisions: tuple[RankDecision, ...]
     states: NDArray[np.float64]
     outputs: NDArray[np.float64]
+    rate: float
     dropped: float
 
     @cached_property
@@ -157,7 +160,7 @@ def staircase(
     dropped = max(spectral_norm(split.seen.T @ A @ hidden), spectral_norm(C @ hidden))
     decisions = tuple(split.decisions)
     seen = decisions[0].rank if decisions else 0
-    return Staircase(A, C, np.hstack([split.seen, hidden]), k, seen, decisions, T, Y, dropped)
+    return Staircase(A, C, np.hstack([split.seen, hidden]), k, seen, decisions, T, Y, rate, dropped)
 
 
 def _orthogonal(form: Staircase) -> NDArray[np.float64]:

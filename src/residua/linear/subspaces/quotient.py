@@ -16,7 +16,7 @@ from residua.tolerances import BALANCED_RANK, above_rounding
 
 Matrix = NDArray[np.float64]
 #: Balanced numbers below this are rounding: nothing is coupled by them.
-_NEGLIGIBLE = 8 * float(np.finfo(float).eps)
+NEGLIGIBLE = 8 * float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +158,7 @@ def observable_split(A: Matrix, C: Matrix) -> ObservableSplit:
 
 def without_rounding(M: NDArray) -> Matrix:
     """Return a matrix of balanced numbers with zeros where rounding may be all that there is."""
-    return above_rounding(M, 1.0, _NEGLIGIBLE)
+    return above_rounding(M, 1.0, NEGLIGIBLE)
 
 
 def _decided(s: Matrix) -> RankDecision:

@@ -2,31 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.arrays import frozen
-from residua.design.banks.unknown_input_quotient import (
-    ExplicitParts,
-    Quotient,
-    explicit_parts,
-    quotient_filter,
-    unknown_input_quotient,
-)
+from residua.design.core.signals import signal_names
 from residua.errors import DesignError
 from residua.linear import StateSpace
-from residua.linear.subspaces.rank import DEFAULT_RTOL
+from residua.linear.poles.observer_gain import cleared
 from residua.plant import Plant
-from residua.robust.bounds.member_response import reached_units
-from residua.robust.sets.uncertain_system import UncertainSystem
 from residua.tolerances import RESPONSE_ROUNDING
 
 Matrix = NDArray[np.float64]
-#: Units of states that are no farther apart than this power of two are left as they are.
-_EVEN = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,26 +35,32 @@ class EstimatorFamily:
         The nominal loop.
     target : str
     decoupled : tuple of str
-    parts : ExplicitParts
-    quotient : Quotient
-        ``A_q``, ``C_q``, ``L`` (``inject``) and ``N`` (``read``), in balanced units.
+    A, C : ndarray
+        ``A_q`` and ``C_q``, in balanced units.
+    state_map : ndarray
+        ``T`` with ``z = T x``, in the units of the plant.
+    inject, read : ndarray
+        ``L``, what every gain of the family has in common, and ``N``, for outputs in the units of the plant.
     """
 
     plant: Plant
     target: str
     decoupled: tuple[str, ...]
-    parts: ExplicitParts
-    quotient: Quotient
+    A: Matrix
+    C: Matrix
+    state_map: Matrix
+    inject: Matrix
+    read: Matrix
 
     @property
     def order(self) -> int:
         """Number of states of the estimators."""
-        return len(self.quotient.A)
+        return len(self.A)
 
     @property
     def rows(self) -> int:
         """How many independent combinations of the outputs are free of the nuisance faults."""
-        return len(self.quotient.C)
+        return len(self.C)
 
     @property
     def full(self) -> bool:
@@ -77,21 +71,6 @@ class EstimatorFamily:
     def size(self) -> int:
         """How many numbers are free: the gain, and the direction where there is a choice."""
         return self.order * self.rows + (self.rows if self.rows > 1 else 0)
-
-    @cached_property
-    def state_map(self) -> Matrix:
-        """``T`` with ``z = T x``, in the units of the plant."""
-        return self.quotient.T1 * self.parts.equations
-
-    @cached_property
-    def inject(self) -> Matrix:
-        """``L``: what every gain of the family has in common, for outputs in the units of the plant."""
-        return self.quotient.inject * self.parts.outputs
-
-    @cached_property
-    def read(self) -> Matrix:
-        """``N``, for outputs in the units of the plant."""
-        return self.quotient.read * self.parts.outputs
 
     def split(self, points: Matrix) -> tuple[Matrix, Matrix]:
         """Return gains ``Z``, shape (k, order, rows), and unit directions ``g``, shape (k, rows), of points."""
@@ -112,24 +91,28 @@ class EstimatorFamily:
     def estimator(self, point: Matrix, scale: float = 1.0) -> tuple[StateSpace, Matrix]:
         """Return the filter from the outputs to the residual, and its state map; those of the plant where full."""
         Z, g = (part[0] for part in self.split(point))
-        made = quotient_filter(self.plant, self.parts, self.quotient, Z)
-        s, T = made.system, made.state_map
-        H, J = scale * g[None] @ s.C, scale * g[None] @ s.D
+        p, T, W = self.plant, self.state_map, self.inject + Z @ self.read
+        H, J = -scale * g[None] @ self.C, scale * g[None] @ self.read
+        names = {"dt": p.dt, "inputs": signal_names(p), "outputs": ["r"]}
         if not self.full:
-            return s.replaced(C=H, D=J, outputs=["r"]), T
-        W, p = np.linalg.solve(T, s.B), self.plant
+            B = np.hstack([T @ p.B - W @ p.D, W])
+            return StateSpace(self.A - Z @ self.C, B, H, np.hstack([-J @ p.D, J]), **names), T
+        W = np.linalg.solve(T, W)
         # from the plant itself, so that nothing but the rounding of W C is left between the two
-        one = StateSpace(p.A - W @ p.C, W, -J @ p.C, J, dt=s.dt, states=p.states, inputs=s.inputs, outputs=["r"])
+        B = np.hstack([p.B - W @ p.D, W])
+        one = StateSpace(p.A - W @ p.C, B, -J @ p.C, np.hstack([-J @ p.D, J]), states=p.states, **names)
         return one, np.eye(self.order)
 
 
-def estimator_family(
-    plant: Plant, target: str, decoupled: tuple[str, ...], *, rtol: float = DEFAULT_RTOL
-) -> EstimatorFamily:
+def estimator_family(plant: Plant, target: str, decoupled: tuple[str, ...]) -> EstimatorFamily:
     """Divide out what nuisance faults reach; raises where no residual is left, or the target is lost with them."""
-    parts = _even_parts(plant, decoupled)
-    quotient = unknown_input_quotient(parts, rtol)
-    family = EstimatorFamily(plant, target, decoupled, parts, quotient)
+    model = plant.without_disturbances().faults_as_disturbances(decoupled).balanced
+    q, units = model.quotient(), model.units
+    O, (F, G) = q.split.seen, q.pair  # noqa: E741
+    O = np.eye(len(F)) if O.shape == F.shape else O  # noqa: E741
+    inject, read = cleared(O.T @ q.J) * units.outputs, cleared(q.H) * units.outputs
+    T = O.T @ q.N / units.states
+    family = EstimatorFamily(plant, target, decoupled, O.T @ F @ O, G @ O, T, inject, read)
     if not family.rows:
         raise DesignError(
             f"no estimator for {target!r} ignores {', '.join(decoupled)}: the {plant.n_outputs} outputs are all used "
@@ -148,20 +131,6 @@ def estimator_family(
     return family
 
 
-def _even_parts(plant: Plant, decoupled: tuple[str, ...]) -> ExplicitParts:
-    """Return the loop in even units; in units that are far apart, zeros look like rounding."""
-    aim = plant.without_disturbances().faults_as_disturbances(decoupled)
-    n, B, D = plant.n_states, np.hstack([plant.Bd, plant.Bf]), np.hstack([plant.Dd, plant.Df])
-    none = np.zeros((n, 0))
-    units = reached_units(UncertainSystem(plant.A, none, B, none.T, plant.C, None, D, low=[], high=[], dt=plant.dt))
-    if not n or np.ptp(np.log2(units)) <= _EVEN:
-        return explicit_parts(aim)
-    driven = {name: frozen(getattr(aim, name) / units[:, None]) for name in ("B", "Bd", "Bf", "Bw")}
-    scaled = aim._with(A=frozen(aim.A * units / units[:, None]), C=frozen(aim.C * units), **driven)
-    parts = explicit_parts(scaled)
-    return replace(parts, equations=parts.equations / units)
-
-
 def check_lasting(family: EstimatorFamily) -> None:
     """Raise where the target leaves nothing in the residuals of the nominal loop once they have settled."""
     p, i = family.plant, family.plant.faults.index(family.target)
@@ -176,9 +145,9 @@ def check_lasting(family: EstimatorFamily) -> None:
             "control inputs as further outputs); where the plant itself integrates, nothing shows it: leave it out, "
             "faults="
         )
-    q, b, d = family.quotient, *_driven(family, i)
+    b, d = _driven(family, i)
     # e' = A e + b - Z r with r = C e + d is at rest with r = 0, whatever Z, where that can be solved for e
-    M, v = np.vstack([np.eye(family.order) - q.A, q.C]), np.concatenate([b, -d])
+    M, v = np.vstack([np.eye(family.order) - family.A, family.C]), np.concatenate([b, -d])
     e = np.linalg.lstsq(M, v, rcond=None)[0]
     if not np.any(np.abs(v - M @ e) > RESPONSE_ROUNDING * (np.abs(M) @ np.abs(e) + np.abs(v)).max(initial=0.0)):
         raise DesignError(

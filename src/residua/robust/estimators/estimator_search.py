@@ -219,7 +219,7 @@ def _digest(task: Task, cost: SampledCost, half: Matrix, starts: Matrix) -> str:
     The starts of a later stage are the results of an earlier one, and so differ if that one goes on for longer.
     """
     whole = sha256(json.dumps([settings_of(task.search), *map(repr, (cost.weights, cost.radius, cost.unit))]).encode())
-    q, parts = cost.family.quotient, (value for part in cost.parts for value in asdict(part).values())
+    q, parts = cost.family, (value for part in cost.parts for value in asdict(part).values())
     for value in (half, starts, q.A, q.C, cost.frequencies, cost.disturbances, *parts):
         whole.update(np.ascontiguousarray(value).tobytes())
     return whole.hexdigest()[:12]

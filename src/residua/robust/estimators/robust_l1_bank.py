@@ -17,7 +17,6 @@ from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.design.core.method import method
 from residua.errors import DesignError, ModelError, SettingError
 from residua.linear.poles.spectrum import spectral_radius
-from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
 from residua.progress import Progress, progress_of
 from residua.robust.bounds.box_bound import check_method
@@ -120,7 +119,6 @@ def robust_l1_bank(
     checkpoint: str | Path | None = None,
     progress: Progress | bool | None = None,
     seed: int = 0,
-    rtol: float = DEFAULT_RTOL,
 ) -> RobustL1Bank:
     r"""Design one robust l1 estimator per fault of an uncertain closed loop, and certify its threshold.
 
@@ -171,8 +169,6 @@ def robust_l1_bank(
         the line where that is a terminal.
     seed : int
         Of the search, unless that is an object, and of the members that are drawn.
-    rtol : float
-        Relative tolerance of rank decisions, in balanced units.
 
     Returns
     -------
@@ -243,7 +239,7 @@ def robust_l1_bank(
         None if checkpoint is None else Path(checkpoint),
         seed,
     )
-    families = [_family(plant, name, ignored, rtol) for name in targets]
+    families = [_family(plant, name, ignored) for name in targets]
     check_members_stable(loop)
     _make_folder(task)
     tell, close = progress_of(progress)
@@ -282,9 +278,9 @@ def _targets(faults: Iterable[str | int] | str | None, plant: Plant) -> list[str
     return targets
 
 
-def _family(plant: Plant, target: str, ignored: Iterable[str], rtol: float) -> EstimatorFamily:
+def _family(plant: Plant, target: str, ignored: Iterable[str]) -> EstimatorFamily:
     others = tuple(dict.fromkeys(name for name in ignored if name != target))
-    family = estimator_family(plant, target, others, rtol=rtol)
+    family = estimator_family(plant, target, others)
     check_lasting(family)
     return family
 
@@ -358,7 +354,7 @@ def _search(search: Search | str | None, seed: int) -> Search:
 def _bank(loop: UncertainPlant, made: Mapping[str, tuple[RobustEstimator, str]]) -> RobustL1Bank:
     parts = {name: _generator(loop, one, note) for name, (one, note) in made.items()}
     estimators = {name: one for name, (one, _) in made.items()}
-    generator = stacked_members(parts, _METHOD, _REFERENCE, decoupled=False)
+    generator = stacked_members(parts, _METHOD, _REFERENCE)
     assert generator.codes is not None  # stacked_members gives them
     return RobustL1Bank(generator, generator.codes, {}, {}, loop, estimators)
 

@@ -117,8 +117,7 @@ class SampledCost:
     def norms(self, points: Matrix) -> Norms:
         """Return the norms of every point."""
         Z, g = self.family.split(points)
-        q = self.family.quotient
-        F = q.A - Z @ q.C
+        F = self.family.A - Z @ self.family.C
         radius = spectral_radius(F)
         values = np.full((3, len(Z)), np.nan)
         usable = radius <= self.radius
@@ -139,12 +138,12 @@ class SampledCost:
         self, part: _MemberParts, F: Matrix, Z: Matrix, g: Matrix, steps: Sequence[tuple[int, int]]
     ) -> NDArray[np.float64]:
         """Return the sums of lengths of one member's impulse responses, shape (k, 1 + faults)."""
-        q, n = self.family.quotient, len(part.A)
+        n = len(part.A)
         A = np.zeros((len(F), n + F.shape[1], n + F.shape[1]))
         A[:, :n, :n], A[:, n:, n:] = part.A, F
         A[:, n:, :n] = part.driven - Z @ part.seen
         x = np.concatenate([np.broadcast_to(part.B, (len(F), *part.B.shape)), part.start - Z @ part.direct], axis=1)
-        row = np.concatenate([g @ part.seen, g @ q.C], axis=1)[:, None]
+        row = np.concatenate([g @ part.seen, g @ self.family.C], axis=1)[:, None]
         total = self._lengths(g[:, None] @ part.direct)[:, 0]
         before, power = self._lengths(row @ x), A
         for stride, count in steps:
@@ -176,14 +175,13 @@ class SampledCost:
 
     def _fault(self, F: Matrix, Z: Matrix, g: Matrix) -> NDArray[np.float64]:
         """Return the smallest response to the target over frequencies and members."""
-        q = self.family.quotient
         smallest = np.full(len(F), np.inf)
         for z, driving in self._faults_through_the_members:
             M = z * np.eye(F.shape[1]) - F
             for v, start in driving:
                 e = start - Z @ v
                 inner = np.linalg.solve(M, e[..., None])[..., 0] if F.shape[1] else e
-                filtered, direct = np.einsum("ki,ki->k", g, inner @ q.C.T), g @ v
+                filtered, direct = np.einsum("ki,ki->k", g, inner @ self.family.C.T), g @ v
                 r = np.abs(filtered + direct)
                 # what is rounding against the two terms that cancel is nothing
                 r = np.where(r > _NO_RESPONSE * (np.abs(filtered) + np.abs(direct)), r, 0.0)

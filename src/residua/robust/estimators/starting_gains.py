@@ -38,7 +38,7 @@ class ErrorSystem:
 
 def error_system(family: EstimatorFamily) -> ErrorSystem:
     """Return the error system of a family, driven by the disturbances of the loop."""
-    p, q = family.plant, family.quotient
+    p, q = family.plant, family
     return ErrorSystem(q.A, family.state_map @ p.Bd - family.inject @ p.Dd, q.C, family.read @ p.Dd)
 
 
