@@ -31,6 +31,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -41,10 +42,11 @@ HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "tests")]
 
 import published_plants
+
 import residua as rs
 from residua.errors import AccuracyError, ResiduaError
-from textbook_filters import verdict
 
+verdict: Callable[[str, rs.Plant], str] = import_module("textbook_filters").verdict
 #: Seconds on the clock after which a design is stopped.
 SECONDS = 60
 #: What takes longer is timed once more, and counts with the shorter time: the machine may have been busy.
@@ -174,7 +176,6 @@ def _stop(*_: Any) -> None:
 
 def row(family: str, plant: rs.Plant, name: str, *, with_textbook: bool = True) -> Row:
     """Try a design on a plant that has its roles."""
-    subject, call = DESIGNS[name]
     found = _tried(plant, name)
     if float(found["ms"]) > AGAIN and found["outcome"] in ("made", "near", "refused", "none exists"):
         again = _tried(plant, name)
@@ -183,7 +184,7 @@ def row(family: str, plant: rs.Plant, name: str, *, with_textbook: bool = True) 
     if with_textbook:
         try:
             signal.alarm(SECONDS)
-            found["textbook"] = verdict(name, subject(plant))
+            found["textbook"] = verdict(name, DESIGNS[name][0](plant))
         except _TooLongError:
             found["textbook"] = "too long"
         finally:

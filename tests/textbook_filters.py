@@ -14,9 +14,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 import residua as rs
-from residua.design.core.leak import leak
 from residua.errors import ResiduaError
-from residua.tolerances import LEAK
 
 Matrix = NDArray[np.float64]
 Filter = tuple[rs.StateSpace, rs.Plant, Matrix]
@@ -34,6 +32,9 @@ class NoFilterError(Exception):
 
 def verdict(name: str, plant: rs.Plant) -> str:
     """Return whether the filters of a design work on a plant: works, leaks, none; empty where there is no textbook."""
+    from residua.design.core.leak import leak  # an older source, whose speed is compared, has none
+    from residua.tolerances import LEAK
+
     if name not in FILTERS:
         return ""
     try:
@@ -89,7 +90,7 @@ def reduced_order_observer(plant: rs.Plant) -> list[Filter]:
     if np.any(plant.D) or not np.any(C1) or n < 2:
         raise NoFilterError("D is not zero, or nothing is left")
     V = np.hstack([np.linalg.pinv(C1), scipy.linalg.null_space(C1)])
-    A = np.linalg.solve(V, plant.A @ V)
+    A: Matrix = np.asarray(np.linalg.solve(V, plant.A @ V), dtype=np.float64)
     L = _gain(A[1:, 1:], A[:1, 1:], plant)
     F, T = A[1:, 1:] - L @ A[:1, 1:], np.hstack([-L, np.eye(n - 1)]) @ np.linalg.inv(V)
     first = np.eye(1, p)
