@@ -228,9 +228,10 @@ def _said(made: Any) -> Row:
     evidence = made.evidence
     near = [note for note in evidence.notes if note.startswith("near")]
     gains = [v for k, v in evidence.conditions.items() if "gain" in k or "size of" in k]
+    leaks = [*evidence.decoupling.values(), evidence.conditions.get("estimate off the state", 0.0)]
     return {
         "outcome": "near" if near else "made",
-        "leak": f"{max(evidence.decoupling.values(), default=0.0):.1e}",
+        "leak": f"{max(leaks):.1e}",
         "gain": f"{max(gains):.1e}" if gains else "",
         "reason": near[0] if near else "",
     }
