@@ -48,7 +48,7 @@ from residua.errors import AccuracyError, ResiduaError
 
 verdict: Callable[[str, rs.Plant], str] = import_module("textbook_filters").verdict
 guards: Callable[[], dict[str, tuple[str, int, int]]] = import_module("guards").guards
-#: Seconds on the clock after which a design is stopped.
+#: Seconds of processor time after which a design is stopped.
 SECONDS = 60
 #: The same of a filter of the textbook, with its leak.
 SECONDS_OF_TEXTBOOK = 20
@@ -186,12 +186,12 @@ def row(family: str, plant: rs.Plant, name: str, *, with_textbook: bool = True) 
             found["ms"] = min(found["ms"], again["ms"], key=float)
     if with_textbook:
         try:
-            signal.alarm(SECONDS_OF_TEXTBOOK)
+            signal.setitimer(signal.ITIMER_PROF, SECONDS_OF_TEXTBOOK)
             found["textbook"] = verdict(name, DESIGNS[name][0](plant))
         except _TooLongError:
             found["textbook"] = "too long"
         finally:
-            signal.alarm(0)
+            signal.setitimer(signal.ITIMER_PROF, 0)
     first = {"plant": plant.name, "family": family, "states": plant.n_states, "design": name}
     return first | {key: found[key] for key in ("outcome", "textbook", "leak", "gain", "ms", "check", "reason")}
 
@@ -201,14 +201,14 @@ def _tried(plant: rs.Plant, name: str) -> Row:
     subject, call = DESIGNS[name]
     fresh = subject(with_roles(rs.Plant(plant.A, plant.B, plant.C, plant.D, E=plant.E, dt=plant.dt, name=plant.name)))
     found: Row = {"textbook": "", "leak": "", "gain": "", "check": "", "reason": ""}
-    signal.signal(signal.SIGALRM, _stop)
+    signal.signal(signal.SIGPROF, _stop)
     raised: list[str] = []
     started = time.process_time()
     try:
-        signal.alarm(SECONDS)
+        signal.setitimer(signal.ITIMER_PROF, SECONDS)
         with _watched() as raised:
             made = call(fresh)
-        signal.alarm(0)
+        signal.setitimer(signal.ITIMER_PROF, 0)
         ended = time.process_time()
         found |= _said(made)
     except AccuracyError as error:
@@ -224,7 +224,7 @@ def _tried(plant: rs.Plant, name: str) -> Row:
         ended = time.process_time()
         found |= {"outcome": "crash", "reason": f"{type(error).__name__}: {error}"}
     finally:
-        signal.alarm(0)
+        signal.setitimer(signal.ITIMER_PROF, 0)
     return found | {"ms": f"{1000 * (ended - started):.1f}", "reason": " ".join(found["reason"].split())[:300]}
 
 
