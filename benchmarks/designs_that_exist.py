@@ -102,8 +102,10 @@ def plants(folder: Path | None) -> Iterator[tuple[str, rs.Plant]]:
     for name in ("gertler", "jet_engine", "three_tank", "vtol"):
         p = getattr(rs.library, name)()
         yield "papers", rs.Plant(p.A, p.B, p.C, p.D, dt=p.dt, name=name.replace("_", " "))
-    for plant in published_plants.plants():
+    for plant in published_plants.of_papers():
         yield "papers", plant
+    for plant in published_plants.by_formula():
+        yield "formulas", plant
     for path in sorted(folder.glob("*.mat")) if folder else ():
         M = {k: np.asarray(v, dtype=float) for k, v in scipy.io.loadmat(path).items() if k in "ABCDE"}
         E = None if np.array_equal(M["E"], np.eye(len(M["E"]))) else M["E"]
@@ -369,7 +371,8 @@ def tables(rows: list[Row], folder: Path) -> None:
     counted = {one["plants"]: len({r["plant"] for r in rows if r["family"] == one["plants"]}) for one in by_family}
     by_family = [{**one, "plants": f"{one['plants']} ({counted[one['plants']]})"} for one in by_family]
     short = [key for key in rows[0] if key not in ("family", "check")]
-    opened = [{key: one[key] for key in short} for one in rows if one["outcome"] not in ("made", "none exists")]
+    opened = [one for one in rows if one["outcome"] not in ("made", "none exists")]
+    opened = [{key: one[key] for key in short} | {"reason": one["reason"][:120]} for one in opened]
     for name, table in (
         ("designs_that_exist_all.csv", rows),
         ("designs_that_exist.csv", [*by_design, whole]),

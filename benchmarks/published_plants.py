@@ -385,10 +385,14 @@ def building(storeys: int) -> tuple[Matrix, Matrix, Matrix]:
     return A, B, np.hstack([D[:: max(1, k // 6)], np.zeros((len(D[:: max(1, k // 6)]), k))])
 
 
-def plants() -> Iterator[rs.Plant]:
-    """Yield all plants."""
+def of_papers() -> Iterator[rs.Plant]:
+    """Yield the plants of papers."""
     for name, _, sampled, A, B, C in PUBLISHED:
         yield rs.Plant(_matrix(A), _matrix(B), _matrix(C), dt=1.0 if sampled else 0.0, name=name)
+
+
+def by_formula() -> Iterator[rs.Plant]:
+    """Yield the plants that are made by a formula."""
     for n in (5, 10, 20):
         yield rs.Plant(*beam(n), name=f"beam {2 * n}")
     for n in (10, 30):
