@@ -250,6 +250,8 @@ EARLIER = [
     ("stiff", 40250, designs._filters),
     # a reduced observer read its state by what rounding left of a projection
     ("repeated poles", 50018, designs._observers),
+    # a residual read a dead sensor by what rounding left of its injection
+    ("dead sensors", 50071, designs._banks_of_rows),
     # noise in states was weighed beside noise in outputs in the unit of time of the caller
     ("stiff", 50023, designs._noise),
     # the campaign asked for estimates of faults of which no pole is free
