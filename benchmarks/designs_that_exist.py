@@ -25,6 +25,7 @@ for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
 import argparse
 import csv
 import json
+import re
 import signal
 import sys
 import time
@@ -357,7 +358,14 @@ def checks(rows: Iterable[Row]) -> list[Row]:
     works = Counter(one["check"] for one in refused if one["textbook"] == "works")
     rooms = {name for name in guards() if name.startswith(("design.", "linear.", "plant."))} | set(counts)
     order = sorted(rooms, key=lambda name: (-counts[name], name))
-    return [{"check": f"``{name}``", "refused": counts[name], "textbook works": works[name]} for name in order]
+    return [
+        {"check": f"``{name or 'another'}``", "refused": counts[name], "textbook works": works[name]} for name in order
+    ]
+
+
+def _in_a_cell(text: str) -> str:
+    """Return a text without the marks of a page."""
+    return re.sub(r"([\\*`|_])", r"\\\1", text)
 
 
 def tables(rows: list[Row], folder: Path) -> None:
@@ -372,7 +380,7 @@ def tables(rows: list[Row], folder: Path) -> None:
     by_family = [{**one, "plants": f"{one['plants']} ({counted[one['plants']]})"} for one in by_family]
     short = [key for key in rows[0] if key not in ("family", "check")]
     opened = [one for one in rows if one["outcome"] not in ("made", "none exists")]
-    opened = [{key: one[key] for key in short} | {"reason": one["reason"][:120]} for one in opened]
+    opened = [{key: one[key] for key in short} | {"reason": _in_a_cell(one["reason"][:120])} for one in opened]
     for name, table in (
         ("designs_that_exist_all.csv", rows),
         ("designs_that_exist.csv", [*by_design, whole]),
