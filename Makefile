@@ -86,6 +86,7 @@ bench: $(VENV)/.made-bench
 	$(BIN)/python benchmarks/other_packages.py --out docs/data
 	$(BIN)/python benchmarks/fused_speed.py --out docs/data/speed.csv
 	$(BIN)/python benchmarks/design_times.py --out docs/data/design_times.csv
+	$(BIN)/python benchmarks/design_ratios.py --out docs/data/design_ratios.csv
 	$(BIN)/pytest benchmarks -s --benchmark-columns=min,median,ops --benchmark-sort=min
 
 campaign: $(VENV)/.made-test

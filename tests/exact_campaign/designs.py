@@ -294,7 +294,7 @@ def _estimators(subject: Subject) -> None:
     for name, chosen in (("fault_estimator, first fault", [0]), ("fault_estimator, all faults", list(range(X.faults)))):
         names = [plant.faults[i] for i in chosen]
         record = subject.ask(name, lambda names=names: rs.design.fault_estimator(plant, faults=names))
-        there = all(questions.unknown_input_observer(X, chosen)) and _independent(X, chosen)
+        there = all(questions.unknown_input_observer(X, chosen)) and _independent(X, chosen) and _corrected(X, chosen)
         if judged(record, there, "estimators", close=_near(X, chosen)):
             made = record.answer.made
             examine_generator(subject, record, made.generator, plant)
@@ -303,6 +303,11 @@ def _estimators(subject: Subject) -> None:
     judged(record, None, "estimators")
     record = subject.ask("inverse_form_observer", lambda: rs.design.inverse_form_observer(plant))
     judged(record, None, "estimators")
+
+
+def _corrected(X: ExactPlant, chosen: Sequence[int]) -> bool:
+    """Tell whether an estimate that ignores faults has a pole that is free, or no pole: else nothing corrects it."""
+    return sum(questions.residual_indices(X, chosen)) > 0 or questions.fixed_polynomial(X, chosen).degree() == 0
 
 
 def _independent(X: ExactPlant, chosen: Sequence[int]) -> bool:

@@ -11,12 +11,9 @@ from exact_campaign.answers import FAILURES, Record, Subject, without_numbers
 from exact_campaign.cases import Case, Units, base_units, in_other_time, literal, units
 from exact_campaign.designs import designs
 from exact_campaign.kinds import case_of
-from residua.linear.systems.array_cache import forget
 
 #: Evidence below this is rounding whatever its factor: a filter is refused from a millionth on.
 _ROUNDING = 1e-8
-#: Of so many seeds one is computed again in other units, whatever has been kept.
-_COMPUTED_AGAIN = 10
 #: Evidence may grow by this factor with the units.
 _FACTOR = 10.0
 
@@ -55,14 +52,11 @@ def examine(kind: str, seed: int, ask: tuple[Stage, ...] | None = None) -> tuple
     """Return the outcome of every function for a plant, and what went wrong or was close.
 
     In base units, and in powers of two, that of time too, where nothing may differ; every third plant in powers of ten
-    too, where the floats are no longer the fractions that the plant was made of. What the package keeps by the bits of
-    its arguments it need not compute again in other units where these are the same; for one plant in ten it must.
+    too, where the floats are no longer the fractions that the plant was made of.
     """
     case = case_of(kind, seed)
     ask = stages() if ask is None else ask
     base = examined(case, base_units(case), ask)
-    if seed % _COMPUTED_AGAIN == 0:
-        forget()
     other = examined(case, in_other_time(case, units(case, seed, powers_of_two=True), seed), ask, base)
     compare(base, other)
     subjects = [base, other]

@@ -248,6 +248,15 @@ EARLIER = [
     ("stiff", 40234, None),
     # no leak was measured into a residual of which eight digits of all that it reads cancel
     ("stiff", 40250, designs._filters),
+    # a reduced observer read its state by what rounding left of a projection
+    ("repeated poles", 50018, designs._observers),
+    # a residual read a dead sensor by what rounding left of its injection
+    ("dead sensors", 50071, designs._banks_of_rows),
+    # noise in states was weighed beside noise in outputs in the unit of time of the caller
+    ("stiff", 50023, designs._noise),
+    # the campaign asked for estimates of faults of which no pole is free
+    ("repeated poles", 50005, designs._estimators),
+    ("singular E", 50039, designs._estimators),
 ]
 
 #: What fails still.

@@ -19,7 +19,7 @@ from residua.design.observers.observer_gain import asked, default_weights, gain_
 from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace
 from residua.linear.poles.observer_gain import ObserverGain, observer_gain
-from residua.linear.subspaces.quotient import Quotient, observable_split
+from residua.linear.subspaces.quotient import Quotient, observable_split, without_rounding
 from residua.linear.subspaces.rank import decide_rank
 from residua.plant import Plant
 from residua.plant.balanced import BalancedPlant
@@ -119,9 +119,8 @@ def decoupled_residual(
         )
     found = _gain(model, q, poles, margin, gain)
     O, (F, G) = q.split.seen, q.pair  # noqa: E741
-    K = above_rounding(
-        O.T @ q.J + found.K @ q.H, np.abs(O.T) @ np.abs(q.J) + np.abs(found.K) @ np.abs(q.H), RESPONSE_ROUNDING
-    )
+    J = without_rounding(O.T @ q.J)  # of an output that is not read nothing may be left
+    K = above_rounding(J + found.K @ q.H, np.abs(J) + np.abs(found.K) @ np.abs(q.H), RESPONSE_ROUNDING)
     units, R, Y = model.units, model.units.equations, model.units.outputs
     T = (O.T @ q.N @ model.derivative - K[:, p:] @ model.algebra) * R
     Ky, Hy, V = units.rate * K[:, :p] * Y, q.H[:, :p] * Y, q.H[:, p:] @ model.algebra * R / units.rate

@@ -117,7 +117,9 @@ def _gain(plant: Plant, model: BalancedPlant) -> ObserverGain:
     """Return the gain of least variance, with noise in the units of the balanced plant."""
     units, rate = model.units, model.units.rate
     X, Y = units.states, units.outputs
-    R = Y[:, None] * plant.measurement_noise * Y * rate
+    R = Y[:, None] * plant.measurement_noise * Y
+    level = float(np.diag(R).max(initial=0.0)) or 1.0  # in whatever unit of time: noise in states beside that in outputs
+    R = R / level
     size = np.sqrt(np.where(np.diag(R) > 0, np.diag(R), 1.0))  # outputs as large as their noise
     n = plant.n_states
     singular = not np.linalg.eigvalsh(R / size[:, None] / size).min(initial=1.0) > RANK
@@ -132,9 +134,9 @@ def _gain(plant: Plant, model: BalancedPlant) -> ObserverGain:
             model.C / size[:, None],
             ObservableSplit(np.eye(n), np.zeros((n, 0)), []),
             sampled=plant.is_discrete,
-            process=plant.process_noise / X[:, None] / X / rate,
+            process=plant.process_noise / X[:, None] / X / rate**2 / level,
             measurement=R / size[:, None] / size,
-            cross=plant.cross_noise / X[:, None] * Y / size,
+            cross=plant.cross_noise / X[:, None] * Y / rate / level / size,
             rate=rate,
         )
     except AccuracyError as error:

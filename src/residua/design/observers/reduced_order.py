@@ -85,7 +85,7 @@ def reduced_observer(
         units.rate * own,
         (down @ q.N @ model.derivative - K[:, n_used:] @ model.algebra) * R,
         _embedded(units.rate * K[:, :n_used] * Y[used], used, p),
-        X * (out @ V2),
+        X * without_rounding(out @ V2),
         _embedded(X * inverse[:, :n_used] * Y[used], used, p),
         _unused(model, used),
         method,
