@@ -14,7 +14,6 @@ from residua.analysis.fault_space import fault_space
 from residua.design.parity.relation_model import relation_model
 from residua.design.parity.shortest import shortest_relation
 from residua.errors import AccuracyError
-from residua.linear.polynomials.pencil_null_space import PENCIL_RTOL
 from residua.plant.algebraic_equations import without_algebraic_equations
 from whole_number_plants import KINDS, in_other_units, whole_number_plant
 
@@ -161,7 +160,7 @@ def test_the_shortest_relation_of_an_aircraft_whose_model_holds_residue(shared_d
     assert plant.n_states == 32
     assert fault_space(plant).near(range(4, 8))
     ignored, seen = plant.faults[4:], plant.faults[:4]
-    _, space = shortest_relation(relation_model(plant), ignored, seen, PENCIL_RTOL)
+    _, space = shortest_relation(relation_model(plant), ignored, seen)
     assert space.order == 5
     assert rs.design.structured_parity(plant, ["11110000"]).structure.tolist() == [[True] * 4 + [False] * 4]
     with pytest.raises(AccuracyError, match="should ignore"):  # not denied

@@ -12,13 +12,11 @@ from residua.design.banks.structured_bank import ROWS
 from residua.design.core.generator import ResidualGenerator
 from residua.design.core.method import method
 from residua.design.core.needs import FAULTS_APART
-from residua.design.core.own_time import in_own_time
 from residua.design.parity.parity_relations import with_rank
 from residua.design.parity.relation_model import relation_model
 from residua.design.parity.relations import Poles, relations_of
 from residua.design.parity.shortest import shortest_relation
 from residua.errors import AccuracyError, SettingError
-from residua.linear.polynomials.pencil_null_space import PENCIL_RTOL
 from residua.plant import Plant
 from residua.plant.input_output_model import InputOutputModel
 
@@ -35,14 +33,12 @@ from residua.plant.input_output_model import InputOutputModel
     many=True,
     chosen={"structure": ROWS},
 )
-@in_own_time()
 def structured_parity(
     plant: Plant | InputOutputModel,
     structure: Structure,
     *,
     poles: Poles | None = None,
     allow_missing: bool = False,
-    rtol: float = PENCIL_RTOL,
 ) -> Bank:
     r"""Design one scalar parity relation per row of an incidence matrix, each of the smallest order there is.
 
@@ -50,10 +46,10 @@ def structured_parity(
 
     .. math:: w_i^T(z)\, g_j(z) = 0, \qquad w_i^T(z)\, h_j(z) = 0,
 
-    and answers to every one of its ones. A search gives the degrees, and the singular values of a block
-    matrix give the vectors (:func:`residua.linear.left_null_vectors`, in a basis on the poles of the plant). The
-    shortest relation has no factor common to all signals; factors that the equations of an input-output model share are
-    divided out, and a note says so.
+    and answers to every one of its ones. Ranks of the balanced plant say which degrees there are, and the singular
+    values of a window, in a basis on the poles of the plant, give the vectors. The shortest relation has no factor
+    common to all signals; factors that the equations of an input-output model share are divided out, and a note says
+    so.
 
     Parameters
     ----------
@@ -65,8 +61,6 @@ def structured_parity(
         For all rows, which must then be of one order, or by name of the row.
     allow_missing : bool
         Whether rows that are not attainable are left out, and listed in ``failures``, instead of raised.
-    rtol : float
-        Relative tolerance of rank decisions, in balanced units.
 
     Returns
     -------
@@ -108,8 +102,8 @@ def structured_parity(
 
     def design(name: str, part: Plant) -> ResidualGenerator:  # its faults are those that the row answers to
         ignored = tuple(fault for fault in model.plant.faults if fault not in part.faults)
-        vector, space = shortest_relation(model, ignored, part.faults, rtol)
-        relations = relations_of(model.plant, [space.relation(model, ignored, vector)], [name])
+        row, space = shortest_relation(model, ignored, part.faults)
+        relations = relations_of(model.plant, [row], [name])
         own = poles[name] if isinstance(poles, Mapping) else poles
         made = relations.with_poles(own, method="structured parity relation", notes=model.notes)
         seen = np.any(made.structure, axis=0).tolist()
