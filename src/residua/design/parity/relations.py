@@ -25,7 +25,7 @@ from residua.linear.polynomials.pair_relations import PairRelations
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.plant import Plant
 from residua.shown import Shown
-from residua.tolerances import LEAK, RESPONSE_ROUNDING, above_rounding
+from residua.tolerances import RESPONSE_ROUNDING, above_rounding
 from residua.words import counted
 
 Matrix = NDArray[np.float64]
@@ -175,8 +175,8 @@ class ParityRelations(Shown):
             If the number of poles does not fit, they are not closed under conjugation, or not stable; or if they differ
             between residuals that keep directions together, which would bend them.
         AccuracyError
-            If rounding of the coefficients shows in the residual: known inputs would leave more than 1e-6 of what
-            faults do. Without ``poles`` also if more than ten digits cancel in the moving average.
+            If rounding of the coefficients shows in the residual: known inputs reach it by more than 1e-6 of the terms
+            that cancel. Without ``poles`` also if more than ten digits cancel in the moving average.
 
         References
         ----------
@@ -232,22 +232,15 @@ class ParityRelations(Shown):
         return system, {"state_map": state_map, "static_map": None if plant.E is None else static_map}
 
     def _with_digits(self, made: ResidualGenerator, rows: Sequence[Relation], *, asked: bool) -> ResidualGenerator:
-        """Return a filter with the digits that cancel in its evidence, or raise when what is left of a fault is lost.
-
-        Leaks are relative to the terms that cancel; so many digits more of what a fault leaves.
-        """
+        """Return a filter with the digits that cancel in its evidence; a moving average of too many only if asked."""
         lost = digits_lost(rows, made)
         if lost is None:
             return made
         order = max(self.orders)
-        average = f"as a moving average of order {order}, {_cancelling(lost)}"
         if lost > _TOO_MANY and not asked and self.plant.is_discrete:
-            raise AccuracyError(f"{average}; or ask for it all the same, with poles of zero, {order} of them")
-        leak = max(made.evidence.decoupling.values(), default=0.0) * 10**lost
-        if not leak <= LEAK:
             raise AccuracyError(
-                f"with these poles known inputs leave {leak:.2g} of what a fault does, more than {LEAK:.0e}: "
-                f"{_cancelling(lost)}, or decoupled_residual"
+                f"as a moving average of order {order}, {_cancelling(lost)}; or ask for it all the same, with poles of "
+                f"zero, {order} of them"
             )
         remarks = (_cancelling(lost),) if lost > _MANY else ()
         return replace(made, evidence=made.evidence.extended(conditions={_LOST: lost}, notes=remarks))

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from residua.linear.polynomials.polynomial_basis import PolynomialBasis, basis_on_poles
+from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.linear.subspaces.quotient import Quotient, quotient
 from residua.linear.subspaces.rank import RankDecision
 from residua.tolerances import BALANCED_RANK, RESIDUE, TINY, above_rounding
 
 Matrix = NDArray[np.float64]
+#: The sizes of a basis are not below this part of the distances of ``F`` from its nodes.
+_MEET = 1e-3
 #: Coefficients this far below the largest of their row are rounding.
 _NOTHING = 8 * float(np.finfo(float).eps)
 
@@ -81,7 +83,10 @@ class PairRelations:
     def basis(self, order: int) -> PolynomialBasis:
         """Return Newton's polynomials on the eigenvalues of ``F``, for rows of an order."""
         F = self.pair[0]
-        return basis_on_poles(np.linalg.eigvals(F), max(order, len(F)) + 1, 1.0)
+        nodes = PolynomialBasis.on(np.linalg.eigvals(F) if len(F) else np.zeros(1)).repeated(order + 1)
+        # nodes that meet, of modes that do not, have no size of their own
+        least = [_MEET * (np.abs(F - a * np.eye(len(F))).max(initial=0.0) or 1.0) for a in nodes.real]
+        return replace(nodes, sizes=np.maximum(nodes.sizes, least))
 
     def rows(self, order: int, basis: PolynomialBasis) -> tuple[Matrix, Matrix, RankDecision]:
         """Return ``p`` and ``q`` of all rows of at most an order, shapes (count, order + 1, ...), in a basis.

@@ -51,6 +51,11 @@ class PolynomialBasis:
             return cls(values.real.copy(), np.where(values.imag > 0, values.imag, 0.0), np.ones(len(values)))
         return cls(*_leja(values, size))
 
+    def repeated(self, count: int) -> PolynomialBasis:
+        """Return the basis on the same nodes, each used as often as needed for a number of them."""
+        times = -(-count // self.count)
+        return PolynomialBasis(*(np.tile(x, times) for x in self._arrays))
+
     def with_room(self) -> PolynomialBasis:
         """Return the basis with one node more, so that products with the variable can be written too."""
         if not self.count:
