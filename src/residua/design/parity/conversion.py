@@ -14,7 +14,7 @@ from residua.design.parity.relations import ParityRelations, relations_of
 from residua.errors import AccuracyError, DesignError
 from residua.linear.polynomials.common_factor import without_common_factor
 from residua.linear.polynomials.pair_relations import PairRelations
-from residua.tolerances import LEAKAGE, TINY
+from residua.tolerances import LEAKAGE
 
 @dataclass(frozen=True, eq=False)
 class RowFraction:
@@ -63,7 +63,8 @@ def _row(generator: ResidualGenerator, i: int) -> RowFraction:
     units, n = model.units, system.n_states
     N, D = (M[:, n_u:] / units.outputs for M in (system.B / units.rate, system.D[[i]]))
     T = np.zeros((n, plant.n_states)) if generator.state_map is None else generator.state_map / units.equations
-    size = np.maximum(np.abs(np.hstack([T, N])).max(axis=1, initial=0.0), TINY)[:, None]
+    size = np.abs(np.hstack([T, N])).max(axis=1, initial=0.0)[:, None]
+    size = np.where(size > 0, size, 1.0)
     L = system.C[[i]] * size[:, 0]
     height = float(np.abs(L).max(initial=0.0)) or 1.0
     of_filter = PairRelations.of(

@@ -29,6 +29,8 @@ from residua.tolerances import RESPONSE_ROUNDING, above_rounding
 from residua.words import counted
 
 Matrix = NDArray[np.float64]
+#: Poles that meet those of the plant are this part of the plant's distance from them apart.
+_MEET = 1e-3
 #: Of several relations those of which the newest sample counts for less are nearly of a lower order.
 _NEWEST = 1e-3
 _LOST = "digits lost to cancellation"
@@ -205,8 +207,9 @@ class ParityRelations(Shown):
         model = self.plant.balanced
         if not len(poles) or not len(model.A) or (self.plant.is_discrete and not np.any(poles)):
             return 1.0
-        apart = np.abs(np.linalg.eigvals(model.A)[:, None] - poles)
-        return float(np.exp2(np.round(np.log2(max(float(np.median(apart)), np.finfo(float).eps)))))
+        apart = float(np.median(np.abs(np.linalg.eigvals(model.A)[:, None] - poles)))
+        least = _MEET * float(np.abs(model.A - poles.real.mean() * np.eye(len(model.A))).max())
+        return float(np.exp2(np.round(np.log2(max(apart, least) or 1.0))))
 
     def _filter(self, rows: Sequence[Relation]) -> tuple[StateSpace, dict[str, Matrix | None]]:
         """Return the filters of rows side by side, driven by the same signals, with their maps."""
