@@ -13,7 +13,6 @@ from residua.design.core.generator import ResidualGenerator
 from residua.design.core.method import method
 from residua.design.core.needs import FAULTS
 from residua.design.parity.directions import Directions
-from residua.design.parity.parity_relations import with_rank
 from residua.design.parity.relation import Relation
 from residua.design.parity.relation_model import RelationModel, relation_model
 from residua.design.parity.relations import Poles, relations_of
@@ -23,6 +22,7 @@ from residua.design.parity.shortest import (
     combinations_to_try,
     relation_space,
     simplest_of_the_best,
+    with_rank,
 )
 from residua.errors import AccuracyError, DesignError
 from residua.linear.polynomials.common_factor import without_common_factor

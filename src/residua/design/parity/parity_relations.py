@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
 from itertools import combinations
 from math import comb
 from typing import NoReturn
@@ -16,7 +15,7 @@ from residua.design.core.generator import ResidualGenerator
 from residua.design.core.method import method
 from residua.design.parity.relation_model import RelationModel, relation_model
 from residua.design.parity.relations import Poles, relations_of
-from residua.design.parity.shortest import RelationSpace, relation_space
+from residua.design.parity.shortest import RelationSpace, made_of_shortest, relation_space, with_rank
 from residua.errors import DesignError, SettingError
 from residua.linear.polynomials.pair_relations import PairRelations
 from residua.plant import Plant
@@ -111,12 +110,15 @@ def parity_relations(
         _check_size(model, _whole(order))
     if equations.orders is None or (order is not None and order < equations.orders[0]):
         _none_such(chosen, ignored, order, equations)
-    assert equations.orders is not None
-    space = relation_space(equations, equations.orders[0] if order is None else order, chosen.balanced.faults)
-    relations = relations_of(model.plant, space.relations)
     notes = (*model.notes, *((f"ignores {', '.join(ignored)}",) if ignored else ()))
-    made = relations.with_poles(poles, notes=notes)
-    return with_rank(made, space)
+
+    def design(space: RelationSpace) -> ResidualGenerator:
+        return relations_of(model.plant, space.relations).with_poles(poles, notes=notes)
+
+    if order is None:
+        return made_of_shortest(equations, chosen.balanced.faults, design)
+    space = relation_space(equations, order, chosen.balanced.faults)
+    return with_rank(design(space), space)
 
 
 def parity_orders(
@@ -218,14 +220,6 @@ def chow_willsky_matrices(plant: Plant, order: int) -> tuple[NDArray[np.float64]
                 whole[i * m : (i + 1) * m, j * k : (j + 1) * k] = response[i - j]
         Q[role] = whole
     return np.vstack(powers), Q
-
-
-def with_rank(made: ResidualGenerator, space: RelationSpace) -> ResidualGenerator:
-    """Return a generator whose evidence holds the rank decisions behind its relations."""
-    ranks = {**made.evidence.ranks, "states and ignored signals": space.decision}
-    near = space.equations.near
-    notes = tuple(f"near: {one}; double precision hardly decides this rank" for one in near[:1])
-    return replace(made, evidence=made.evidence.extended(ranks=ranks, notes=notes))
 
 
 def _whole(order: int) -> int:

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.design.core.generator import ResidualGenerator
 from residua.design.parity.relation import Relation
 from residua.design.parity.relation_model import RelationModel
-from residua.errors import AccuracyError, DesignError
+from residua.errors import AccuracyError, DesignError, SettingError
 from residua.linear.polynomials.pair_relations import PairRelations
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.linear.subspaces.rank import RankDecision
@@ -101,11 +103,53 @@ def simplest_of_the_best(scores: Matrix) -> int:
     return int(np.flatnonzero(scores >= 0.2 * scores.max())[0])
 
 
-def relation_space(equations: PairRelations, order: int, faults: tuple[Matrix, Matrix]) -> RelationSpace:
+def relation_space(
+    equations: PairRelations, order: int, faults: tuple[Matrix, Matrix], *, near: bool = False
+) -> RelationSpace:
     """Return all relations of at most an order, with their responses to faults, ``B`` and ``D``."""
     basis = equations.basis(order)
-    p, q, decision = equations.rows(order, basis)
+    p, q, decision = equations.rows(order, basis, near=near)
     return RelationSpace(equations, p, q, basis, decision, p @ faults[0] + q @ faults[1])
+
+
+def made_of_shortest(
+    equations: PairRelations,
+    faults: tuple[Matrix, Matrix],
+    make: Callable[[RelationSpace], ResidualGenerator],
+    *,
+    seen: Sequence[int] = (),
+) -> ResidualGenerator:
+    """Return what is made of the relations of the smallest order that answer to some faults.
+
+    Where rounding hides them in the filter, of a smaller one, of relations that double precision hardly tells from
+    exact ones: a window in which singular values fade has many of these.
+    """
+    assert equations.orders is not None
+    shortest, longest = equations.orders
+    spaces = (relation_space(equations, order, faults) for order in range(shortest, longest + 1))
+    space = next((one for one in spaces if one.seen[list(seen)].all()), None)
+    if space is None:
+        raise AccuracyError(
+            f"relations that answer exist, but none of an order up to {longest} is found to working precision: "
+            "structured_bank needs no polynomials"
+        )
+    try:
+        return with_rank(make(space), space)
+    except AccuracyError as error:
+        for order in range(shortest):
+            near = relation_space(equations, order, faults, near=True)
+            if near.count and near.seen[list(seen)].all():
+                with suppress(AccuracyError, SettingError):
+                    return with_rank(make(near), near)
+        raise error
+
+
+def with_rank(made: ResidualGenerator, space: RelationSpace) -> ResidualGenerator:
+    """Return a generator whose evidence holds the rank decisions behind its relations."""
+    ranks = {**made.evidence.ranks, "states and ignored signals": space.decision}
+    near = [*space.equations.near, *([] if space.decision.is_clear else [space.decision])]
+    notes = tuple(f"near: {one}; double precision hardly decides this rank" for one in near[:1])
+    return replace(made, evidence=made.evidence.extended(ranks=ranks, notes=notes))
 
 
 def shortest_relations(model: RelationModel, ignored: Sequence[str]) -> RelationSpace | None:
@@ -114,36 +158,24 @@ def shortest_relations(model: RelationModel, ignored: Sequence[str]) -> Relation
     return None if equations.orders is None else relation_space(equations, equations.orders[0], model.balanced.faults)
 
 
-def shortest_relation(
-    model: RelationModel, ignored: Sequence[str], seen: Sequence[str]
-) -> tuple[Relation, RelationSpace]:
-    """Return the shortest relation that ignores some faults and all disturbances and answers to others.
+def equations_seeing(model: RelationModel, ignored: Sequence[str], seen: Sequence[str]) -> PairRelations:
+    """Return the relations that ignore some faults and all disturbances, some of which answer to others.
 
     Raises
     ------
     DesignError
         If there is none: which of the faults no relation sees, or that there is no relation at all.
-    AccuracyError
-        If there is one by the ranks, but no response comes out above rounding.
     """
-    faults, columns = [model.plant.faults.index(name) for name in seen], model.balanced.faults
-    equations = model.equations(ignored)
+    faults, equations = [model.plant.faults.index(name) for name in seen], model.equations(ignored)
     what = ", ".join(f"'{name}'" for name in (*model.plant.disturbances, *ignored)) or "nothing"
     if equations.orders is None:
         raise DesignError(
             f"no parity relation ignores {what}: the {used_up(model.plant.n_outputs)}; add a sensor or ignore less"
         )
-    drive = np.linalg.norm(equations.quotient.drive(*columns), axis=0)[faults]
+    drive = np.linalg.norm(equations.quotient.drive(*model.balanced.faults), axis=0)[faults]
     if blind := [name for name, size in zip(seen, drive, strict=True) if not size > BALANCED_ANSWER]:
         raise DesignError(
-            f"a parity relation that ignores {what} cannot see {', '.join(blind)}: of up to order {equations.orders[1]}, "
-            "there is none that answers"
+            f"a parity relation that ignores {what} cannot see {', '.join(blind)}: of up to order "
+            f"{equations.orders[1]}, there is none that answers"
         )
-    for order in range(equations.orders[0], equations.orders[1] + 1):
-        space = relation_space(equations, order, columns)
-        if space.seen[faults].all():
-            return space.best(faults), space
-    raise AccuracyError(
-        f"a parity relation that ignores {what} and answers to {', '.join(seen)} exists, but none of an order up to "
-        f"{equations.orders[1]} is found to working precision: structured_bank needs no polynomials"
-    )
+    return equations

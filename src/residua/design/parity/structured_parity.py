@@ -12,10 +12,9 @@ from residua.design.banks.structured_bank import ROWS
 from residua.design.core.generator import ResidualGenerator
 from residua.design.core.method import method
 from residua.design.core.needs import FAULTS_APART
-from residua.design.parity.parity_relations import with_rank
 from residua.design.parity.relation_model import relation_model
 from residua.design.parity.relations import Poles, relations_of
-from residua.design.parity.shortest import shortest_relation
+from residua.design.parity.shortest import RelationSpace, equations_seeing, made_of_shortest
 from residua.errors import AccuracyError, SettingError
 from residua.plant import Plant
 from residua.plant.input_output_model import InputOutputModel
@@ -102,20 +101,23 @@ def structured_parity(
 
     def design(name: str, part: Plant) -> ResidualGenerator:  # its faults are those that the row answers to
         ignored = tuple(fault for fault in model.plant.faults if fault not in part.faults)
-        row, space = shortest_relation(model, ignored, part.faults)
-        relations = relations_of(model.plant, [row], [name])
+        equations = equations_seeing(model, ignored, part.faults)
+        ones = [model.plant.faults.index(fault) for fault in part.faults]
         own = poles[name] if isinstance(poles, Mapping) else poles
-        made = relations.with_poles(own, method="structured parity relation", notes=model.notes)
-        seen = np.any(made.structure, axis=0).tolist()
-        answers = {fault: bool(seen[i]) for i, fault in enumerate(made.faults)}
-        blind = [fault for fault in part.faults if not answers[fault]]
-        if blind:
-            raise AccuracyError(
-                f"a relation of order {relations.orders[0]} answers to {', '.join(blind)}, but as a filter with these "
-                "poles its response is lost in the rounding of its terms: choose poles near those of the plant, or "
-                "use structured_bank"
-            )
-        return with_rank(made, space)
+
+        def make(space: RelationSpace) -> ResidualGenerator:
+            relations = relations_of(model.plant, [space.best(ones)], [name])
+            made = relations.with_poles(own, method="structured parity relation", notes=model.notes)
+            blind = [fault for i, fault in zip(ones, part.faults, strict=True) if not made.structure[0, i]]
+            if blind:
+                raise AccuracyError(
+                    f"a relation of order {relations.orders[0]} answers to {', '.join(blind)}, but as a filter with "
+                    "these poles its response is lost in the rounding of its terms: choose poles near those of the "
+                    "plant, or use structured_bank"
+                )
+            return made
+
+        return made_of_shortest(equations, model.balanced.faults, make, seen=ones)
 
     return build_bank(
         model.plant,

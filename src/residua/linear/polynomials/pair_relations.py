@@ -88,22 +88,27 @@ class PairRelations:
         least = [_MEET * (np.abs(F - a * np.eye(len(F))).max(initial=0.0) or 1.0) for a in nodes.real]
         return replace(nodes, sizes=np.maximum(nodes.sizes, least))
 
-    def rows(self, order: int, basis: PolynomialBasis) -> tuple[Matrix, Matrix, RankDecision]:
+    def rows(
+        self, order: int, basis: PolynomialBasis, *, near: bool = False
+    ) -> tuple[Matrix, Matrix, RankDecision]:
         """Return ``p`` and ``q`` of all rows of at most an order, shapes (count, order + 1, ...), in a basis.
 
-        Together, and as ``w`` and ``v``, they are orthonormal. The decision is on the conditions that are left when
-        ``w`` has been eliminated.
+        Together, and as ``w`` and ``v``, they are orthonormal. ``near``: those too that miss their equations by less
+        than what counts in a rank. The decision is on the conditions that are left when ``w`` has been eliminated.
         """
         w, v, s = self._null(order, basis)
-        kept = (order + 1) * v.shape[2] - len(v)
-        return *self._rows(w, v), RankDecision(kept, s, float(s[kept]) if kept < len(s) else 0.0)
+        count = len(v) if near else self.count(order)
+        w, v, kept = w[len(w) - count :], v[len(v) - count :], (order + 1) * v.shape[2] - count
+        return *self._rows(w, v), RankDecision(kept, s, BALANCED_RANK * float(s.max(initial=0.0)))
 
     def moved(self, p: Matrix, q: Matrix, basis: PolynomialBasis, other: PolynomialBasis) -> tuple[Matrix, Matrix]:
-        """Return ``p`` and ``q`` of the row nearest to one in another basis."""
-        w, v, _ = self._null(len(q) - 1, other)
+        """Return ``p`` and ``q`` of one row in another basis, or of the row nearest to it where that costs digits."""
         moved = [basis.changed_to(other, x) for x in (p @ self.quotient.N.T @ self.seen, q @ self.quotient.H.T)]
+        w, v, _ = self._null(len(q) - 1, other)
         weights = np.tensordot(w, moved[0], 2) + np.tensordot(v, moved[1], 2)
-        p, q = self._rows(*(np.tensordot(weights, x, 1)[None] for x in (w, v)))
+        nearest = [np.tensordot(weights, x, 1) for x in (w, v)]
+        better = min(moved, nearest, key=lambda row: _missed(*row, *self.pair, other))
+        p, q = self._rows(*(x[None] for x in better))
         return p[0], q[0]
 
     def completed(self, q: Matrix, basis: PolynomialBasis) -> tuple[Matrix, float]:
@@ -141,7 +146,8 @@ def _null_rows(
 
     The coefficients follow from each other from the highest on, :math:`\rho_{j-1} w_{j-1} = v_j G + w_j (F - a_j I) +
     \beta_{j+1} w_{j+1}`, with every ``v_j`` free; the last equation leaves conditions on all that was free. After each
-    step the free parameters are made orthonormal in all coefficients so far, so that what grows hides nothing.
+    step the free parameters are made orthonormal in all coefficients so far, so that what grows hides nothing. What
+    misses its equations least is last; ``count`` of them at least.
     """
     m, k = len(G), order
     before, now = np.zeros((2, 0, len(F)))
@@ -156,6 +162,7 @@ def _null_rows(
         before, now = (scipy.linalg.solve_triangular(R, part, trans="T") for part in (now, left))
         steps.append((R, now))
     U, s, _ = np.linalg.svd(left) if left.size else (np.eye(len(left)), np.zeros(0), None)
+    count = max(count, len(U) - int(np.count_nonzero(s > BALANCED_RANK * s.max(initial=0.0))))
     chosen = U[:, len(U) - count :]
     w, v = np.zeros((count, k + 1, len(F))), np.zeros((count, k + 1, m))
     for j in range(k + 1):
@@ -171,3 +178,13 @@ def _next(w: Matrix, before: Matrix, entering: Matrix, F: Matrix, basis: Polynom
     """Return ``v_j G + w_j (F - a_j I) + beta_(j+1) w_(j+1)``, with the first and the last given."""
     total = entering + w @ F - basis.real[j] * w
     return total + basis.links[j + 1] * before if len(before) and j + 1 < basis.count else total
+
+
+def _missed(w: Matrix, v: Matrix, F: Matrix, G: Matrix, basis: PolynomialBasis) -> float:
+    """Return how far a row is from ``w (zI - F) = v G``, relative to its largest coefficient, in extended precision."""
+    k, size = len(v) - 1, max(float(np.abs(w).max(initial=0.0)), float(np.abs(v).max(initial=0.0)), TINY)
+    w, v, F, G = (M.astype(np.longdouble) for M in (w, v, F, G))
+    left = basis.real[: k + 1, None] * w - w @ F - v @ G
+    left[:-1] -= basis.links[1 : k + 1, None] * w[1:]
+    left[1:] += basis.sizes[:k, None] * w[:-1]
+    return float(np.abs(left).max(initial=0.0)) / size
