@@ -162,7 +162,7 @@ def row(plant: rs.Plant, name: str) -> dict[str, Any]:
         made = DESIGNS[name](plant)
         evidence = made.evidence
         leaks = [v for k, v in evidence.decoupling.items()]
-        found["outcome"] = "near" if any("near" in note for note in evidence.notes) else "made"
+        found["outcome"] = "near" if any(note.startswith("near") for note in evidence.notes) else "made"
         found["leak"] = f"{max(leaks, default=0.0):.1e}"
         gain = [v for k, v in evidence.conditions.items() if "gain" in k or "size of K" in k]
         found["gain"] = f"{max(gain, default=0.0):.1e}"

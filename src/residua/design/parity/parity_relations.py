@@ -116,7 +116,7 @@ def parity_relations(
         return relations_of(model.plant, space.relations).with_poles(poles, notes=notes)
 
     if order is None:
-        return made_of_shortest(equations, chosen.balanced.faults, design)
+        return made_of_shortest(chosen, equations, design)
     space = relation_space(equations, order, chosen.balanced.faults)
     return with_rank(design(space), space)
 

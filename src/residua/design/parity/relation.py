@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from residua.design.core.generator import ResidualGenerator
 from residua.design.core.internal_form import frequency_grid, leak_frequencies
+from residua.design.parity.realization import pole_basis
 from residua.errors import ModelError
 from residua.linear.poles.placement import default_margin
 from residua.linear.poles.pole_assignment import real_block_diagonal
@@ -19,6 +20,8 @@ from residua.plant import Plant
 from residua.tolerances import TINY
 
 Matrix = NDArray[np.float64]
+#: Poles that meet those of the plant are this part of the plant's distance from them apart.
+_MEET = 1e-3
 _NONE = np.zeros(0, dtype=np.complex128)
 
 
@@ -99,3 +102,18 @@ def plant_rate(plant: Plant) -> float:
     except ModelError:  # a singular plant may have no poles
         return 1.0
     return default_margin(A, plant.dt)
+
+
+def default_poles(plant: Plant, order: int) -> NDArray[np.complex128]:
+    """Return the poles of a filter for which the user lists none: zero, or at the rate of a continuous plant."""
+    return np.full(order, 0.0 if plant.is_discrete else -plant_rate(plant), dtype=np.complex128)
+
+
+def filter_basis(plant: Plant, poles: NDArray[np.complex128]) -> PolynomialBasis:
+    """Return the basis on the poles of a filter, in 1/s, of the size of their distance from those of the plant."""
+    model, at = plant.balanced, poles / plant.balanced.units.rate
+    if not len(at) or not len(model.A) or (plant.is_discrete and not np.any(at)):  # a moving average stays one
+        return pole_basis(at)
+    apart = float(np.median(np.abs(np.linalg.eigvals(model.A)[:, None] - at)))
+    least = _MEET * float(np.abs(model.A - at.real.mean() * np.eye(len(model.A))).max())
+    return pole_basis(at, float(np.exp2(np.round(np.log2(max(apart, least) or 1.0)))))

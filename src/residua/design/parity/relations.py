@@ -17,8 +17,8 @@ from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.design.core.own_time import has_rates
 from residua.design.core.signals import signal_names
 from residua.design.parity.directions import Directions, check_directions
-from residua.design.parity.realization import pole_basis, realize_relation
-from residua.design.parity.relation import Relation, digits_lost, plant_rate
+from residua.design.parity.realization import realize_relation
+from residua.design.parity.relation import Relation, default_poles, digits_lost, filter_basis
 from residua.errors import AccuracyError, DesignError, SettingError
 from residua.linear import PolynomialMatrix, StateSpace, is_stable_mode
 from residua.linear.polynomials.pair_relations import PairRelations
@@ -29,8 +29,6 @@ from residua.tolerances import RESPONSE_ROUNDING, above_rounding
 from residua.words import counted
 
 Matrix = NDArray[np.float64]
-#: Poles that meet those of the plant are this part of the plant's distance from them apart.
-_MEET = 1e-3
 #: Of several relations those of which the newest sample counts for less are nearly of a lower order.
 _NEWEST = 1e-3
 _LOST = "digits lost to cancellation"
@@ -184,8 +182,8 @@ class ParityRelations(Shown):
         ----------
         Gertler (1991), section 3.5.
         """
-        chosen, rate = self._poles(poles), self.plant.balanced.units.rate
-        rows = self._moved([pole_basis(one / rate, self._distance(one / rate)) for one in chosen])
+        chosen = self._poles(poles)
+        rows = self._moved([filter_basis(self.plant, one) for one in chosen])
         rows = [row.times(1 / float(np.prod(row.basis.sizes[: row.order]))) for row in rows]  # monic again
         system, maps = self._filter(rows)
         evidence = Evidence(
@@ -201,15 +199,6 @@ class ParityRelations(Shown):
             off = check_directions(made, self.directions)
             made = replace(made, evidence=made.evidence.extended(conditions={"response off the directions": off}))
         return self._with_digits(made, rows, asked=poles is not None)
-
-    def _distance(self, poles: NDArray[np.complex128]) -> float:
-        """Return how far poles are from those of the plant, a power of two; one for those of a moving average."""
-        model = self.plant.balanced
-        if not len(poles) or not len(model.A) or (self.plant.is_discrete and not np.any(poles)):
-            return 1.0
-        apart = float(np.median(np.abs(np.linalg.eigvals(model.A)[:, None] - poles)))
-        least = _MEET * float(np.abs(model.A - poles.real.mean() * np.eye(len(model.A))).max())
-        return float(np.exp2(np.round(np.log2(max(apart, least) or 1.0))))
 
     def _filter(self, rows: Sequence[Relation]) -> tuple[StateSpace, dict[str, Matrix | None]]:
         """Return the filters of rows side by side, driven by the same signals, with their maps."""
@@ -256,8 +245,7 @@ class ParityRelations(Shown):
     def _poles(self, poles: Poles | None) -> list[NDArray[np.complex128]]:
         """Return the poles of each relation, checked."""
         if poles is None:
-            rate = 0.0 if self.plant.is_discrete else -plant_rate(self.plant)
-            return [np.full(k, rate, dtype=np.complex128) for k in self.orders]
+            return [default_poles(self.plant, k) for k in self.orders]
         if isinstance(poles, Mapping):
             unknown = set(poles) - set(self.names)
             missing = [name for name, k in zip(self.names, self.orders, strict=True) if k and name not in poles]

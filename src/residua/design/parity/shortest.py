@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.design.core.generator import ResidualGenerator
-from residua.design.parity.relation import Relation
+from residua.design.parity.relation import Relation, default_poles, filter_basis
 from residua.design.parity.relation_model import RelationModel
 from residua.errors import AccuracyError, DesignError, SettingError
 from residua.linear.polynomials.pair_relations import PairRelations
@@ -71,6 +71,10 @@ class RelationSpace:
         """Each relation."""
         return [self.combined(one) for one in np.eye(self.count)]
 
+    def last(self, many: int) -> RelationSpace:
+        """Return the space of the last relations."""
+        return replace(self, p=self.p[-many:], q=self.q[-many:], responses=self.responses[-many:])
+
     def combined(self, weights: Matrix) -> Relation:
         """Return a combination of the relations."""
         p, q = (np.tensordot(weights, part, 1) for part in (self.p, self.q))
@@ -104,17 +108,20 @@ def simplest_of_the_best(scores: Matrix) -> int:
 
 
 def relation_space(
-    equations: PairRelations, order: int, faults: tuple[Matrix, Matrix], *, near: bool = False
+    equations: PairRelations, order: int, faults: tuple[Matrix, Matrix], near: PolynomialBasis | None = None
 ) -> RelationSpace:
-    """Return all relations of at most an order, with their responses to faults, ``B`` and ``D``."""
-    basis = equations.basis(order)
-    p, q, decision = equations.rows(order, basis, near=near)
+    """Return all relations of at most an order, with their responses to faults, ``B`` and ``D``.
+
+    ``near``: those too that are relations by what counts in a rank, in a basis.
+    """
+    basis = equations.basis(order) if near is None else near
+    p, q, decision = equations.rows(order, basis, near=near is not None)
     return RelationSpace(equations, p, q, basis, decision, p @ faults[0] + q @ faults[1])
 
 
 def made_of_shortest(
+    model: RelationModel,
     equations: PairRelations,
-    faults: tuple[Matrix, Matrix],
     make: Callable[[RelationSpace], ResidualGenerator],
     *,
     seen: Sequence[int] = (),
@@ -125,7 +132,7 @@ def made_of_shortest(
     exact ones: a window in which singular values fade has many of these.
     """
     assert equations.orders is not None
-    shortest, longest = equations.orders
+    (shortest, longest), faults = equations.orders, model.balanced.faults
     spaces = (relation_space(equations, order, faults) for order in range(shortest, longest + 1))
     space = next((one for one in spaces if one.seen[list(seen)].all()), None)
     if space is None:
@@ -137,10 +144,15 @@ def made_of_shortest(
         return with_rank(make(space), space)
     except AccuracyError as error:
         for order in range(shortest):
-            near = relation_space(equations, order, faults, near=True)
-            if near.count and near.seen[list(seen)].all():
-                with suppress(AccuracyError, SettingError):
-                    return with_rank(make(near), near)
+            near = relation_space(equations, order, faults, filter_basis(model.plant, default_poles(model.plant, order)))
+            for many in range(1, near.count + 1):  # those that miss their equations least are last
+                few = near.last(many)
+                if few.seen[list(seen)].all():
+                    with suppress(AccuracyError, SettingError):
+                        made = make(few)
+                        if made.structure.any():
+                            return with_rank(made, few)
+                    break
         raise error
 
 

@@ -117,7 +117,7 @@ def structured_parity(
                 )
             return made
 
-        return made_of_shortest(equations, model.balanced.faults, make, seen=ones)
+        return made_of_shortest(model, equations, make, seen=ones)
 
     return build_bank(
         model.plant,

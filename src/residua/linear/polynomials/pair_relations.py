@@ -17,6 +17,8 @@ from residua.tolerances import BALANCED_RANK, RESIDUE, TINY, above_rounding
 Matrix = NDArray[np.float64]
 #: The sizes of a basis are not below this part of the distances of ``F`` from its nodes.
 _MEET = 1e-3
+#: Of a row that has less than this in common with those of another basis nothing is left there.
+_LOST = 1e-9
 #: Coefficients this far below the largest of their row are rounding.
 _NOTHING = 8 * float(np.finfo(float).eps)
 
@@ -107,8 +109,9 @@ class PairRelations:
         w, v, _ = self._null(len(q) - 1, other)
         weights = np.tensordot(w, moved[0], 2) + np.tensordot(v, moved[1], 2)
         nearest = [np.tensordot(weights, x, 1) for x in (w, v)]
-        better = min(moved, nearest, key=lambda row: _missed(*row, *self.pair, other))
-        p, q = self._rows(*(x[None] for x in better))
+        if np.linalg.norm(weights) > _LOST * np.hypot(*(np.linalg.norm(x) for x in moved)):
+            moved = min(moved, nearest, key=lambda row: _missed(*row, *self.pair, other))
+        p, q = self._rows(*(x[None] for x in moved))
         return p[0], q[0]
 
     def completed(self, q: Matrix, basis: PolynomialBasis) -> tuple[Matrix, float]:
