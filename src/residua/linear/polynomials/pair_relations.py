@@ -9,13 +9,13 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from residua.linear.polynomials.polynomial_basis import PolynomialBasis
+from residua.linear.polynomials.polynomial_basis import PolynomialBasis, basis_on_poles
 from residua.linear.subspaces.quotient import Quotient, quotient
 from residua.linear.subspaces.rank import RankDecision
 from residua.tolerances import BALANCED_RANK, RESIDUE, TINY, above_rounding
 
 Matrix = NDArray[np.float64]
-#: The sizes of a basis are not below this part of the distances of ``F`` from its nodes.
+#: Eigenvalues that are this near together, beside the distance of ``F`` from them, are one.
 _MEET = 1e-3
 #: Of a row that has less than this in common with those of another basis nothing is left there.
 _LOST = 1e-9
@@ -85,10 +85,13 @@ class PairRelations:
     def basis(self, order: int) -> PolynomialBasis:
         """Return Newton's polynomials on the eigenvalues of ``F``, for rows of an order."""
         F = self.pair[0]
-        nodes = PolynomialBasis.on(np.linalg.eigvals(F) if len(F) else np.zeros(1)).repeated(order + 1)
-        # nodes that meet, of modes that do not, have no size of their own
-        least = [_MEET * (np.abs(F - a * np.eye(len(F))).max(initial=0.0) or 1.0) for a in nodes.real]
-        return replace(nodes, sizes=np.maximum(nodes.sizes, least))
+        n = len(F)
+        nodes = np.linalg.eigvals(F)
+        center = float(np.trace(F)) / max(n, 1)
+        away = float(np.abs(F - center * np.eye(n)).max(initial=0.0))
+        if not np.abs(nodes - center).max(initial=0.0) > _MEET * away:  # rounding scatters one
+            return replace(PolynomialBasis.powers(order + 1, away or 1.0), real=np.full(order + 1, center))
+        return basis_on_poles(nodes, order + 1, 1.0, outward=order >= n)
 
     def rows(
         self, order: int, basis: PolynomialBasis, *, near: bool = False
@@ -111,21 +114,34 @@ class PairRelations:
         nearest = [np.tensordot(weights, x, 1) for x in (w, v)]
         if np.linalg.norm(weights) > _LOST * np.hypot(*(np.linalg.norm(x) for x in moved)):
             moved = min(moved, nearest, key=lambda row: _missed(*row, *self.pair, other))
-        p, q = self._rows(*(x[None] for x in moved))
+        largest = max(float(np.abs(x).max(initial=0.0)) for x in moved)
+        p, q = self._rows(*(above_rounding(x, largest, _NOTHING)[None] for x in moved))
         return p[0], q[0]
 
     def completed(self, q: Matrix, basis: PolynomialBasis) -> tuple[Matrix, float]:
         """Return ``p`` of a row given by its ``q``, and how far it is from annihilating the states, of its terms."""
-        (F, G), v, k = self.pair, q @ self.quotient.H.T, len(q) - 1
+        w, v, missed = self._divided(q @ self.quotient.H.T, basis)
+        p, found = self._rows(w[None], v[None])
+        return p[0], max(missed, float(np.abs(found[0] - q).max() / max(float(np.abs(q).max()), TINY)))
+
+    def characteristic(self) -> tuple[Matrix, Matrix]:
+        """Return ``p`` and ``q`` of the only shortest row of a pair with one output, by the eigenvalues of ``F``."""
+        k = len(self.seen.T)
+        basis = self.basis(k)
+        w, v, _ = self._divided(np.eye(k + 1)[:, [k]], basis)
+        p, q = self._rows(w[None], v[None])
+        return p[0], q[0]
+
+    def _divided(self, v: Matrix, basis: PolynomialBasis) -> tuple[Matrix, Matrix, float]:
+        """Return ``w`` with ``w (zI - F) = v G``, ``v``, and what is left over, relative to the terms."""
+        (F, G), k = self.pair, len(v) - 1
         w, left = np.zeros((k + 1, len(F))), np.zeros(len(F))
         for j in range(k, -1, -1):
             left = _next(w[[j]], w[[j + 1]] if j < k else w[:0], v[[j]] @ G, F, basis, j)[0]
             if j:
                 w[j - 1] = left / basis.sizes[j - 1]
         terms = np.abs(v).max() * np.abs(G).max(initial=0.0) + np.abs(w).max(initial=0.0) * np.abs(F).max(initial=0.0)
-        p, found = self._rows(w[None], v[None])
-        missed = np.abs(left).max(initial=0.0) / max(float(terms), TINY)
-        return p[0], float(max(missed, np.abs(found[0] - q).max() / max(float(np.abs(q).max()), TINY)))
+        return w, v, float(np.abs(left).max(initial=0.0)) / max(float(terms), TINY)
 
     def _null(self, order: int, basis: PolynomialBasis) -> tuple[Matrix, Matrix, Matrix]:
         key = order, *(x[: order + 1].tobytes() for x in (basis.real, basis.imaginary, basis.sizes))
@@ -135,8 +151,6 @@ class PairRelations:
 
     def _rows(self, w: Matrix, v: Matrix) -> tuple[Matrix, Matrix]:
         """Return ``p`` and ``q``, without what rounding leaves of nothing."""
-        largest = np.maximum(*(np.abs(x).max(axis=(1, 2), keepdims=True, initial=0.0) for x in (w, v)))
-        w, v = above_rounding(w, largest, _NOTHING), above_rounding(v, largest, _NOTHING)
         w, H, J = w @ self.seen.T, self.quotient.H, self.quotient.J
         size = np.abs(v) @ np.abs(H) + np.abs(w) @ np.abs(J)
         return w @ self.quotient.N, above_rounding(v @ H - w @ J, size.max(axis=2, keepdims=True, initial=0.0), RESIDUE)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
 #: Nodes nearer than this fraction of the distance to the farthest one meet (a triple pole scatters by 1e-5) ...
@@ -125,9 +124,7 @@ class PolynomialBasis:
         """Return coefficients in this basis as coefficients in another one, along the first axis."""
         k = len(coefficients) - 1
         flat = coefficients.reshape(k + 1, -1)
-        L = other.elements_in(self, k)  # the other's elements in this basis
-        out = scipy.linalg.solve_triangular(L.T, flat, lower=False, check_finite=False)
-        return np.asarray(out, dtype=float).reshape(coefficients.shape)
+        return (self.elements_in(other, k).T @ flat).reshape(coefficients.shape)
 
 
 def _leja(
