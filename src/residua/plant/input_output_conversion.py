@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.errors import ModelError
 from residua.linear.polynomials.pair_relations import PairRelations
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.linear.polynomials.polynomial_matrix import PolynomialMatrix
@@ -133,8 +132,6 @@ def _smallest_row(
     unread = np.delete(np.eye(len(model.C), m), i, axis=1)
     B, D = np.hstack([model.free[0], np.zeros((len(model.A), m - 1))]), np.hstack([model.free[1], unread])
     relations = PairRelations.of(model.A, B, model.C, D)
-    if len(relations.pair[1]) != 1:
-        raise ModelError(f"output {plant.outputs[i]!r} has no equation of its own: algebraic equations tie it to others")
     order = len(relations.seen.T)
     basis, powers = relations.basis(order), PolynomialBasis.powers(order + 1, size)
     (p,), (q,), _ = relations.rows(order, basis)

@@ -82,6 +82,8 @@ def _row(generator: ResidualGenerator, i: int) -> RowFraction:
         V = 0.0 if generator.static_map is None else generator.static_map[[i]] / units.equations * units.rate / height
         q = np.hstack([q, (d * V - a @ (T / size)) @ model.algebra.T])
     equations = RelationModel(plant, decouples=False).equations()
+    both, zeros, _ = without_common_factor(np.hstack([equations.completed(q, basis)[0], q]), basis)
+    q = both[:, len(model.A) :]
     p, missed = equations.completed(q, basis)
     if not missed <= LEAKAGE:
         why = "too ill-conditioned"
@@ -91,7 +93,5 @@ def _row(generator: ResidualGenerator, i: int) -> RowFraction:
             f"residual {generator.residuals[i]!r} is no exact parity relation "
             f"(off by {missed:.2g} > {LEAKAGE:.0e}): {why}"
         )
-    both, zeros, _ = without_common_factor(np.hstack([p, q]), basis)
-    p, q = both[:, : p.shape[1]], both[:, p.shape[1] :]
     relation = Relation(equations, p, q, basis, units.rate * zeros).moved(basis)
     return RowFraction(relation, units.rate * zeros, poles)

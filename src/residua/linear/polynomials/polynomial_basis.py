@@ -38,29 +38,13 @@ class PolynomialBasis:
         return cls(np.zeros(count), np.zeros(count), np.full(count, float(size)))
 
     @classmethod
-    def on(cls, nodes: ArrayLike, *, in_order: bool = False, size: float = 1.0) -> PolynomialBasis:
-        """Return the basis on some nodes, closed under conjugation.
+    def on(cls, nodes: ArrayLike, *, size: float = 1.0) -> PolynomialBasis:
+        """Return the basis on some nodes, closed under conjugation, in the order of Leja.
 
-        In the order of Leja, each node as far as possible from those before it, with sizes that keep the elements near
-        one on all nodes, ``size`` where all nodes meet; or in the order of the input (pairs side by side) with sizes
-        one.
+        Each is as far as possible from those before it, with sizes that keep the elements near one on all nodes,
+        ``size`` where all nodes meet.
         """
-        values = np.asarray(nodes, dtype=np.complex128).ravel()
-        if in_order:
-            return cls(values.real.copy(), np.where(values.imag > 0, values.imag, 0.0), np.ones(len(values)))
-        return cls(*_leja(values, size))
-
-    def repeated(self, count: int) -> PolynomialBasis:
-        """Return the basis on the same nodes, each used as often as needed for a number of them."""
-        times = -(-count // self.count)
-        return PolynomialBasis(*(np.tile(x, times) for x in self._arrays))
-
-    def with_room(self) -> PolynomialBasis:
-        """Return the basis with one node more, so that products with the variable can be written too."""
-        if not self.count:
-            return PolynomialBasis.powers(1)
-        more = np.array([self.real.mean()]), np.zeros(1), self.sizes[-1:]
-        return PolynomialBasis(*(np.concatenate(x) for x in zip(self._arrays, more, strict=True)))
+        return cls(*_leja(np.asarray(nodes, dtype=np.complex128).ravel(), size))
 
     @property
     def _arrays(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
