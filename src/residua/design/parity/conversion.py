@@ -93,5 +93,4 @@ def _row(generator: ResidualGenerator, i: int) -> RowFraction:
             f"residual {generator.residuals[i]!r} is no exact parity relation "
             f"(off by {missed:.2g} > {LEAKAGE:.0e}): {why}"
         )
-    relation = Relation(equations, p, q, basis, units.rate * zeros).moved(basis)
-    return RowFraction(relation, units.rate * zeros, poles)
+    return RowFraction(Relation(equations, p, q, basis, units.rate * zeros), units.rate * zeros, poles)
