@@ -28,9 +28,9 @@ from numpy.typing import NDArray
 import residua as rs
 from residua.design.parity.relation_model import relation_model
 from residua.design.parity.relations import ParityRelations, relations_of
-from residua.design.parity.shortest import shortest_relation
+from residua.design.parity.shortest import relation_space
 from residua.errors import AccuracyError, DesignError
-from residua.linear.polynomials.pencil_null_space import PENCIL_RTOL
+from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 
 OUTPUT = Path(__file__).resolve().parent.parent / "docs" / "data"
 ORDERS = (2, 4, 6, 8, 10, 12, 15, 20, 25, 30)
@@ -121,8 +121,10 @@ def textbook(plant: rs.Plant) -> Made:
 def relation(plant: rs.Plant) -> ParityRelations:
     """Return the shortest relation, before it is given any poles."""
     model = relation_model(plant)
-    vector, space = shortest_relation(model, ["ignored"], ["seen"], PENCIL_RTOL)
-    return relations_of(plant, [space.relation(model, ["ignored"], vector)])
+    equations = model.equations(["ignored"])
+    assert equations.orders is not None
+    space = relation_space(equations, equations.orders[0], plant.balanced.faults)
+    return relations_of(plant, [space.best([plant.faults.index("seen")])])
 
 
 def moving_average(plant: rs.Plant) -> Made:
@@ -138,15 +140,15 @@ def with_poles(plant: rs.Plant) -> Made:
 
 
 def with_plant_poles(plant: rs.Plant) -> Made:
-    """The shortest relation with poles of the plant, those of the basis that it is found in."""
+    """The shortest relation with poles of the plant, far from each other."""
     made = relation(plant)
-    row = made.rows[0]
-    k = row.order - (not row.basis.pairs_kept(row.order))
-    real, imaginary = row.basis.real[:k], row.basis.imaginary[:k].copy()
+    k = made.orders[0]
+    nodes = PolynomialBasis.on(np.linalg.eigvals(plant.A))
+    k -= not nodes.pairs_kept(k)
+    real, imaginary = nodes.real[:k], nodes.imaginary[:k].copy()
     second = np.flatnonzero(imaginary) + 1
     imaginary[second] = -imaginary[second - 1]
-    poles = np.concatenate([real + 1j * imaginary, np.zeros(row.order - k)])
-    return _of(made.with_poles(poles))
+    return _of(made.with_poles(np.concatenate([real + 1j * imaginary, np.zeros(made.orders[0] - k)])))
 
 
 def observer(plant: rs.Plant) -> Made:

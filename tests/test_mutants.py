@@ -19,7 +19,7 @@ CENTRAL = (
     "design.observers.unknown_input_observer:assemble:2",
     "linear.poles.riccati:filter_riccati",
     "design.detection_filters.detection_filter:_check_directions",
-    "design.parity.directional_pencil:check_directions",
+    "design.parity.directions:check_directions",
     "design.observers.observer_gain:place",
     "design.detection_filters.directional_gain:gain_evidence",
     "design.core.internal_form:_accepted",

@@ -10,8 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from residua.design.core.signatures import _dimension
 from residua.linear import invariant_zeros
 from residua.linear.poles.matrix_poles import explicit_poles, is_rounding_of_zero
-from residua.linear.polynomials.pencil_null_space import pencil, pencil_null_vectors
-from residua.linear.polynomials.polynomial_basis import PolynomialBasis, basis_on_poles
+from residua.linear.polynomials.polynomial_basis import basis_on_poles
 from residua.linear.subspaces.parts import row_parts
 from residua.linear.subspaces.rank import without_slight_mixing
 from residua.robust.parity.best_ratios import best_ratios
@@ -31,15 +30,6 @@ def test_rows_of_different_parts_share_no_column_and_those_of_one_are_connected(
                 one = part[[bool(cut >> k & 1) for k in range(len(part))]]
                 other = np.setdiff1d(part, one)
                 assert np.any(M[one].any(axis=0) & M[other].any(axis=0))
-
-
-def test_null_vectors_of_two_parts_are_not_mixed() -> None:
-    P0 = np.array([[1.0, 0.0], [2.0, 0.0], [0.0, 3.0], [0.0, 1e-9]])
-    given = pencil(P0, np.zeros_like(P0), PolynomialBasis.powers(2))
-    x = pencil_null_vectors(given, 0).vectors[:, 0]
-    assert len(x) == 2
-    np.testing.assert_allclose(x @ P0, 0, atol=1e-14 * np.abs(x).max())
-    assert sorted([np.flatnonzero(row).tolist() for row in x]) == [[0, 1], [2, 3]]
 
 
 def test_equal_ratios_of_rows_without_a_common_signal_are_not_combined() -> None:

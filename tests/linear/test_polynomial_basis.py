@@ -1,18 +1,13 @@
-"""Newton's basis and null vectors of pencils: against values at points, and where powers lose their digits."""
+"""Newton's basis and rows that annihilate pairs: against values at points, and where powers lose their digits."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
+from residua.design.parity.realization import pole_basis
 from residua.linear.polynomials.common_factor import without_common_factor
-from residua.linear.polynomials.pencil_null_space import (
-    Pencil,
-    pencil,
-    pencil_null_vectors,
-    refined,
-    shortest_pencil_null_vectors,
-)
+from residua.linear.polynomials.pair_relations import PairRelations
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 
 
@@ -51,8 +46,6 @@ def test_changing_the_basis_and_multiplying_by_the_variable(seed: int) -> None:
 def test_a_basis_without_room_says_so() -> None:
     with pytest.raises(ValueError, match="2 nodes"):
         PolynomialBasis.powers(2).times_variable(np.ones((3, 1)))
-    assert PolynomialBasis.on([]).with_room().count == 1
-    assert PolynomialBasis.on([0.3, 0.5]).with_room().count == 3
 
 
 def cluster(n: int) -> tuple[np.ndarray, np.ndarray]:
@@ -61,49 +54,68 @@ def cluster(n: int) -> tuple[np.ndarray, np.ndarray]:
     return np.diag(poles) + np.diag(np.full(n - 1, 0.02), -1), np.eye(n)[-1:]
 
 
+def without_inputs(A: np.ndarray, C: np.ndarray) -> PairRelations:
+    return PairRelations.of(A, np.zeros((len(A), 0)), C, np.zeros((len(C), 0)))
+
+
+def missed(A: np.ndarray, C: np.ndarray, p: np.ndarray, q: np.ndarray, basis: PolynomialBasis) -> float:
+    """Return how far a row is from ``p (zI - A) = q C``, at points around the nodes, relative to its terms."""
+    points = 2 * max(1.0, np.abs(basis.real).max()) * np.exp(1j * np.linspace(0.1, 3, 7))
+    N = basis.values(points, len(q) - 1)
+    left, right = np.einsum("wi,wij->wj", N @ p, points[:, None, None] * np.eye(len(A)) - A), N @ q @ C
+    terms = np.abs(left).max() + np.abs(right).max() + np.abs(q).max() * np.abs(C).max()
+    return float(np.abs(left - right).max() / terms)
+
+
 @pytest.mark.parametrize("n", [4, 8, 12, 16, 20])
 def test_the_order_of_slow_chains_is_found_on_their_poles(n: int) -> None:
     A, C = cluster(n)
-    P0, P1 = np.vstack([-A, -C]), np.vstack([np.eye(n), np.zeros((1, n))])
-    given = pencil(P0, P1, PolynomialBasis.on(np.linalg.eigvals(A)).with_room())
-    found = shortest_pencil_null_vectors(given, most=n)
-    assert found is not None
-    assert found.degree == n
-    assert len(found.vectors) == 1
-    x = found.vectors[0]
-    d = np.abs(x[:, n]) / np.abs(x[:, n]).max()
-    assert d[-1] == 1
-    assert d[:-1].max() < (1e-8 if n < 16 else 1e-3)
-    assert np.abs(given.products(x)).max() < 1e-13 * np.abs(x).max()
+    relations = without_inputs(A, C)
+    assert relations.orders == (n, n)
+    basis = relations.basis(n)
+    (p,), (q,), _ = relations.rows(n, basis)
+    assert np.abs(q).argmax() == n
+    assert missed(A, C, p, q, basis) < 1e-13
+    poles = pole_basis(np.full(n, 0.95, dtype=complex), 0.02)
+    assert missed(A, C, *relations.moved(p, q, basis, poles), poles) < 1e-12
 
 
-@pytest.mark.parametrize("seed", range(10))
-def test_null_vectors_of_a_random_pencil(seed: int) -> None:
+@pytest.mark.parametrize("seed", range(20))
+def test_rows_are_as_many_as_the_indices_say_and_annihilate(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    n, m = int(rng.integers(2, 6)), int(rng.integers(2, 4))
-    A, C = rng.standard_normal((n, n)), rng.standard_normal((m, n))
-    A /= np.abs(np.linalg.eigvals(A)).max()
-    given = pencil(
-        np.vstack([-A, -C]),
-        np.vstack([np.eye(n), np.zeros((m, n))]),
-        PolynomialBasis.on(np.append(np.linalg.eigvals(A), 0.1)),
-    )
-    z = np.exp(1j * np.linspace(0.1, 3, 7))
-    for degree in range(n + 1):
-        found = pencil_null_vectors(given, degree)
-        low, more = divmod(n, m)  # observability indices of a generic pair
-        indices = [low + 1] * more + [low] * (m - more)
-        assert len(found.vectors) == sum(max(degree - index + 1, 0) for index in indices)
-        N = given.basis.values(z, degree)
-        P = given.P0 + z[:, None, None] * given.P1
-        for x in found.vectors:
-            assert np.abs(np.einsum("wi,wij->wj", N @ x, P)).max() < 1e-12
-        if len(found.vectors):
-            x = found.vectors[0]
-            moved = x + 1e-6 * rng.standard_normal(x.shape)
-            back = refined(given, moved)
-            assert np.abs(given.products(back)).max() < 1e-12
-            assert np.abs(back - x).max() < 1e-4
+    n, m, d = int(rng.integers(2, 7)), int(rng.integers(2, 4)), int(rng.integers(0, 2))
+    A, B, C = rng.standard_normal((n, n)), rng.standard_normal((n, d)), rng.standard_normal((m, n))
+    relations = PairRelations.of(A, B, C, np.zeros((m, d)))
+    low, more = divmod(n - d if d else n, m - d)  # indices of a generic pair: d states are known from outputs
+    indices = [low + 1] * more + [low] * (m - d - more)
+    for order in range(n + 2):
+        if d == 0:
+            assert relations.count(order) == sum(max(order - index + 1, 0) for index in indices)
+        basis, powers = relations.basis(order), PolynomialBasis.powers(order + 1)
+        p, q, decision = relations.rows(order, basis)
+        assert len(p) == relations.count(order) == (order + 1) * len(relations.pair[1]) - decision.rank
+        for one in zip(p, q, strict=True):
+            assert missed(A, C, *one, basis) < 1e-12
+            assert np.abs(one[0] @ B).max(initial=0.0) < 1e-13
+            assert missed(A, C, *relations.moved(*one, basis, powers), powers) < 1e-10
+
+
+def test_one_pole_that_rounding_scatters_is_one_node() -> None:
+    A = np.array([[-2.0, 1, 0], [-1, -2, 1], [0, 1, -2]])  # nilpotent but for the pole at -2
+    basis = without_inputs(A, np.eye(3)[:1]).basis(3)
+    assert basis.real.tolist() == [-2.0] * 4
+    assert basis.sizes.tolist() == [1.0] * 4
+
+
+def test_modes_far_from_the_nodes_hide_no_others() -> None:
+    """Powers of an eigenvalue of 26 beside those of 0.1: orthogonal in each step, and exact to rounding."""
+    rng = np.random.default_rng(3)
+    T = np.linalg.qr(rng.standard_normal((10, 10)))[0]
+    A = T @ np.diag([26.0, -20, 0.9, 0.7, 0.5, 0.3, 0.1, -0.2, -0.4, 0.05]) @ T.T
+    C = rng.standard_normal((1, 10)) @ T.T
+    relations, powers = without_inputs(A, C), PolynomialBasis.powers(11)
+    (p,), (q,), _ = relations.rows(10, powers)
+    assert missed(A, C, p, q, powers) < 1e-13
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -123,92 +135,3 @@ def test_a_common_factor_in_any_basis(seed: int) -> None:
     assert len(found) == k + 1
     assert error < 1e-9
     assert np.allclose(basis.values(z, k) @ found, basis.values(z, k) @ left, rtol=1e-6, atol=1e-7)
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_large_pencils_have_the_null_vectors_of_a_full_decomposition(
-    seed: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    rng = np.random.default_rng([seed, 8])
-    n, m = int(rng.integers(6, 14)), int(rng.integers(1, 4))
-    A, C = rng.standard_normal((n, n)), rng.standard_normal((m, n))
-    A /= np.abs(np.linalg.eigvals(A)).max()
-    if seed % 2:  # two parts without a common unit
-        A[: n // 2, n // 2 :] = A[n // 2 :, : n // 2] = 0
-        C[0, n // 2 :] = 0
-        C[1:, : n // 2] = 0
-    poles = np.linalg.eigvals(A)
-    problem = pencil(
-        np.vstack([-A, -C]), np.vstack([np.eye(n), np.zeros((m, n))]), PolynomialBasis.on(poles).with_room()
-    )
-    whole = shortest_pencil_null_vectors(problem, most=n)
-    monkeypatch.setattr("residua.linear.polynomials.pencil_null_space._DENSE", 0)
-    made = shortest_pencil_null_vectors(problem, most=n)
-    assert whole is not None
-    assert made is not None
-    assert made.vectors.shape == whole.vectors.shape
-    assert made.decision.smallest_kept == pytest.approx(whole.decision.smallest_kept, rel=0.01)
-    assert made.decision.largest_dropped < 1e-14
-    assert made.decision.rank == whole.decision.rank
-    assert made.decision.dropped.size == made.vectors.shape[1] * (n + m) - whole.decision.rank
-    assert np.allclose(made.units, whole.units)
-    first, second = (
-        np.linalg.qr((one.vectors / one.units).reshape(len(one.vectors), -1).T)[0] for one in (whole, made)
-    )
-    assert np.linalg.norm(first - second @ (second.T @ first), 2) < 1e-10
-    moved = whole.vectors[0] + 1e-6 * rng.standard_normal(whole.vectors[0].shape) * whole.units
-    back = refined(problem, moved)
-    assert np.abs(problem.products(back)).max() < 1e-13 * np.abs(back).max()
-    assert np.abs((back - whole.vectors[0]) / whole.units).max() < 1e-4
-    short = whole.degree - 1
-    if short >= 0:
-        assert shortest_pencil_null_vectors(problem, most=short) is None
-
-
-def of_poles(poles: np.ndarray, C: np.ndarray) -> Pencil:
-    """Return the pencil of relations of independent states with these poles, all driven alike."""
-    n, m = len(poles), len(C)
-    P0, P1 = np.vstack([-np.diag(poles), -C]), np.vstack([np.eye(n), np.zeros((m, n))])
-    return pencil(P0, P1, PolynomialBasis.on(poles).with_room())
-
-
-@pytest.mark.parametrize(
-    "outputs",
-    [np.ones((1, 6)), np.vstack([np.ones((2, 6)), np.zeros((1, 6))]), np.arange(90.0).reshape(15, 6) % 7 - 3],
-    ids=["one", "one dead", "more than states"],
-)
-@pytest.mark.parametrize("degree", [6])
-def test_large_bands_with_rows_of_nothing_or_many_null_vectors(
-    outputs: np.ndarray, degree: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    problem = of_poles(-np.arange(1.0, 7.0), outputs)
-    whole = pencil_null_vectors(problem, degree)
-    monkeypatch.setattr("residua.linear.polynomials.pencil_null_space._DENSE", 0)
-    made = pencil_null_vectors(problem, degree)
-    assert made.vectors.shape == whole.vectors.shape
-    assert made.decision.rank == whole.decision.rank
-    assert made.decision.kept.size == made.decision.rank - made.decision.omitted
-    values = np.linalg.svd((made.vectors / made.units).reshape(len(made.vectors), -1), compute_uv=False)
-    assert np.allclose(values, 1.0)
-    for one in made.vectors:
-        assert np.abs(problem.products(one)).max() < 1e-12 * np.abs(one).max()
-
-
-@pytest.mark.parametrize("seed", [15, 3])
-def test_stiff_pencils_are_not_said_to_have_none(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Lower degrees have units of their own: judged in those of a higher one there was a vector, and then none."""
-    monkeypatch.setattr("residua.linear.polynomials.pencil_null_space._DENSE", 0)
-    poles = -np.logspace(-3.75, 3.75, 24)
-    made = shortest_pencil_null_vectors(of_poles(poles, np.random.default_rng(seed).standard_normal((1, 24))), most=24)
-    assert made is not None
-    assert len(made.vectors)
-
-
-def test_an_iteration_that_does_not_settle_ends_with_the_whole_decomposition(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("residua.linear.polynomials.pencil_null_space._DENSE", 0)
-    problem = of_poles(-np.arange(1.0, 7.0), np.ones((2, 6)))
-    settled = pencil_null_vectors(problem, 6)
-    monkeypatch.setattr("residua.linear.polynomials.banded_null_space._STEPS", 1)
-    made = pencil_null_vectors(problem, 6)
-    assert made.vectors.shape == settled.vectors.shape
-    assert made.decision.smallest_kept == pytest.approx(settled.decision.smallest_kept, rel=1e-3)  # as it settles

@@ -3,29 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.errors import AccuracyError
-from residua.linear.polynomials.pencil_null_space import PENCIL_RTOL, pencil, refined, shortest_pencil_null_vectors
-from residua.linear.polynomials.polynomial_basis import PolynomialBasis, basis_on_poles
+from residua.linear.polynomials.pair_relations import PairRelations
+from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.linear.polynomials.polynomial_matrix import PolynomialMatrix
-from residua.linear.subspaces.rank import DEFAULT_RTOL as RANK_RTOL
-from residua.linear.systems.balancing import descriptor_units
+from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant.algebraic_equations import without_algebraic_equations
-from residua.plant.comparable_units import in_unit_of_rates
 from residua.plant.input_output_model import InputOutputModel
 from residua.plant.observer_form import check_proper, check_response, response_error, response_points, state_terms
 from residua.plant.plant import Plant
-from residua.tolerances import RESIDUE
-from residua.words import rates_in
+from residua.tolerances import RESIDUE, above_rounding
 
+Row = tuple[NDArray[np.float64], NDArray[np.float64]]
 _ROLES = ("control", "disturbance", "fault")
-#: How many times better than another a row must fit the response to be the better one. Where poles crowd together,
-#: powers hold few digits of the response: all rows fit it to what that leaves, and luck makes a factor of two.
-_CLEARLY = 5.0
 _LOWER_ORDER = (
     "coefficients of such a degree do not hold this plant to working precision; use the state-space plant itself, "
     "sample it more slowly, or split it into parts of lower order"
@@ -33,7 +26,7 @@ _LOWER_ORDER = (
 
 
 def input_output_from_plant(
-    plant: Plant, *, common_denominator: bool = False, rtol: float = PENCIL_RTOL, tolerance: float = 1e-6
+    plant: Plant, *, common_denominator: bool = False, rtol: float = DEFAULT_RTOL, tolerance: float = 1e-6
 ) -> InputOutputModel:
     r"""Return one equation per output of a plant, each of the smallest order.
 
@@ -54,7 +47,7 @@ def input_output_from_plant(
         Whether every equation has :math:`h = \det(zI - A)` instead,
         :math:`G = C\,\mathrm{adj}(zI - A) B + D \det(zI - A)`.
     rtol : float
-        For the rank decisions that find the degrees, in balanced units; other decisions use 1e-10 when it is smaller.
+        For the elimination of algebraic equations, and to tell whether the model is proper.
     tolerance : float
         Largest error of the frequency response, of each entry relative to itself or to a thousandth of its peak.
 
@@ -94,27 +87,21 @@ def input_output_from_plant(
     (z^2 - 0.9 z + 0.2) y1 = (1.5 z - 0.65) u1 + (2 z - 0.9) p1 + (z - 0.4) p2
     (z^2 - 1.4 z + 0.45) y2 = (1.1 z - 0.95) u1 + (z - 0.9) p1 + (2 z - 1.4) p2
     """
-    own, unit = in_unit_of_rates(plant)
-    with rates_in(unit):
-        model = _equations(own, common_denominator, rtol, tolerance)
-    return model if own is plant else model._in_other_time(unit)
-
-
-def _equations(plant: Plant, common_denominator: bool, rtol: float, tolerance: float) -> InputOutputModel:
-    """Return the equations of a plant in the unit of time that it is written in."""
-    others = max(rtol, RANK_RTOL)  # decisions on what has been computed before
-    small = without_algebraic_equations(plant, rtol=others).explicit() if common_denominator else plant
-    poles = small.system(()).poles()
-    scaled = _scaled(small, poles)
+    small = without_algebraic_equations(plant, rtol=rtol).explicit() if common_denominator else plant
+    poles, m = small.system(()).poles(), plant.n_outputs
+    size = _size(poles / small.balanced.units.rate)
+    system, points = plant.system(_ROLES), response_points(poles, plant.dt)
+    response = system.evaluate(points)
     if common_denominator:
-        rows = _common_rows(scaled)
+        rows = _common_rows(small, size)
     else:
-        rows = [_smallest_row(scaled, i, rtol) for i in range(plant.n_outputs)]
-    H, N = as_matrices(rows, scaled.unit, plant.n_outputs, scaled.B.shape[1])
-    u, d = len(plant.inputs), len(plant.disturbances)
+        rows = [_smallest_row(plant, i, size, points, response) for i in range(m)]
+    inputs = [len(plant.inputs), len(plant.disturbances), len(plant.faults)]
+    H, N = as_matrices(rows, small.balanced.units.rate * size, m, sum(inputs))
+    G, Gd, Gf = (N.select(columns=part) for part in np.split(np.arange(sum(inputs)), np.cumsum(inputs)[:-1]))
     model = InputOutputModel(
         H,
-        N.select(columns=slice(0, u)),
+        G,
         dt=plant.dt,
         inputs=plant.inputs,
         outputs=plant.outputs,
@@ -122,124 +109,80 @@ def _equations(plant: Plant, common_denominator: bool, rtol: float, tolerance: f
         operating_point=plant.operating_point,
         units={key: unit for key, unit in plant.units.items() if key in (*plant.inputs, *plant.outputs)},
         description=plant.description,
-        rtol=others,
-    )._with(
-        Gd=N.select(columns=slice(u, u + d)),
-        Gf=N.select(columns=slice(u + d, None)),
-        disturbances=plant.disturbances,
-        fault_list=plant.fault_list,
-    )
-    check_proper(H, N, plant.outputs, plant.dt, others)
-    points = response_points(poles, plant.dt)
-    system = plant.system(_ROLES)
-    order = max(H.row_degrees)
-    error = response_error(model.transfer(points), system.evaluate(points), state_terms(system, points))
-    check_response(error, tolerance, f"the equations of order {order}", _LOWER_ORDER)
+        rtol=rtol,
+    )._with(Gd=Gd, Gf=Gf, disturbances=plant.disturbances, fault_list=plant.fault_list)
+    check_proper(H, N, plant.outputs, plant.dt, rtol)
+    error = response_error(model.transfer(points), response, state_terms(system, points))
+    check_response(error, tolerance, f"the equations of order {max(H.row_degrees)}", _LOWER_ORDER)
     return model
 
 
-@dataclass(frozen=True, eq=False)
-class _Scaled:
-    """A plant in balanced units, for ``z / unit`` in place of ``z``; all inputs together; its response at points."""
-
-    A: NDArray[np.float64]
-    E: NDArray[np.float64]
-    B: NDArray[np.float64]
-    C: NDArray[np.float64]
-    D: NDArray[np.float64]
-    unit: float
-    explicit: bool
-    basis: PolynomialBasis
-    points: NDArray[np.complex128]
-    response: NDArray[np.complex128]
-
-    def missed(self, i: int, h: NDArray[np.float64], g: NDArray[np.float64]) -> float:
-        """Return how far the equation of an output is from its response."""
-        z = self.points[:, None] ** np.arange(len(h))
-        wanted = self.response[:, i]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            off = np.abs((z @ g) / (z @ h)[:, None] - wanted)
-        scale = np.maximum(np.abs(wanted), 1e-3 * np.abs(wanted).max(axis=0))
-        worst = float(np.max(off / np.where(scale > 0, scale, np.inf), initial=0.0))
-        return worst if np.isfinite(worst) else np.inf
-
-
-def _scaled(plant: Plant, poles: NDArray[np.complex128]) -> _Scaled:
-    s = plant.system(_ROLES)
-    points = response_points(poles, plant.dt)
-    units = descriptor_units(s.A, s.E, s.B, s.C, s.D)
-    rows, states = units.equations[:, None], units.states
-    A = rows * s.A * states
+def _size(poles: NDArray[np.complex128]) -> float:
+    """Return the size of the variable at which the first and the last coefficient of a polynomial are the same."""
     size = np.abs(poles)
     size = size[size > np.sqrt(np.finfo(float).eps) * max(size.max(initial=0.0), np.finfo(float).tiny)]
-    # The geometric mean of the poles makes the first and the last coefficient of their polynomial the same.
-    unit = float(np.exp2(np.round(np.mean(np.log2(size))))) if size.size else 1.0
-    E = np.eye(len(A)) if s.E is None else rows * s.E * states
-    return _Scaled(
-        A / unit,
-        E,
-        rows * s.B / unit,
-        s.C * states,
-        s.D,
-        unit,
-        s.E is None,
-        basis_on_poles(poles / unit, len(A) + 1, 1.0, outward=True),
-        points / unit,
-        s.evaluate(points),
-    )
+    return float(np.exp2(np.round(np.mean(np.log2(size))))) if size.size else 1.0
 
 
-def _smallest_row(p: _Scaled, i: int, rtol: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return ``h`` and ``g`` of the equation of one output, lowest power first."""
-    n, c = len(p.A), p.C[i]
-    size = float(np.linalg.norm(c))
-    if not size:
-        return np.ones(1), p.D[i][None]
-    P0, P1 = np.vstack([-p.A, c / size]), np.vstack([p.E, np.zeros((1, n))])
-    found = shortest_pencil_null_vectors(pencil(P0, P1, p.basis), most=n, rtol=rtol)
-    if found is None or len(found.vectors) != 1:
-        count = 0 if found is None else len(found.vectors)
-        raise AccuracyError(
-            f"output {i + 1}: found {count} equations of the smallest order where there is one: a rank decision with "
-            f"rtol={rtol:.3g} was not clear; choose another rtol, or rescale the plant"
-        )
-    powers = PolynomialBasis.powers(n + 1)
-    plain = p.basis.changed_to(powers, found.vectors[0])
-    # Made exact in powers as well: of use where modes are far apart, of harm where they are so close together that
-    # powers hardly tell one polynomial from another.
-    exact = refined(pencil(P0, P1, powers), plain, rtol=rtol)
-    first, second = (_equation(p, i, x, size) for x in (plain, exact))
-    return second if p.missed(i, *second) * _CLEARLY < p.missed(i, *first) else first
+def _smallest_row(
+    plant: Plant, i: int, size: float, points: NDArray[np.complex128], response: NDArray[np.complex128]
+) -> Row:
+    """Return ``h`` and ``g`` of the equation of one output, lowest power of the balanced variable over its size first."""
+    model, units, m = plant.balanced, plant.balanced.units, plant.n_outputs
+    unread = np.delete(np.eye(len(model.C), m), i, axis=1)
+    B, D = np.hstack([model.free[0], np.zeros((len(model.A), m - 1))]), np.hstack([model.free[1], unread])
+    relations = PairRelations.of(model.A, B, model.C, D)
+    order = len(relations.seen.T)
+    basis, powers = relations.basis(order), PolynomialBasis.powers(order + 1, size)
+    (p,), (q,), _ = relations.rows(order, basis)
+    # made exact in powers as well: of use where modes are far apart, of harm where they are so close together that
+    # powers hardly tell one polynomial from another
+    tried = [
+        tuple(basis.changed_to(powers, part) for part in (p, q)),
+        tuple(basis.changed_to(powers, part) for part in relations.characteristic()),
+        relations.moved(p, q, basis, powers),
+    ]
+    z, wanted = points / units.rate / size, response[:, i]
+    return min((_equation(plant, i, *one) for one in tried), key=lambda row: _missed(*row, z, wanted))
 
 
-def _equation(
-    p: _Scaled, i: int, x: NDArray[np.float64], size: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return ``h`` and ``g`` from a row that annihilates the states."""
-    n, direct = len(p.A), p.D[i]
-    w, h = -size * x[:, :n], x[:, n]
-    if p.explicit:
-        w = np.vstack([w[:-1], np.zeros((1, n))])  # its highest power meets nothing but E, which is invertible
-    h = np.where(np.abs(h) > RESIDUE * np.abs(h).max(), h, 0.0)
-    g = w @ p.B + np.outer(h, direct)
-    terms = np.abs(w).max() * np.abs(p.B).sum(axis=0) + np.abs(h).max() * np.abs(direct)
-    return h, np.where(np.abs(g) > RESIDUE * terms, g, 0.0)
+def _equation(plant: Plant, i: int, p: NDArray[np.float64], q: NDArray[np.float64]) -> Row:
+    """Return ``h`` and ``g`` of a relation that reads one output."""
+    model, units = plant.balanced, plant.balanced.units
+    h, parts = q[:, i], [np.zeros((len(q), 0))]
+    for B, D in (model.controls, model.disturbances, model.faults):
+        terms = np.abs(p).max(initial=0.0) * np.abs(B).sum(axis=0) + np.abs(q).max() * np.abs(D).sum(axis=0)
+        parts.append(above_rounding(p @ B + q @ D, terms, RESIDUE))
+    return above_rounding(h, np.abs(h).max(), RESIDUE) * units.outputs[i], np.hstack(parts) / units.inputs
 
 
-def _common_rows(p: _Scaled) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+def _missed(
+    h: NDArray[np.float64], g: NDArray[np.float64], at: NDArray[np.complex128], wanted: NDArray[np.complex128]
+) -> float:
+    """Return how far an equation is from the response of its output."""
+    z = at[:, None] ** np.arange(len(h))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        off = np.abs((z @ g) / (z @ h)[:, None] - wanted)
+    scale = np.maximum(np.abs(wanted), 1e-3 * np.abs(wanted).max(axis=0, initial=0.0))
+    worst = float(np.max(off / np.where(scale > 0, scale, np.inf), initial=0.0))
+    return worst if np.isfinite(worst) else np.inf
+
+
+def _common_rows(plant: Plant, size: float) -> list[Row]:
     """Return the determinant with the numerators of every output, from the first Markov parameters."""
-    n = len(p.A)
-    h = np.asarray(np.real(np.poly(np.linalg.eigvals(p.A))), dtype=float) if n else np.ones(1)
-    markov, X = [p.D], p.B
+    model, units = plant.balanced, plant.balanced.units
+    A, n = model.A / size, len(model.A)
+    B, D = (np.hstack([role[k] for role in (model.controls, model.disturbances, model.faults)]) for k in (0, 1))
+    h = np.asarray(np.real(np.poly(np.linalg.eigvals(A))), dtype=float) if n else np.ones(1)
+    markov, X = [D], B / size
     for _ in range(n):
-        markov.append(p.C @ X)
-        X = p.A @ X
-    G = np.zeros((n + 1, *p.D.shape))
+        markov.append(model.C @ X)
+        X = A @ X
+    G = np.zeros((n + 1, *D.shape))
     for k in range(n + 1):
         parts = [h[j] * markov[k - j] for j in range(k + 1)]
-        total, terms = np.sum(parts, axis=0), np.sum(np.abs(parts), axis=0)
-        G[n - k] = np.where(np.abs(total) > RESIDUE * terms, total, 0.0)
-    return [(h[::-1], G[:, i]) for i in range(len(p.D))]
+        G[n - k] = above_rounding(np.sum(parts, axis=0), np.sum(np.abs(parts), axis=0), RESIDUE)
+    return [(h[::-1] * Y, G[:, i] / units.inputs) for i, Y in enumerate(units.outputs)]
 
 
 def as_matrices(

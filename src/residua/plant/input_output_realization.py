@@ -14,7 +14,6 @@ from residua.linear.poles.spectrum import describe_modes
 from residua.linear.poles.stability import dies_out, modes_with_uncertainty
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, spectral_norm
 from residua.linear.systems.state_space import StateSpace
-from residua.plant.comparable_units import with_rates_times
 from residua.plant.loewner import loewner, loewner_part
 from residua.plant.observer_form import (
     ReachablePart,
@@ -27,7 +26,6 @@ from residua.plant.observer_form import (
     unit_of_variable,
 )
 from residua.plant.plant import Plant
-from residua.words import rates_in
 
 if TYPE_CHECKING:
     from residua.plant.input_output_model import InputOutputModel
@@ -107,14 +105,11 @@ def realize_input_output(
     (1, array([0.4+0.j]), array([[0.5]]))
     """
     own, unit = _in_own_time(model)
-    with rates_in(unit):
-        whole = observer_form(own.H, own.right_side(), own.outputs, own.dt, rtol)
-        part, error = _smallest_part(own, whole, rtol, tolerance)
-        _check_removed(part.removed, part.uncertainty, part.system, own.dt)
-    plant = _plant(model, part.system)
-    if unit != 1.0:
-        plant = with_rates_times(plant, unit)
-    return Realization(plant, unit * part.removed, error, part.decisions)
+    whole = observer_form(own.H, own.right_side(), own.outputs, own.dt, rtol)
+    part, error = _smallest_part(own, whole, rtol, tolerance)
+    _check_removed(part.removed, part.uncertainty, part.system, own.dt, unit)
+    system = part.system.replaced(A=unit * part.system.A, B=unit * part.system.B)
+    return Realization(_plant(model, system), unit * part.removed, error, part.decisions)
 
 
 def _in_own_time(model: InputOutputModel) -> tuple[InputOutputModel, float]:
@@ -176,7 +171,7 @@ def _margin(part: ReachablePart) -> float:
     )
 
 
-def _check_removed(removed: NDArray, uncertainty: NDArray, kept: StateSpace, dt: float) -> None:
+def _check_removed(removed: NDArray, uncertainty: NDArray, kept: StateSpace, dt: float, rate: float) -> None:
     """Raise when a mode that is not stable was removed and no pole that stays is the same."""
     size = spectral_norm(kept.A)
     unstable = ~dies_out(removed, uncertainty, dt, max(size, float(np.abs(removed).max(initial=0.0))))
@@ -188,7 +183,7 @@ def _check_removed(removed: NDArray, uncertainty: NDArray, kept: StateSpace, dt:
             hidden.append(mode)
     if hidden:
         raise ModelError(
-            f"mode {describe_modes(hidden)} is in the equations but no input, disturbance or fault reaches it, and it "
+            f"mode {describe_modes(rate * np.array(hidden))} is in the equations but no input, disturbance or fault reaches it, and it "
             "is not stable: a plant without it would not behave like these equations; divide the common factor out of "
             "the equations if it is none of the plant's, or add the disturbance or fault that reaches it"
         )

@@ -8,20 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.design.core.generator import ResidualGenerator
-from residua.design.core.own_time import in_own_time
-from residua.design.parity.relation import Relation, divided, states_missed, synthetic_division
+from residua.design.parity.relation import Relation
+from residua.design.parity.relation_model import RelationModel
 from residua.design.parity.relations import ParityRelations, relations_of
 from residua.errors import AccuracyError, DesignError
-from residua.linear import StateSpace
 from residua.linear.polynomials.common_factor import without_common_factor
-from residua.linear.polynomials.pencil_null_space import PENCIL_RTOL, pencil, shortest_pencil_null_vectors
-from residua.linear.polynomials.polynomial_basis import PolynomialBasis
-from residua.linear.subspaces.reachability import without_unobservable
+from residua.linear.polynomials.pair_relations import PairRelations
 from residua.tolerances import LEAKAGE
-
-#: What a division may leave, relative to the terms that have to cancel.
-_DIVIDED = 1e-10
-
 
 @dataclass(frozen=True, eq=False)
 class RowFraction:
@@ -40,77 +33,64 @@ class RowFraction:
     poles: NDArray[np.complex128]
 
 
-@in_own_time()
-def to_parity(generator: ResidualGenerator, *, rtol: float = PENCIL_RTOL) -> ParityRelations:
+def to_parity(generator: ResidualGenerator) -> ParityRelations:
     """Return the parity relations of a generator: the polynomials without its poles and common zeros.
 
     See :meth:`ResidualGenerator.to_parity`.
     """
     if generator.relations is not None:
         return generator.relations
-    rows = row_fractions(generator, rtol=rtol)
+    rows = row_fractions(generator)
     if not rows:
         raise DesignError("the generator has no residuals")
     return relations_of(generator.plant, [row.relation for row in rows], generator.residuals)
 
 
-def row_fractions(generator: ResidualGenerator, *, rtol: float = PENCIL_RTOL) -> list[RowFraction]:
+def row_fractions(generator: ResidualGenerator) -> list[RowFraction]:
     r"""Return each residual of a generator as a relation and the filter that it goes through.
 
     For :math:`\dot\xi = M \xi + N v, r = L \xi + D v`, the shortest polynomials with :math:`a (zI - M) = d L` give
-    :math:`d\, r = (a N + d D)\, v`; with the state map ``T`` of the generator the states of the plant drop out as
-    ``p (zE - A) = q C`` with ``p = d V - a T``. They are written in the basis on the poles of the generator.
+    :math:`d\, r = (a N + d D)\, v`. They are written in the basis on the poles of the generator.
     """
     if generator.plant.E is not None and generator.state_map is None:
         raise DesignError("the relations of a generator without a state map are found for plants without E only")
-    return [_row(generator, i, rtol) for i in range(generator.n_residuals)]
+    return [_row(generator, i) for i in range(generator.n_residuals)]
 
 
-def _row(generator: ResidualGenerator, i: int, rtol: float) -> RowFraction:
+def _row(generator: ResidualGenerator, i: int) -> RowFraction:
     system, plant = generator.system, generator.plant
-    poles = without_unobservable(system.select(outputs=[i])).poles()
+    model, n_u, none = plant.balanced, len(plant.inputs), np.zeros(0, dtype=np.complex128)
+    units, n = model.units, system.n_states
+    N, D = (M[:, n_u:] / units.outputs for M in (system.B / units.rate, system.D[[i]]))
+    T = np.zeros((n, plant.n_states)) if generator.state_map is None else generator.state_map / units.equations
+    size = np.abs(np.hstack([T, N])).max(axis=1, initial=0.0)[:, None]
+    size = np.where(size > 0, size, 1.0)
+    L = system.C[[i]] * size[:, 0]
+    height = float(np.abs(L).max(initial=0.0)) or 1.0
+    of_filter = PairRelations.of(
+        system.A * size[:, 0] / size / units.rate, np.zeros((n, 0)), L / height, np.zeros((1, 0))
+    )
+    poles = units.rate * np.linalg.eigvals(of_filter.pair[0]).astype(np.complex128)
     if generator.relations is not None:
-        return RowFraction(generator.relations.rows[i], np.zeros(0, dtype=np.complex128), poles)
-    basis = PolynomialBasis.on(poles).with_room()
-    a, d = _denominator(system, i, basis, rtol)
-    n_u = len(plant.inputs)
-    q = a @ system.B[:, n_u:] + d @ system.D[i : i + 1, n_u:]
+        return RowFraction(generator.relations.rows[i], none, poles)
+    basis = of_filter.basis(len(poles))
+    (a,), (d,), _ = of_filter.rows(len(poles), basis)
+    q = a @ (N / size) + d @ D / height
     if not np.any(q):
         raise DesignError(f"residual {generator.residuals[i]!r} reads no output")
-    T, V = generator.state_map, generator.static_map
-    if T is None:
-        p = synthetic_division(plant, q, basis)
-    else:
-        p = -a @ T + (0.0 if V is None else d @ V[i : i + 1])
-    n = plant.n_states
-    x, zeros, _ = without_common_factor(np.hstack([p, q]), basis)
-    relation = Relation(x[:, :n], x[:, n:], basis, np.zeros((n + plant.n_outputs, 0)), zeros)
-    missed = states_missed([relation], plant)
+    if len(model.algebra):
+        V = 0.0 if generator.static_map is None else generator.static_map[[i]] / units.equations * units.rate / height
+        q = np.hstack([q, (d * V - a @ (T / size)) @ model.algebra.T])
+    equations = RelationModel(plant, decouples=False).equations()
+    both, zeros, _ = without_common_factor(np.hstack([equations.completed(q, basis)[0], q]), basis)
+    q = both[:, len(model.A) :]
+    p, missed = equations.completed(q, basis)
     if not missed <= LEAKAGE:
-        why = "it only approximates one, as a sampled continuous design does" if T is None else "too ill-conditioned"
+        why = "too ill-conditioned"
+        if generator.state_map is None:
+            why = "it only approximates one, as a sampled continuous design does"
         raise AccuracyError(
             f"residual {generator.residuals[i]!r} is no exact parity relation "
             f"(off by {missed:.2g} > {LEAKAGE:.0e}): {why}"
         )
-    return RowFraction(relation, zeros, poles)
-
-
-def _denominator(
-    system: StateSpace, i: int, basis: PolynomialBasis, rtol: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the shortest ``a``, ``d`` with ``a (zI - M) = d L`` for one output of a filter, in a basis."""
-    n = system.n_states
-    L = system.C[i : i + 1]
-    if not n or not np.any(L):
-        return np.zeros((1, n)), np.ones((1, 1))
-    whole = np.zeros((basis.count, 1))  # the basis has one node more than the filter has poles
-    whole[-1] = 1.0
-    a, left = divided(system.A, L, whole, basis)
-    if left < _DIVIDED:  # unlike singular values, exact in the highest coefficients too, however small they are
-        return a, whole
-    extended = pencil(np.vstack([-system.A, -L]), np.vstack([np.eye(n), np.zeros((1, n))]), basis)
-    solution = shortest_pencil_null_vectors(extended, most=basis.count - 1, rtol=rtol)
-    if solution is None:
-        raise AccuracyError("the poles of a residual are too ill-conditioned to write it as a fraction")
-    x = solution.vectors[0] / solution.vectors[0][-1, n]
-    return x[:, :n], x[:, n:]
+    return RowFraction(Relation(equations, p, q, basis, units.rate * zeros), units.rate * zeros, poles)

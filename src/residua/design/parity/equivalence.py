@@ -12,14 +12,13 @@ from numpy.typing import NDArray
 from residua.design.core.evidence import format_pole
 from residua.design.core.generator import ResidualGenerator
 from residua.design.core.internal_form import frequency_grid
-from residua.design.core.own_time import has_rates, in_own_time, written_by
+from residua.design.core.own_time import has_rates, written_by
 from residua.design.parity.conversion import RowFraction, row_fractions
-from residua.design.parity.realization import pole_basis
+from residua.design.parity.realization import chain, pole_basis
 from residua.errors import AccuracyError, DesignError, ModelError
 from residua.linear import StateSpace, decide_rank
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.linear.subspaces.reachability import without_unobservable
-from residua.linear.systems.balancing import descriptor_units
 from residua.plant import Plant
 from residua.shown import Shown
 from residua.tolerances import TINY
@@ -120,7 +119,6 @@ class Equivalence(Shown):
     def __bool__(self) -> bool:
         return self.equivalent
 
-    @in_own_time(w=1)
     def transformation(self, w: NDArray[np.float64]) -> NDArray[np.complex128]:
         r"""Return :math:`V(j\omega)` with :math:`Q_b = V Q_a`, of least norm if it is not unique.
 
@@ -136,7 +134,6 @@ class Equivalence(Shown):
         return _transformation(self.first.frequency_response(w), self.second.frequency_response(w))
 
     @property
-    @in_own_time()
     def matrix(self) -> NDArray[np.float64] | None:
         """The transformation, if it is a matrix of numbers: the same at every frequency."""
         if self.rows:
@@ -150,7 +147,6 @@ class Equivalence(Shown):
         constant = V.real.mean(axis=0)
         return constant if np.abs(V - constant).max() < _PARALLEL * np.abs(V).max() else None
 
-    @in_own_time()
     def realization(self) -> StateSpace:
         r"""Return the transformation as a filter from the residuals of the first generator to those of the second.
 
@@ -206,15 +202,13 @@ class Equivalence(Shown):
                     f"{row.first!r} answers later than {row.second!r}, which the transformation would have to undo: "
                     "ask for the reverse one, second.equivalent_to(first)"
                 )
-            basis = pole_basis(row.poles)
-            zeros = np.asarray(np.atleast_1d(np.poly(row.zeros)).real[::-1] * row.gain, dtype=float)
-            padded = np.concatenate([zeros, np.zeros(len(row.poles) + 1 - len(zeros))])
-            powers = PolynomialBasis.powers(len(padded))
-            k, q = len(row.poles), powers.changed_to(basis, padded[:, None])
-            M = np.diag(basis.real[:k]) + np.eye(k, k=-1)
-            for j in np.flatnonzero(basis.imaginary[:k]):
-                M[j, j + 1] = -basis.links[j + 1]
-            one = StateSpace(M, q[:k], np.eye(k)[-1:] if k else np.zeros((1, 0)), q[k:], dt=a.dt)
+            rate = self.plant.balanced.units.rate  # powers are compared in balanced time
+            basis, k = pole_basis(row.poles / rate), len(row.poles)
+            zeros = np.atleast_1d(np.poly(row.zeros / rate)).real[::-1] * row.gain * rate ** (len(row.zeros) - k)
+            padded = np.concatenate([zeros, np.zeros(k + 1 - len(zeros))])
+            q = PolynomialBasis.powers(k + 1).changed_to(basis, padded[:, None])
+            last = np.eye(k)[-1:] if k else np.zeros((1, 0))
+            one = StateSpace(rate * chain(basis, k), rate * q[:k], last, q[k:], dt=a.dt)
             into = np.eye(a.n_outputs)[a.outputs.index(row.first)][None]
             out = np.eye(b.n_outputs)[:, [b.outputs.index(row.second)]]
             made = StateSpace(
@@ -255,7 +249,6 @@ def equivalence(first: ResidualGenerator, second: ResidualGenerator, *, rtol: fl
     return _compared(first, second, rtol)
 
 
-@in_own_time()
 def _compared(first: ResidualGenerator, second: ResidualGenerator, rtol: float) -> Equivalence:
     """Return what one generator is to another of the same signals."""
     a, b = first.system, second.system
@@ -312,9 +305,7 @@ def _signal_units(generator: ResidualGenerator, Q: NDArray, w: NDArray) -> NDArr
     """
     plant, n_u = generator.plant, len(generator.plant.inputs)
     size = np.abs(Q).max(axis=(0, 1))
-    P = plant.system("control").frequency_response(w)
-    p = plant.system(("control", "disturbance", "fault"))
-    outputs = descriptor_units(p.A, p.E, p.B, p.C, p.D).outputs
+    P, outputs = plant.system("control").frequency_response(w), plant.balanced.units.outputs
     least = _FAINT_OUTPUT * np.max(size[n_u:] / outputs, initial=0.0) * outputs
     terms = (np.maximum(np.abs(Q[:, :, n_u:]), least) @ np.abs(P)).max(axis=(0, 1))
     return np.maximum(size, np.concatenate([terms, least]))

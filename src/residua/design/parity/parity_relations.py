@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
 from itertools import combinations
 from math import comb
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 from residua import arrays
 from residua.design.core.generator import ResidualGenerator
 from residua.design.core.method import method
-from residua.design.core.own_time import in_own_time
 from residua.design.parity.relation_model import RelationModel, relation_model
 from residua.design.parity.relations import Poles, relations_of
-from residua.design.parity.shortest import RelationSpace, relation_space, shortest_relations
+from residua.design.parity.shortest import RelationSpace, made_of_shortest, relation_space, with_rank
 from residua.errors import DesignError, SettingError
-from residua.linear.polynomials.pencil_null_space import PENCIL_RTOL
+from residua.linear.polynomials.pair_relations import PairRelations
 from residua.plant import Plant
 from residua.plant.input_output_model import InputOutputModel
 
@@ -34,7 +33,6 @@ _MOST_STATES = 300
     singular=True,
     noise="moving average",
 )
-@in_own_time()
 def parity_relations(
     plant: Plant | InputOutputModel,
     *,
@@ -42,7 +40,6 @@ def parity_relations(
     insensitive_to: Iterable[str | int] | str = (),
     outputs: Iterable[str | int] | str | None = None,
     poles: Poles | None = None,
-    rtol: float = PENCIL_RTOL,
 ) -> ResidualGenerator:
     r"""Design residuals from the last samples of inputs and outputs alone.
 
@@ -70,8 +67,6 @@ def parity_relations(
     poles : sequence of complex, or mapping of str to sequence, optional
         See :meth:`ParityRelations.with_poles`. When omitted the residuals are the moving averages themselves, and in
         continuous time all poles lie at the rate of the plant.
-    rtol : float
-        Relative tolerance of rank decisions, in balanced units.
 
     Returns
     -------
@@ -110,29 +105,27 @@ def parity_relations(
     model = relation_model(plant)
     ignored = [model.plant.faults[i] for i in arrays.positions(insensitive_to, model.plant.faults, "fault")]
     chosen = model.reading(outputs)
-    if order is None:
-        space = shortest_relations(chosen, ignored, rtol)
-    else:
-        order = _whole(order)
-        _check_size(model, int(order))
-        space = relation_space(chosen, ignored, int(order), rtol)
-    if space is None or not space.count:
-        _none_such(chosen, ignored, order, rtol)
-    assert space is not None
-    rows = [space.relation(chosen, ignored, vector) for vector in space.vectors]
-    relations = relations_of(model.plant, rows)
+    equations = chosen.equations(ignored)
+    if order is not None:
+        _check_size(model, _whole(order))
+    if equations.orders is None or (order is not None and order < equations.orders[0]):
+        _none_such(chosen, ignored, order, equations)
     notes = (*model.notes, *((f"ignores {', '.join(ignored)}",) if ignored else ()))
-    made = relations.with_poles(poles, notes=notes)
-    return with_rank(made, space)
+
+    def design(space: RelationSpace) -> ResidualGenerator:
+        return relations_of(model.plant, space.relations).with_poles(poles, notes=notes)
+
+    if order is None:
+        return made_of_shortest(chosen, equations, design)
+    space = relation_space(equations, order, chosen.balanced.faults)
+    return with_rank(design(space), space)
 
 
-@in_own_time()
 def parity_orders(
     plant: Plant | InputOutputModel,
     *,
     insensitive_to: Iterable[str | int] | str = (),
     most_outputs: int | None = None,
-    rtol: float = PENCIL_RTOL,
 ) -> dict[tuple[str, ...], int]:
     """Return for each set of outputs the order of the shortest relation that reads no others.
 
@@ -143,8 +136,6 @@ def parity_orders(
         Faults to ignore, besides all disturbances.
     most_outputs : int, optional
         The largest sets to look at; all when omitted.
-    rtol : float
-        Relative tolerance of rank decisions.
 
     Returns
     -------
@@ -178,8 +169,8 @@ def parity_orders(
             f"{len(names)} outputs have {count} sets of up to {most}: limit their size with most_outputs"
         )
     sets = [chosen for size in range(1, most + 1) for chosen in combinations(names, size)]
-    spaces = {chosen: shortest_relations(model.reading(chosen), ignored, rtol) for chosen in sets}
-    return {chosen: space.order for chosen, space in spaces.items() if space is not None}
+    orders = {chosen: model.reading(chosen).equations(ignored).orders for chosen in sets}
+    return {chosen: found[0] for chosen, found in orders.items() if found is not None}
 
 
 def chow_willsky_matrices(plant: Plant, order: int) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]]]:
@@ -231,14 +222,6 @@ def chow_willsky_matrices(plant: Plant, order: int) -> tuple[NDArray[np.float64]
     return np.vstack(powers), Q
 
 
-def with_rank(made: ResidualGenerator, space: RelationSpace) -> ResidualGenerator:
-    """Return a generator whose evidence holds the rank decision behind its relations."""
-    ranks = {**made.evidence.ranks, "states and ignored signals": space.decision}
-    s = space.decision.singular_values
-    kept = {"condition of what is annihilated": float(s[0] / space.decision.smallest_kept)} if len(s) else {}
-    return replace(made, evidence=made.evidence.extended(ranks=ranks, conditions=kept))
-
-
 def _whole(order: int) -> int:
     """Return an order, checked."""
     if isinstance(order, bool) or not isinstance(order, (int, np.integer)) or order < 0:
@@ -251,17 +234,16 @@ def _check_size(model: RelationModel, order: int) -> None:
     states = max((order + 1) * model.plant.n_outputs - model.plant.n_states, 1) * order
     if states > _MOST_STATES:
         raise SettingError(
-            f"order {order} means up to {states} states of filters, the most is {_MOST_STATES}; above the {model.most} "
-            "states of the plant relations are shifted copies of shorter ones: ask for a lower order"
+            f"order {order} means up to {states} states of filters, the most is {_MOST_STATES}; above the "
+            f"{model.plant.n_states} states of the plant relations are shifted copies of shorter ones: ask for a lower order"
         )
 
 
-def _none_such(model: RelationModel, ignored: list[str], order: int | None, rtol: float) -> None:
+def _none_such(model: RelationModel, ignored: list[str], order: int | None, equations: PairRelations) -> NoReturn:
     """Raise, with the smallest order at which there is a relation, if any."""
     what = ", ".join(f"'{name}'" for name in (*model.plant.disturbances, *ignored)) or "nothing"
-    shortest = shortest_relations(model, ignored, rtol) if order is not None else None
-    if shortest is not None:
-        raise DesignError(f"no relation of order {order} ignores {what}: the smallest order is {shortest.order}")
+    if equations.orders is not None:
+        raise DesignError(f"no relation of order {order} ignores {what}: the smallest order is {equations.orders[0]}")
     raise DesignError(
         f"no parity relation ignores {what}: the measurements are all used up; add a sensor, read more outputs or "
         "ignore less"

@@ -10,15 +10,13 @@ from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence, format_pole
 from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.design.core.method import method
-from residua.design.core.own_time import in_own_time
 from residua.design.core.signals import signal_names
-from residua.design.parity.relation import Relation, synthetic_division
+from residua.design.parity.relation import Relation
 from residua.design.parity.relation_model import RelationModel, relation_model
 from residua.design.parity.relations import Poles, relations_of
 from residua.design.parity.shortest import shortest_relations
 from residua.errors import DesignError
 from residua.linear import StateSpace, is_stable_mode
-from residua.linear.polynomials.pencil_null_space import PENCIL_RTOL
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.plant import Plant
 from residua.plant.input_output_model import InputOutputModel
@@ -32,7 +30,6 @@ from residua.plant.input_output_model import InputOutputModel
     noise="moving average",
     many=True,
 )
-@in_own_time()
 def primary_residuals(
     model: InputOutputModel | Plant, *, form: str = "ma", poles: Poles | None = None
 ) -> ResidualGenerator:
@@ -91,16 +88,19 @@ def primary_residuals(
         if poles is not None:
             raise DesignError("the poles of the 'arma' form are those of the plant: leave them out, or use form='ma'")
         return _with_the_poles_of(plant, names)
-    rows = _own_equations(model, plant) if isinstance(model, InputOutputModel) else _shortest_of_each(equations)
+    rows = _own_equations(model, equations) if isinstance(model, InputOutputModel) else _shortest_of_each(equations)
     return relations_of(plant, rows, names).with_poles(poles, method="primary residuals", notes=equations.notes)
 
 
-def _own_equations(io: InputOutputModel, plant: Plant) -> list[Relation]:
+def _own_equations(io: InputOutputModel, equations: RelationModel) -> list[Relation]:
     """Return the equations of a model as relations of its state-space form."""
-    rows, none = [], np.zeros((plant.n_states + plant.n_outputs, 0))
+    every, units = replace(equations, decouples=False).equations(), equations.balanced.units
+    rows = []
     for i, k in enumerate(io.H.row_degrees):
-        q, basis = io.H.coefficients[: k + 1, i], PolynomialBasis.powers(k + 1)
-        rows.append(Relation(synthetic_division(plant, q, basis), q, basis, none, np.zeros(0, dtype=np.complex128)))
+        powers = units.rate ** (np.arange(k + 1.0)[:, None] - k)
+        q, basis = powers * io.H.coefficients[: k + 1, i] / units.outputs, PolynomialBasis.powers(k + 1)
+        q = np.hstack([q, np.zeros((k + 1, len(equations.balanced.algebra)))])
+        rows.append(Relation(every, every.completed(q, basis)[0], q, basis))
     return rows
 
 
@@ -108,11 +108,10 @@ def _shortest_of_each(equations: RelationModel) -> list[Relation]:
     """Return for each output of a plant the shortest relation that reads no other."""
     rows, open_to_all = [], replace(equations, decouples=False)
     for name in equations.plant.outputs:
-        alone = open_to_all.reading([name])
-        space = shortest_relations(alone, (), PENCIL_RTOL)
+        space = shortest_relations(open_to_all.reading([name]), ())
         if space is None:
             raise DesignError(f"no relation reads {name!r} alone: algebraic equations tie it to other signals")
-        rows.append(space.relation(alone, (), space.vectors[0]))
+        rows.append(space.relations[0])
     return rows
 
 

@@ -11,29 +11,26 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
-from residua.design.core.canonical_design import in_units_of
 from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence, format_pole
 from residua.design.core.generator import ResidualGenerator, make_generator
-from residua.design.core.own_time import has_rates, in_own_time, written_in_own_time
+from residua.design.core.own_time import has_rates
 from residua.design.core.signals import signal_names
-from residua.design.parity.directional_pencil import Directions, changed_together, check_directions
-from residua.design.parity.realization import Realization, pole_basis, realize_relation
-from residua.design.parity.relation import Relation, changed, digits_lost, plant_rate, states_missed
+from residua.design.parity.directions import Directions, check_directions
+from residua.design.parity.realization import realize_relation
+from residua.design.parity.relation import Relation, default_poles, digits_lost, filter_basis
 from residua.errors import AccuracyError, DesignError, SettingError
 from residua.linear import PolynomialMatrix, StateSpace, is_stable_mode
+from residua.linear.polynomials.pair_relations import PairRelations
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
-from residua.linear.systems.array_cache import cached_by_contents
-from residua.linear.systems.balancing import descriptor_units, power_of_two
 from residua.plant import Plant
-from residua.plant.comparable_units import PlantUnits, canonical_units
-from residua.plant.input_output_entries import in_other_time
 from residua.shown import Shown
-from residua.tolerances import POLYNOMIAL_LEAKAGE, RESIDUE, above_rounding
+from residua.tolerances import RESPONSE_ROUNDING, above_rounding
 from residua.words import counted
 
-#: What the states may be missed by, relative to the terms that have to cancel.
-_REMAINDER = 1e-8
+Matrix = NDArray[np.float64]
+#: Of several relations those of which the newest sample counts for less are nearly of a lower order.
+_NEWEST = 1e-3
 _LOST = "digits lost to cancellation"
 #: Measurements seldom have more digits than this.
 _MANY = 6.0
@@ -58,9 +55,12 @@ class ParityRelations(Shown):
     ----------
     plant : Plant
     rows : tuple of Relation
-        The polynomials, in bases that keep their digits; see ``output_rows`` and the like for powers of ``z``.
+        The polynomials, balanced, in bases that keep their digits; see ``output_rows`` and the like for powers of
+        ``z`` in the units of the plant.
     names : tuple of str
         Of the residuals.
+    heights : ndarray, shape (residuals,)
+        One of each balanced residual in the units of the plant.
     directions : Directions or None
         The directions that the residuals keep together, if the design asked for that.
 
@@ -72,6 +72,7 @@ class ParityRelations(Shown):
     plant: Plant
     rows: tuple[Relation, ...] = field(repr=False)
     names: tuple[str, ...]
+    heights: Matrix = field(repr=False)
     directions: Directions | None = None
 
     # -------------------------------------------------------------------- facts
@@ -117,60 +118,37 @@ class ParityRelations(Shown):
         Q = self.output_rows.padded(max(self.orders, default=0))
         return Q.transpose(1, 0, 2).reshape(Q.shape[1], -1)
 
-    @cached_property
-    def _own(self) -> tuple[ParityRelations, float]:
-        """The relations in the plant's own unit of time, in which powers are compared, and that unit."""
-        return written_in_own_time(self)
-
-    def _in_this_time(self, own: PolynomialMatrix, unit: float, lower: int = 0) -> PolynomialMatrix:
-        """Return rows of the relations in that unit as in the unit of these, of a degree that is so much lower."""
-        return in_other_time(own, unit, [order - lower for order in self.orders])
-
     def _response(self, role: str) -> PolynomialMatrix:
         """Return ``p B + q D`` in powers, without what rounding leaves of nothing."""
-        own, unit = self._own
-        if own is not self:
-            return self._in_this_time(own._response(role), unit)
         B, D = getattr(self.plant, f"B{role}"), getattr(self.plant, f"D{role}")
         k = max(self.orders, default=0)
         P, Q = self.state_rows.padded(k), self.output_rows.padded(k)
         value, terms = P @ B + Q @ D, np.abs(P) @ np.abs(B) + np.abs(Q) @ np.abs(D)
-        return PolynomialMatrix(above_rounding(value, terms.max(axis=0, initial=0.0)))
+        rates = self.plant.balanced.units.rate ** np.arange(k + 1.0)[:, None, None]  # powers are compared balanced
+        return PolynomialMatrix(above_rounding(value, (rates * terms).max(axis=0, initial=0.0) / rates))
 
     @cached_property
     def _in_powers(self) -> tuple[PolynomialMatrix, PolynomialMatrix]:
-        """Return ``p`` and ``q`` in powers of the variable, refined where that costs digits."""
-        own, unit = self._own
-        if own is not self:
-            P, Q = own._in_powers
-            return self._in_this_time(P, unit, 1), self._in_this_time(Q, unit)
-        most = max(self.orders, default=0)
+        """Return ``p`` and ``q`` in powers of the variable, in the units of the plant."""
+        most, units = max(self.orders, default=0), self.plant.balanced.units
         n, m = self.plant.n_states, self.plant.n_outputs
         P, Q = np.zeros((most + 1, len(self.rows), n)), np.zeros((most + 1, len(self.rows), m))
-        changed = self._changed_to([PolynomialBasis.powers(row.order + 1, self.size) for row in self.rows])
-        for i, (row, one) in enumerate(zip(self.rows, changed, strict=True)):
-            powers = self.size ** -np.arange(row.order + 1.0)[:, None]
-            P[: row.order + 1, i], Q[: row.order + 1, i] = one.p * powers, one.q * powers
-        powers = self.size ** np.arange(most + 1.0)[:, None, None]
-        units = descriptor_units(self.plant.A, self.plant.E, self.plant.B, self.plant.C, self.plant.D).outputs
-        heights = np.abs(Q) * powers / units
-        rounding = heights < RESIDUE * heights.max(axis=(0, 2), initial=0.0)[:, None]
-        return PolynomialMatrix(P), PolynomialMatrix(np.where(rounding, 0.0, Q))
+        moved = self._moved([PolynomialBasis.powers(row.order + 1) for row in self.rows])
+        for i, (row, height) in enumerate(zip(moved, self.heights, strict=True)):
+            p, q = row.in_equations(self.plant)
+            powers = height * units.rate ** (row.order - np.arange(row.order + 1.0))[:, None]
+            P[: row.order + 1, i] = powers * p * units.equations / units.rate
+            Q[: row.order + 1, i] = powers * q * units.outputs
+        return PolynomialMatrix(P), PolynomialMatrix(Q)
 
-    @property
-    def size(self) -> float:
-        """The size at which powers are compared: 1 in sampled time, the rate of the plant in 1/s otherwise."""
-        return 1.0 if self.plant.is_discrete else plant_rate(self.plant)
-
-    def _changed_to(self, bases: Sequence[PolynomialBasis]) -> list[Relation]:
+    def _moved(self, bases: Sequence[PolynomialBasis]) -> list[Relation]:
         """Return the rows in other bases, made exact there."""
         if self.directions is not None and self.rows:
-            return changed_together(self.rows, bases[0], self.plant, self.directions)
-        return changed(self.rows, bases, self.plant)
+            return self.directions.moved(self.rows, bases[0])
+        return [row.moved(basis) for row, basis in zip(self.rows, bases, strict=True)]
 
     # ------------------------------------------------------------------ filters
 
-    @in_own_time()
     def with_poles(
         self, poles: Poles | None = None, *, method: str = "parity relations", notes: Sequence[str] = ()
     ) -> ResidualGenerator:
@@ -197,96 +175,77 @@ class ParityRelations(Shown):
             If the number of poles does not fit, they are not closed under conjugation, or not stable; or if they differ
             between residuals that keep directions together, which would bend them.
         AccuracyError
-            If rounding in the coefficients shows in the residual, or, without ``poles``, more than ten digits
-            cancel in the moving average.
+            If rounding of the coefficients shows in the residual: known inputs reach it by more than 1e-6 of the terms
+            that cancel. Without ``poles`` also if more than ten digits cancel in the moving average.
 
         References
         ----------
         Gertler (1991), section 3.5.
         """
-        units = canonical_units(self.plant)
-        own, heights = self._in_units(units)
-        made = own._filtered(own._poles(poles), method, notes, asked=poles is not None)
-        return replace(in_units_of(self.plant, units, made, heights), relations=self)
-
-    def _in_units(self, units: PlantUnits) -> tuple[ParityRelations, NDArray[np.float64]]:
-        """Return the relations between the signals of the scaled plant, of heights near one, and what these were."""
-        height = np.concatenate([units.equations, units.outputs])[:, None]
-        P, Q = [row.p / units.equations for row in self.rows], [row.q / units.outputs for row in self.rows]
-        heights = power_of_two(
-            np.array([max(np.abs(p).max(initial=0.0), np.abs(q).max(initial=0.0)) for p, q in zip(P, Q, strict=True)])
-        )
-        if self.directions is not None:  # which residuals keep together
-            heights = np.full(len(heights), heights.max(initial=1.0))
-        rows = []
-        for row, p, q, size in zip(self.rows, P, Q, heights, strict=True):
-            ignored = row.ignored * height  # its columns have units of their own, which must not count either
-            ignored = ignored / power_of_two(np.abs(ignored).max(axis=0, initial=0.0))
-            rows.append(replace(row, p=p / size, q=q / size, ignored=ignored))
-        return replace(self, plant=units.applied(self.plant), rows=tuple(rows)), heights
-
-    @cached_by_contents
-    def _filtered(
-        self, chosen: list[NDArray[np.complex128]], method: str, notes: Sequence[str], *, asked: bool
-    ) -> ResidualGenerator:
-        """Return the filter with checked poles, for a plant in its own units."""
-        bases = [pole_basis(one) for one in chosen]
-        plant = self.plant
-        rows = self._changed_to(bases)
-        parts = [realize_relation(row.p, row.q, plant, row.basis) for row in rows]
-        system = self._stacked(parts)
+        chosen = self._poles(poles)
+        rows = self._moved([filter_basis(self.plant, one) for one in chosen])
+        rows = [row.times(1 / float(np.prod(row.basis.sizes[: row.order]))) for row in rows]  # monic again
+        system, maps = self._filter(rows)
         evidence = Evidence(
             method=method,
             poles=system.poles(),
             requested_poles=np.concatenate([np.zeros(0, dtype=np.complex128), *chosen]),
-            conditions={"states left": _accepted(rows, plant)},
             notes=(*self._told(), *notes),
             references=("Gertler (1991), sections 3.1, 3.2 and 3.5",),
         )
-        made = make_generator(
-            system,
-            plant,
-            method,
-            evidence,
-            decouples=Decoupled(disturbances=not self._disturbed(rows), limit=POLYNOMIAL_LEAKAGE),
-            state_map=np.vstack([part.state_map for part in parts]),
-            static_map=None if plant.E is None else np.vstack([part.static_map for part in parts]),
-        )
+        decouples = Decoupled(disturbances=not self._disturbed(rows))
+        made = make_generator(system, self.plant, method, evidence, decouples=decouples, relations=self, **maps)
         if self.directions is not None:
             off = check_directions(made, self.directions)
             made = replace(made, evidence=made.evidence.extended(conditions={"response off the directions": off}))
+        return self._with_digits(made, rows, asked=poles is not None)
+
+    def _filter(self, rows: Sequence[Relation]) -> tuple[StateSpace, dict[str, Matrix | None]]:
+        """Return the filters of rows side by side, driven by the same signals, with their maps."""
+        plant, model = self.plant, self.plant.balanced
+        units, n_u = model.units, len(plant.inputs)
+        controls = units.equations[:, None] * plant.B / units.rate, units.outputs[:, None] * plant.D
+        made = []
+        for row, height in zip(rows, self.heights, strict=True):
+            one = realize_relation(*row.in_equations(plant), controls, row.basis)
+            made.append(replace(one, C=height * one.C, D=height * one.D, static_map=height * one.static_map))
+        signals = np.concatenate([np.ones(n_u), units.outputs])
+        system = StateSpace(
+            units.rate * scipy.linalg.block_diag(*[one.A for one in made]),
+            units.rate * np.vstack([one.B for one in made]) * signals,
+            scipy.linalg.block_diag(*[one.C for one in made]),
+            np.vstack([one.D for one in made]) * signals,
+            dt=plant.dt,
+            inputs=signal_names(plant),
+            outputs=self.names,
+        )
+        state_map = np.vstack([one.state_map for one in made]) * units.equations
+        static_map = np.vstack([one.static_map for one in made]) * units.equations / units.rate
+        return system, {"state_map": state_map, "static_map": None if plant.E is None else static_map}
+
+    def _with_digits(self, made: ResidualGenerator, rows: Sequence[Relation], *, asked: bool) -> ResidualGenerator:
+        """Return a filter with the digits that cancel in its evidence; a moving average of too many only if asked."""
         lost = digits_lost(rows, made)
         if lost is None:
             return made
-        if lost > _TOO_MANY and not asked and plant.is_discrete:
+        order = max(self.orders)
+        if lost > _TOO_MANY and not asked and self.plant.is_discrete:
             raise AccuracyError(
-                f"as a moving average of order {max(self.orders)}, {_cancelling(lost)}; or ask for it all the same, "
-                f"with poles of zero, {max(self.orders)} of them"
+                f"as a moving average of order {order}, {_cancelling(lost)}; or ask for it all the same, with poles of "
+                f"zero, {order} of them"
             )
         remarks = (_cancelling(lost),) if lost > _MANY else ()
         return replace(made, evidence=made.evidence.extended(conditions={_LOST: lost}, notes=remarks))
 
     def stacked_with(self, others: Sequence[ParityRelations], names: Sequence[str]) -> ParityRelations:
         """Return these and further relations of the same plant as one set, with new names."""
-        return ParityRelations(self.plant, (*self.rows, *(row for one in others for row in one.rows)), tuple(names))
-
-    def _stacked(self, parts: list[Realization]) -> StateSpace:
-        """Return the filters side by side, driven by the same signals."""
-        return StateSpace(
-            scipy.linalg.block_diag(*[part.system.A for part in parts]),
-            np.vstack([part.system.B for part in parts]),
-            scipy.linalg.block_diag(*[part.system.C for part in parts]),
-            np.vstack([part.system.D for part in parts]),
-            dt=self.plant.dt,
-            inputs=signal_names(self.plant),
-            outputs=self.names,
-        )
+        rows = (*self.rows, *(row for one in others for row in one.rows))
+        return ParityRelations(self.plant, rows, tuple(names), np.concatenate([x.heights for x in (self, *others)]))
 
     def _poles(self, poles: Poles | None) -> list[NDArray[np.complex128]]:
         """Return the poles of each relation, checked."""
         if poles is None:
-            rate = 0.0 if self.plant.is_discrete else -plant_rate(self.plant)
-            return [np.full(k, rate, dtype=np.complex128) for k in self.orders]
+            return [default_poles(self.plant, k) for k in self.orders]
         if isinstance(poles, Mapping):
             unknown = set(poles) - set(self.names)
             missing = [name for name, k in zip(self.names, self.orders, strict=True) if k and name not in poles]
@@ -316,13 +275,8 @@ class ParityRelations(Shown):
 
     def _disturbed(self, rows: Sequence[Relation]) -> bool:
         """Tell whether disturbances reach a relation by more than rounding."""
-        Bd, Dd = self.plant.Bd, self.plant.Dd
-        for row in rows:
-            left = np.abs(row.p @ Bd + row.q @ Dd).max(axis=0, initial=0.0)
-            terms = (np.abs(row.p) @ np.abs(Bd) + np.abs(row.q) @ np.abs(Dd)).max(axis=0, initial=0.0)
-            if np.any(left > 1e-8 * terms) and np.any(left > 1e-10 * np.abs(np.hstack([row.p, row.q])).max()):
-                return True
-        return False
+        B, D = self.plant.balanced.disturbances
+        return any(np.abs(row.p @ B + row.q @ D).max(initial=0.0) > 1e-8 * np.abs(row.q).max() for row in rows)
 
     def _told(self) -> Iterator[str]:
         """Yield what was divided out silently elsewhere."""
@@ -359,32 +313,25 @@ def relations_of(
 ) -> ParityRelations:
     """Return relations as one set, each scaled so that the newest sample of an output has coefficient one.
 
-    The first output that takes much part, in units that are not those of the caller: another one would be another
-    rounding. Relations that keep directions together are of one order, and all scaled by the factor of the first.
+    The first output that takes much part, balanced. Relations that keep directions together are of one order, and all
+    scaled by the factor of the first.
     """
-    factors, outputs = [], canonical_units(plant).outputs
+    factors, heights, outputs = [], [], plant.balanced.units.outputs
     for row in rows:
-        newest = row.q[-1]
-        if not np.any(row.q):
+        newest = row.q[-1, : plant.n_outputs]
+        if not np.any(row.q[:, : plant.n_outputs]):
             raise DesignError("a relation reads no output: the equations of the model are not independent")
-        parts = np.abs(newest) / outputs
-        large = np.flatnonzero(parts >= 0.1 * parts.max())
-        leading = float(newest[large[0]] / np.prod(row.basis.sizes[: row.order]))
-        factors.append(1 / leading if leading else 1.0)
+        first = int(np.flatnonzero(np.abs(newest) >= 0.1 * np.abs(newest).max())[0])
+        size, largest = float(np.prod(row.basis.sizes[: row.order])), float(np.abs(row.q).max())
+        there = abs(newest[first]) > (RESPONSE_ROUNDING if len(rows) == 1 else _NEWEST) * largest
+        factors.append(size / newest[first] if there else 1 / largest)
+        heights.append(1 / outputs[first])
     if directions is not None:
-        factors = [abs(factors[0]) * _sign(rows, plant, directions)] * len(factors)
+        factors = [abs(factors[0]) * directions.sign(rows, plant)] * len(factors)
+        heights = heights[0] * directions.levels / directions.levels[0]
     names = tuple(names) if names else tuple(f"r{i + 1}" for i in range(len(rows)))
     scaled = tuple(row.times(factor) for row, factor in zip(rows, factors, strict=True))
-    return ParityRelations(plant, scaled, names, directions)
-
-
-def _sign(rows: Sequence[Relation], plant: Plant, directions: Directions) -> float:
-    """Return the sign with which the first response to the first of the directed faults is along its direction."""
-    j = plant.faults.index(directions.faults[0])
-    each = np.array([row.p @ plant.Bf[:, j] + row.q @ plant.Df[:, j] for row in rows])
-    along = directions.vectors[:, 0] @ each
-    present = np.flatnonzero(np.abs(along) > 1e-9 * np.abs(along).max())
-    return float(np.sign(along[present[-1]])) if len(present) else 1.0
+    return ParityRelations(plant, scaled, names, np.array(heights, dtype=float), directions)
 
 
 def _cancelling(lost: float) -> str:
@@ -394,19 +341,6 @@ def _cancelling(lost: float) -> str:
         f"{lost:.0f} digits of the data cancel: rounding of numbers of 16 digits alone makes residuals {share} what a "
         "fault leaves, that of measurements more; choose poles near those of the plant (with_poles), or structured_bank"
     )
-
-
-def _accepted(rows: Sequence[Relation], plant: Plant) -> float:
-    """Return how far the states are missed at most, or raise."""
-    worst = states_missed(rows, plant)
-    if not worst <= _REMAINDER:
-        order = max(row.order for row in rows)
-        raise AccuracyError(
-            f"a parity relation of order {order} leaves {worst:.2g} > {_REMAINDER:.0e} of the states: too "
-            "ill-conditioned with these poles; choose poles near those of the plant, or use decoupled_residual "
-            "or structured_bank"
-        )
-    return worst
 
 
 def _checked_poles(poles: Any, order: int, name: str, plant: Plant) -> NDArray[np.complex128]:

@@ -2,250 +2,192 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.analysis.fault_space import fault_space
-from residua.design.parity.relation import Relation
-from residua.design.parity.relation_model import RelationModel, basis_for, state_pencil
-from residua.errors import AccuracyError, DesignError
-from residua.linear.polynomials.degree_search import at_smallest_degree
-from residua.linear.polynomials.pencil_null_space import (
-    Pencil,
-    PencilNullVectors,
-    pencil,
-    pencil_null_vectors,
-    shortest_pencil_null_vectors,
-)
+from residua.design.core.generator import ResidualGenerator
+from residua.design.parity.relation import Relation, default_poles, filter_basis
+from residua.design.parity.relation_model import RelationModel
+from residua.errors import AccuracyError, DesignError, SettingError
+from residua.linear.polynomials.pair_relations import PairRelations
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.linear.subspaces.rank import RankDecision
-from residua.linear.systems.array_cache import copied
-from residua.tolerances import POLYNOMIAL_LEAKAGE
+from residua.tolerances import BALANCED_ANSWER
 from residua.words import used_up
 
+Matrix = NDArray[np.float64]
 #: A fault is seen by a relation when more than this of the largest response that its size allows is left.
-_SEEN = 1e-9
-#: What rounding in the numbers of a model may make of a singular value that would be zero: relations that hold to this,
-#: and answer to their faults far more strongly, hold for the plant. In exact numbers, what is zero is so to 1e-16.
-_OF_DATA = 1e-10
-#: Those that count as zero must be this far below the others then, ...
-_GAP = 1e3
+SEEN = 1e-9
 #: Combinations of equally short relations that are tried for the best view of the faults.
 _TRIES = 30
 
 
 @dataclass(frozen=True, eq=False)
 class RelationSpace:
-    """All relations of at most an order that ignore a set, with what they see.
+    """All relations of at most an order, with what they see.
 
     Attributes
     ----------
-    vectors : ndarray, shape (relations, order + 1, equations)
-        Coefficients, orthonormal in balanced units.
+    equations : PairRelations
+    p, q : ndarray, shape (relations, order + 1, states) and (relations, order + 1, outputs)
+        Coefficients, orthonormal together.
     basis : PolynomialBasis
         What they are coefficients in.
     decision : RankDecision
-        Behind their number.
+        The singular values of the window that they annihilate.
     responses : ndarray, shape (relations, order + 1, faults)
-        The coefficients of the response of each to each fault, in units of the fault's column in balanced units.
-    floor : float
-        A larger response is no rounding.
+        The coefficients of the response of each to each fault, balanced.
     """
 
-    vectors: NDArray[np.float64]
+    equations: PairRelations
+    p: Matrix
+    q: Matrix
     basis: PolynomialBasis
     decision: RankDecision
-    responses: NDArray[np.float64]
-    floor: float
+    responses: Matrix
 
     @property
     def count(self) -> int:
         """How many independent relations there are."""
-        return len(self.vectors)
+        return len(self.q)
 
     @property
     def order(self) -> int:
         """The highest order."""
-        return self.vectors.shape[1] - 1
+        return self.q.shape[1] - 1
 
-    @property
-    def clear(self) -> bool:
-        """Whether nothing lies between the singular values that count as zero and those that do not."""
-        return self.decision.smallest_kept > _GAP * self.decision.largest_dropped
-
-    @property
-    def sizes(self) -> NDArray[np.float64]:
-        """The size of the response of each relation to each fault, shape (relations, faults)."""
-        return np.linalg.norm(self.responses, axis=1)
-
-    @property
+    @cached_property
     def seen(self) -> NDArray[np.bool_]:
         """The faults that some relation answers to, shape (faults,)."""
-        return np.linalg.norm(self.sizes, axis=0) > self.floor
+        return np.linalg.norm(self.responses, axis=(0, 1)) > SEEN
 
-    def best_combination(self, faults: Sequence[int]) -> NDArray[np.float64]:
+    @property
+    def relations(self) -> list[Relation]:
+        """Each relation."""
+        return [self.combined(one) for one in np.eye(self.count)]
+
+    def last(self, many: int) -> RelationSpace:
+        """Return the space of the last relations."""
+        return replace(self, p=self.p[-many:], q=self.q[-many:], responses=self.responses[-many:])
+
+    def combined(self, weights: Matrix) -> Relation:
+        """Return a combination of the relations."""
+        p, q = (np.tensordot(weights, part, 1) for part in (self.p, self.q))
+        return Relation(self.equations, p, q, self.basis)
+
+    def best(self, faults: Sequence[int]) -> Relation:
         """Return the combination whose weakest response to some faults is largest, of those that are tried.
 
         These are each relation alone, the directions of the singular vectors of the responses, and seeded random ones.
         """
-        n = self.count
-        if n == 1:
-            return self.vectors[0]
         tries = combinations_to_try(self.responses[:, :, list(faults)])
         response = np.einsum("tn,nkf->tkf", tries, self.responses[:, :, list(faults)])
         weakest = np.linalg.norm(response, axis=1).min(axis=1, initial=1.0)
-        return np.einsum("n,nkj->kj", tries[simplest_of_the_best(weakest)], self.vectors)
-
-    def relation(self, model: RelationModel, ignored: Sequence[str | int], vector: NDArray[np.float64]) -> Relation:
-        """Return a combination of the vectors as a relation."""
-        n = model.plant.n_states
-        none = np.zeros(0, dtype=np.complex128)
-        return Relation(vector[:, :n], vector[:, n:], self.basis, model.ignored_columns(ignored), none)
+        return self.combined(tries[simplest_of_the_best(weakest)])
 
 
-def combinations_to_try(responses: NDArray[np.float64]) -> NDArray[np.float64]:
+def combinations_to_try(responses: Matrix) -> Matrix:
     """Return each relation alone, the directions of the singular vectors of the responses, and seeded random ones."""
     n = len(responses)
+    if n == 1:
+        return np.ones((1, 1))
     flat = responses.reshape(n, -1)
     directions = np.linalg.svd(flat)[0].T if flat.size else np.eye(n)
     random = np.random.default_rng(20).standard_normal((_TRIES, n))
     return np.vstack([np.eye(n), directions, random / np.linalg.norm(random, axis=1, keepdims=True)])
 
 
-def simplest_of_the_best(scores: NDArray[np.float64]) -> int:
+def simplest_of_the_best(scores: Matrix) -> int:
     """Return the first combination that is not much worse than the best: it is simpler than a mixture."""
     return int(np.flatnonzero(scores >= 0.2 * scores.max())[0])
 
 
-def relation_space(model: RelationModel, ignored: Sequence[str | int], order: int, rtol: float) -> RelationSpace:
-    """Return all relations of at most an order that ignore some faults and all disturbances."""
-    if order >= model.basis.count:
-        model = replace(model, basis=basis_for(model.plant, order + 1))
-    search = _search(model, ignored)
-    return search.space(pencil_null_vectors(search.pencil, order, rtol=rtol))
+def relation_space(
+    equations: PairRelations, order: int, faults: tuple[Matrix, Matrix], near: PolynomialBasis | None = None
+) -> RelationSpace:
+    """Return all relations of at most an order, with their responses to faults, ``B`` and ``D``.
+
+    ``near``: those too that are relations by what counts in a rank, in a basis.
+    """
+    basis = equations.basis(order) if near is None else near
+    p, q, decision = equations.rows(order, basis, near=near is not None)
+    return RelationSpace(equations, p, q, basis, decision, p @ faults[0] + q @ faults[1])
 
 
-def shortest_relations(model: RelationModel, ignored: Sequence[str | int], rtol: float) -> RelationSpace | None:
+def made_of_shortest(
+    model: RelationModel,
+    equations: PairRelations,
+    make: Callable[[RelationSpace], ResidualGenerator],
+    *,
+    seen: Sequence[int] = (),
+) -> ResidualGenerator:
+    """Return what is made of the relations of the smallest order that answer to some faults.
+
+    Where rounding hides them in the filter, of a smaller one, of relations that double precision hardly tells from
+    exact ones: a window in which singular values fade has many of these.
+    """
+    assert equations.orders is not None
+    (shortest, longest), faults = equations.orders, model.balanced.faults
+    spaces = (relation_space(equations, order, faults) for order in range(shortest, longest + 1))
+    space = next((one for one in spaces if one.seen[list(seen)].all()), None)
+    if space is None:
+        raise AccuracyError(
+            f"relations that answer exist, but none of an order up to {longest} is found to working precision: "
+            "structured_bank needs no polynomials"
+        )
+    try:
+        return with_rank(make(space), space)
+    except AccuracyError as error:
+        for order in range(shortest):
+            near = relation_space(equations, order, faults, filter_basis(model.plant, default_poles(model.plant, order)))
+            for many in range(1, near.count + 1):  # those that miss their equations least are last
+                few = near.last(many)
+                if few.seen[list(seen)].all():
+                    with suppress(AccuracyError, SettingError):
+                        made = make(few)
+                        if made.structure.any():
+                            return with_rank(made, few)
+                    break
+        raise error
+
+
+def with_rank(made: ResidualGenerator, space: RelationSpace) -> ResidualGenerator:
+    """Return a generator whose evidence holds the rank decisions behind its relations."""
+    ranks = {**made.evidence.ranks, "states and ignored signals": space.decision}
+    near = [*space.equations.near, *([] if space.decision.is_clear else [space.decision])]
+    notes = tuple(f"near: {one}; double precision hardly decides this rank" for one in near[:1])
+    return replace(made, evidence=made.evidence.extended(ranks=ranks, notes=notes))
+
+
+def shortest_relations(model: RelationModel, ignored: Sequence[str]) -> RelationSpace | None:
     """Return the relations of the smallest order that ignore some faults and all disturbances, if there are any."""
-    search = _search(model, ignored)
-    vectors = shortest_pencil_null_vectors(search.pencil, most=model.most, rtol=rtol)
-    return None if vectors is None else search.space(vectors)
+    equations = model.equations(ignored)
+    return None if equations.orders is None else relation_space(equations, equations.orders[0], model.balanced.faults)
 
 
-def shortest_relation(
-    model: RelationModel, ignored: Sequence[str], seen: Sequence[str], rtol: float
-) -> tuple[NDArray[np.float64], RelationSpace]:
-    """Return the shortest relation that ignores some faults and all disturbances and answers to others.
+def equations_seeing(model: RelationModel, ignored: Sequence[str], seen: Sequence[str]) -> PairRelations:
+    """Return the relations that ignore some faults and all disturbances, some of which answer to others.
 
     Raises
     ------
     DesignError
         If there is none: which of the faults no relation sees, or that there is no relation at all.
-    AccuracyError
-        If there is one by the ranks of the pencil, but the search has no result.
     """
-    faults = [model.plant.faults.index(name) for name in seen]
-    search = _search(model, ignored)
-    exact = _shortest_seeing(search, faults, model.most, rtol)
-    most = model.most if exact is None else exact.order - 1
-    near = _shortest_seeing(search, faults, most, max(rtol, _OF_DATA)) if most >= 0 else None
-    space = exact if near is None or not near.clear else near
-    if space is not None:
-        return space.best_combination(faults), space
-    raise _refusal(model, search, ignored, seen, rtol)
-
-
-def _shortest_seeing(search: _Search, faults: Sequence[int], most: int, rtol: float) -> RelationSpace | None:
-    """Return the relations of the smallest order that answer to some faults; ``None`` when there are none."""
-    vectors = shortest_pencil_null_vectors(search.pencil, most=most, rtol=rtol)
-    if vectors is None:
-        return None
-    first = search.space(vectors)
-    if first.seen[faults].all():
-        return first
-
-    def seeing_all(order: int) -> RelationSpace | None:
-        tried = search.space(pencil_null_vectors(search.pencil, order, rtol=rtol))
-        return tried if tried.seen[faults].all() else None
-
-    longest = seeing_all(most)
-    return None if longest is None else at_smallest_degree(seeing_all, first.order + 1, most, longest)
-
-
-def _refusal(
-    model: RelationModel, search: _Search, ignored: Sequence[str], seen: Sequence[str], rtol: float
-) -> DesignError | AccuracyError:
-    """Return what to raise when the search has no result: why there is no relation, or that rounding hides it."""
+    faults, equations = [model.plant.faults.index(name) for name in seen], model.equations(ignored)
     what = ", ".join(f"'{name}'" for name in (*model.plant.disturbances, *ignored)) or "nothing"
-    longest = search.space(pencil_null_vectors(search.pencil, model.most, rtol=rtol))
-    space = fault_space(model.plant)
-    hidden = space.closure(space.basis([model.plant.faults.index(name) for name in ignored]))
-    if longest.count == 0 and not space.leaves(ignored):
-        return DesignError(
+    if equations.orders is None:
+        raise DesignError(
             f"no parity relation ignores {what}: the {used_up(model.plant.n_outputs)}; add a sensor or ignore less"
         )
-    blind = [name for name in seen if hidden[model.plant.faults.index(name)]]
-    if blind:
-        return DesignError(
-            f"a parity relation that ignores {what} cannot see {', '.join(blind)}: of up to order {model.most}, "
-            "there is none that answers"
+    drive = np.linalg.norm(equations.quotient.drive(*model.balanced.faults), axis=0)[faults]
+    if blind := [name for name, size in zip(seen, drive, strict=True) if not size > BALANCED_ANSWER]:
+        raise DesignError(
+            f"a parity relation that ignores {what} cannot see {', '.join(blind)}: of up to order "
+            f"{equations.orders[1]}, there is none that answers"
         )
-    return AccuracyError(
-        f"a parity relation that ignores {what} and answers to {', '.join(seen)} exists, but none of an order up to "
-        f"{model.most} is found to working precision: structured_bank needs no polynomials"
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class _Search:
-    """What must be annihilated, in units of the plant's own: the equations that can take part.
-
-    Attributes
-    ----------
-    pencil : Pencil
-    used : ndarray of int
-        Which equations are left.
-    faults : ndarray, shape (equations, faults)
-    units : ndarray, shape (equations,)
-        What takes vectors to the units that the plant was written in.
-    """
-
-    pencil: Pencil
-    used: NDArray[np.intp]
-    faults: NDArray[np.float64]
-    units: NDArray[np.float64]
-
-    def space(self, null: PencilNullVectors) -> RelationSpace:
-        """Return null vectors as relations, in the units of the model, with their responses to the faults."""
-        vectors = np.zeros((len(null.vectors), null.degree + 1, len(self.faults)))
-        vectors[:, :, self.used] = null.vectors
-        level = np.sqrt(((null.units[:, :, None] * self.faults[self.used]) ** 2).sum(axis=1))
-        responses = vectors @ self.faults / np.where(level > 0, level, 1.0)
-        s = null.decision.singular_values
-        smallest = null.decision.smallest_kept / s[0] if len(s) and null.decision.rank else 1.0
-        dropped = null.decision.largest_dropped / s[0] if len(s) and s[0] else 0.0
-        floor = max(_SEEN, 100 * np.finfo(float).eps / smallest, dropped / POLYNOMIAL_LEAKAGE)
-        return RelationSpace(vectors * self.units, self.pencil.basis, copied(null.decision), responses, floor)
-
-
-def _search(model: RelationModel, ignored: Sequence[str | int]) -> _Search:
-    """Return what must be annihilated without the equations that cannot take part.
-
-    A column with one entry only, such as that of a sensor fault, rules out its equation exactly.
-    """
-    own, units = model.in_own_units()
-    whole = state_pencil(own.plant, own.ignored_columns(ignored), own.basis)
-    present = (whole.P0 != 0) | (whole.P1 != 0)
-    used = np.arange(len(present))
-    while len(used):
-        here = present[used]
-        alone = here[:, here.sum(axis=0) == 1].any(axis=1)
-        if not alone.any():
-            break
-        used = used[~alone]
-    height = np.concatenate([units.equations, units.outputs])
-    part = pencil(whole.P0[used], whole.P1[used], own.basis, canonical=True)
-    return _Search(part, used, own.faults, height)
+    return equations

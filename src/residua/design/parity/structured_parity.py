@@ -12,13 +12,10 @@ from residua.design.banks.structured_bank import ROWS
 from residua.design.core.generator import ResidualGenerator
 from residua.design.core.method import method
 from residua.design.core.needs import FAULTS_APART
-from residua.design.core.own_time import in_own_time
-from residua.design.parity.parity_relations import with_rank
 from residua.design.parity.relation_model import relation_model
 from residua.design.parity.relations import Poles, relations_of
-from residua.design.parity.shortest import shortest_relation
+from residua.design.parity.shortest import RelationSpace, equations_seeing, made_of_shortest
 from residua.errors import AccuracyError, SettingError
-from residua.linear.polynomials.pencil_null_space import PENCIL_RTOL
 from residua.plant import Plant
 from residua.plant.input_output_model import InputOutputModel
 
@@ -35,14 +32,12 @@ from residua.plant.input_output_model import InputOutputModel
     many=True,
     chosen={"structure": ROWS},
 )
-@in_own_time()
 def structured_parity(
     plant: Plant | InputOutputModel,
     structure: Structure,
     *,
     poles: Poles | None = None,
     allow_missing: bool = False,
-    rtol: float = PENCIL_RTOL,
 ) -> Bank:
     r"""Design one scalar parity relation per row of an incidence matrix, each of the smallest order there is.
 
@@ -50,10 +45,10 @@ def structured_parity(
 
     .. math:: w_i^T(z)\, g_j(z) = 0, \qquad w_i^T(z)\, h_j(z) = 0,
 
-    and answers to every one of its ones. A search gives the degrees, and the singular values of a block
-    matrix give the vectors (:func:`residua.linear.left_null_vectors`, in a basis on the poles of the plant). The
-    shortest relation has no factor common to all signals; factors that the equations of an input-output model share are
-    divided out, and a note says so.
+    and answers to every one of its ones. Ranks of the balanced plant say which degrees there are, and the singular
+    values of a window, in a basis on the poles of the plant, give the vectors. The shortest relation has no factor
+    common to all signals; factors that the equations of an input-output model share are divided out, and a note says
+    so.
 
     Parameters
     ----------
@@ -65,8 +60,6 @@ def structured_parity(
         For all rows, which must then be of one order, or by name of the row.
     allow_missing : bool
         Whether rows that are not attainable are left out, and listed in ``failures``, instead of raised.
-    rtol : float
-        Relative tolerance of rank decisions, in balanced units.
 
     Returns
     -------
@@ -108,20 +101,23 @@ def structured_parity(
 
     def design(name: str, part: Plant) -> ResidualGenerator:  # its faults are those that the row answers to
         ignored = tuple(fault for fault in model.plant.faults if fault not in part.faults)
-        vector, space = shortest_relation(model, ignored, part.faults, rtol)
-        relations = relations_of(model.plant, [space.relation(model, ignored, vector)], [name])
+        equations = equations_seeing(model, ignored, part.faults)
+        ones = [model.plant.faults.index(fault) for fault in part.faults]
         own = poles[name] if isinstance(poles, Mapping) else poles
-        made = relations.with_poles(own, method="structured parity relation", notes=model.notes)
-        seen = np.any(made.structure, axis=0).tolist()
-        answers = {fault: bool(seen[i]) for i, fault in enumerate(made.faults)}
-        blind = [fault for fault in part.faults if not answers[fault]]
-        if blind:
-            raise AccuracyError(
-                f"a relation of order {relations.orders[0]} answers to {', '.join(blind)}, but as a filter with these "
-                "poles its response is lost in the rounding of its terms: choose poles near those of the plant, or "
-                "use structured_bank"
-            )
-        return with_rank(made, space)
+
+        def make(space: RelationSpace) -> ResidualGenerator:
+            relations = relations_of(model.plant, [space.best(ones)], [name])
+            made = relations.with_poles(own, method="structured parity relation", notes=model.notes)
+            blind = [fault for i, fault in zip(ones, part.faults, strict=True) if not made.structure[0, i]]
+            if blind:
+                raise AccuracyError(
+                    f"a relation of order {relations.orders[0]} answers to {', '.join(blind)}, but as a filter with "
+                    "these poles its response is lost in the rounding of its terms: choose poles near those of the "
+                    "plant, or use structured_bank"
+                )
+            return made
+
+        return made_of_shortest(model, equations, make, seen=ones)
 
     return build_bank(
         model.plant,

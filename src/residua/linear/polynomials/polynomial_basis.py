@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
 #: Nodes nearer than this fraction of the distance to the farthest one meet (a triple pole scatters by 1e-5) ...
@@ -39,24 +38,13 @@ class PolynomialBasis:
         return cls(np.zeros(count), np.zeros(count), np.full(count, float(size)))
 
     @classmethod
-    def on(cls, nodes: ArrayLike, *, in_order: bool = False, size: float = 1.0) -> PolynomialBasis:
-        """Return the basis on some nodes, closed under conjugation.
+    def on(cls, nodes: ArrayLike, *, size: float = 1.0) -> PolynomialBasis:
+        """Return the basis on some nodes, closed under conjugation, in the order of Leja.
 
-        In the order of Leja, each node as far as possible from those before it, with sizes that keep the elements near
-        one on all nodes, ``size`` where all nodes meet; or in the order of the input (pairs side by side) with sizes
-        one.
+        Each is as far as possible from those before it, with sizes that keep the elements near one on all nodes,
+        ``size`` where all nodes meet.
         """
-        values = np.asarray(nodes, dtype=np.complex128).ravel()
-        if in_order:
-            return cls(values.real.copy(), np.where(values.imag > 0, values.imag, 0.0), np.ones(len(values)))
-        return cls(*_leja(values, size))
-
-    def with_room(self) -> PolynomialBasis:
-        """Return the basis with one node more, so that products with the variable can be written too."""
-        if not self.count:
-            return PolynomialBasis.powers(1)
-        more = np.array([self.real.mean()]), np.zeros(1), self.sizes[-1:]
-        return PolynomialBasis(*(np.concatenate(x) for x in zip(self._arrays, more, strict=True)))
+        return cls(*_leja(np.asarray(nodes, dtype=np.complex128).ravel(), size))
 
     @property
     def _arrays(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
@@ -120,9 +108,7 @@ class PolynomialBasis:
         """Return coefficients in this basis as coefficients in another one, along the first axis."""
         k = len(coefficients) - 1
         flat = coefficients.reshape(k + 1, -1)
-        L = other.elements_in(self, k)  # the other's elements in this basis
-        out = scipy.linalg.solve_triangular(L.T, flat, lower=False, check_finite=False)
-        return np.asarray(out, dtype=float).reshape(coefficients.shape)
+        return (self.elements_in(other, k).T @ flat).reshape(coefficients.shape)
 
 
 def _leja(

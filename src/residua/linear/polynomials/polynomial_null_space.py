@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.linear.polynomials.degree_search import at_smallest_degree
 from residua.linear.polynomials.polynomial_matrix import PolynomialMatrix
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, decide_rank, left_null_basis
 from residua.linear.systems.balancing import evened
@@ -104,7 +104,7 @@ def shortest_left_null_vectors(
 
     if rows == 0 or not exists(most):
         return None
-    low = at_smallest_degree(lambda degree: degree if exists(degree) else None, 0, most, most)
+    low = bisect_left(range(most + 1), True, key=exists)
     W, decision = left_null_basis(_toeplitz(balanced, low), rtol=rtol)
     return _null_vectors(W, decision, units, low, variable)
 

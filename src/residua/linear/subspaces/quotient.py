@@ -40,6 +40,7 @@ class Quotient:
     proper : bool
         Whether ``x`` follows from ``z`` and ``v_q``: no input that is not seen moves it otherwise.
     decisions : list of RankDecision
+    tolerance : float
     """
 
     A: Matrix
@@ -51,6 +52,7 @@ class Quotient:
     R: Matrix
     proper: bool
     decisions: list[RankDecision] = field(repr=False)
+    tolerance: float = BALANCED_RANK
 
     @cached_property
     def known(self) -> tuple[Matrix, Matrix]:
@@ -77,7 +79,7 @@ class Quotient:
     @cached_property
     def split(self) -> ObservableSplit:
         """The states that ``G`` sees, and those that it does not."""
-        return observable_split(*self.pair)
+        return observable_split(*self.pair, self.tolerance)
 
     @cached_property
     def hidden_modes(self) -> NDArray[np.complex128]:
@@ -105,7 +107,16 @@ class ObservableSplit:
     decisions: list[RankDecision] = field(repr=False)
 
 
-def quotient(A: Matrix, B: Matrix, C: Matrix, D: Matrix, P: Matrix | None = None, R: Matrix | None = None) -> Quotient:
+def quotient(
+    A: Matrix,
+    B: Matrix,
+    C: Matrix,
+    D: Matrix,
+    P: Matrix | None = None,
+    R: Matrix | None = None,
+    *,
+    tolerance: float = BALANCED_RANK,
+) -> Quotient:
     r"""Divide a balanced system by what its unknown inputs reach unseen.
 
     In each round, with :math:`D Z = [0 \; D_2]`, :math:`B Z = [B_1 \; B_2]`, ``W`` the range of ``B_1`` and ``U`` its
@@ -114,9 +125,11 @@ def quotient(A: Matrix, B: Matrix, C: Matrix, D: Matrix, P: Matrix | None = None
     Parameters
     ----------
     A, B, C, D : ndarray
-        In balanced units: ranks are decided by singular values above ``BALANCED_RANK``.
+        In balanced units.
     P, R : ndarray, optional
         What is to be had from the states and the inputs, ``P x + R v``; the states when omitted.
+    tolerance : float
+        Singular values below it are zero, here and in what is asked of the quotient.
 
     References
     ----------
@@ -128,26 +141,26 @@ def quotient(A: Matrix, B: Matrix, C: Matrix, D: Matrix, P: Matrix | None = None
     R = np.zeros((len(P), B.shape[1])) if R is None else R
     proper, decisions = True, []
     while True:
-        _, unseen, rest, decision = _row_split(D)
+        _, unseen, rest, decision = _row_split(D, tolerance)
         decisions.append(decision)
         B1, D, B, lost, R = B @ unseen, D @ rest, B @ rest, R @ unseen, R @ rest
         proper = proper and bool(np.linalg.norm(lost) <= BALANCED_RANK * max(1.0, float(np.linalg.norm(R))))
-        W, U, decision = _column_split(B1)
+        W, U, decision = _column_split(B1, tolerance)
         decisions.append(decision)
         if not W.shape[1]:
-            return Quotient(A, B, C, D, N, P, R, proper, decisions)
+            return Quotient(A, B, C, D, N, P, R, proper, decisions, tolerance)
         B, D = np.hstack([U.T @ A @ W, U.T @ B]), np.hstack([C @ W, D])
         R, P, N = np.hstack([P @ W, R]), P @ U, U.T @ N
         A, C = U.T @ A @ U, C @ U
         A, B, C, D, N, P, R = (without_rounding(M) for M in (A, B, C, D, N, P, R))
 
 
-def observable_split(A: Matrix, C: Matrix) -> ObservableSplit:
+def observable_split(A: Matrix, C: Matrix, tolerance: float = BALANCED_RANK) -> ObservableSplit:
     """Split the states of a balanced pair into those that the outputs see and those that they do not."""
     n = len(A)
     seen, hidden, rows, decisions = np.zeros((n, 0)), np.eye(n), C, []
     while hidden.shape[1]:
-        _, rest, reading, decision = _row_split(rows @ hidden)
+        _, rest, reading, decision = _row_split(rows @ hidden, tolerance)
         decisions.append(decision)
         if not reading.shape[1]:
             break
@@ -161,28 +174,28 @@ def without_rounding(M: NDArray) -> Matrix:
     return above_rounding(M, 1.0, NEGLIGIBLE)
 
 
-def _decided(s: Matrix) -> RankDecision:
-    return RankDecision(int(np.count_nonzero(s > BALANCED_RANK)), s, BALANCED_RANK)
+def _decided(s: Matrix, tolerance: float) -> RankDecision:
+    return RankDecision(int(np.count_nonzero(s > tolerance)), s, tolerance)
 
 
-def _row_split(M: Matrix) -> tuple[Matrix, Matrix, Matrix, RankDecision]:
+def _row_split(M: Matrix, tolerance: float) -> tuple[Matrix, Matrix, Matrix, RankDecision]:
     """Return bases, as columns, of the left null space, the null space and the row space of a matrix."""
     rows, columns = M.shape
     if not M.size:
-        return np.eye(rows), np.eye(columns), np.zeros((columns, 0)), _decided(np.zeros(0))
+        return np.eye(rows), np.eye(columns), np.zeros((columns, 0)), _decided(np.zeros(0), tolerance)
     U, s, Vh = np.linalg.svd(M)
     U, Vh = without_rounding(U), without_rounding(Vh)
-    decision = _decided(s)
+    decision = _decided(s, tolerance)
     k = decision.rank
     return U[:, k:], Vh[k:].T, Vh[:k].T, decision
 
 
-def _column_split(M: Matrix) -> tuple[Matrix, Matrix, RankDecision]:
+def _column_split(M: Matrix, tolerance: float) -> tuple[Matrix, Matrix, RankDecision]:
     """Return bases of the range of a matrix and of its complement."""
     if not M.size:
-        return np.zeros((len(M), 0)), np.eye(len(M)), _decided(np.zeros(0))
+        return np.zeros((len(M), 0)), np.eye(len(M)), _decided(np.zeros(0), tolerance)
     U, s, _ = np.linalg.svd(M)
-    decision, U = _decided(s), without_rounding(U)
+    decision, U = _decided(s, tolerance), without_rounding(U)
     return U[:, : decision.rank], U[:, decision.rank :], decision
 
 

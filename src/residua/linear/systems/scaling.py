@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from residua.linear.subspaces.parts import part_of_each
 
-#: Entries of the balanced system below this count as none when the units are chosen.
+#: Entries this far below the largest both of their row and of their column count as none when the units are chosen:
+#: what a linearisation leaves of zeros would move all units far away.
 _NO_ENTRY = 1e-10
 #: Rounds in which faint entries are left out and the units chosen anew.
-_ROUNDS = 2
+_ROUNDS = 6
 #: Weight of ``r_i + x_i = 0`` where there is no ``E``: the equation of a state has the units of that state.
 _TIED = 1e4
 #: Added before a factor is rounded down: no half of a whole number, where other units would round another way.
@@ -91,7 +92,11 @@ def scaling(A: NDArray, B: NDArray, C: NDArray, D: NDArray, E: NDArray | None = 
     for _ in range(_ROUNDS + 1):
         row, column, rate = _least_squares(n + p, n + m, i[keep], j[keep], t[keep], logs[keep], weight[keep])
         size = logs + row[i] + column[j] - rate * t
-        before, keep = keep, (size > np.log2(_NO_ENTRY)) | (weight > 1)
+        of_row, of_column = np.full(n + p, -np.inf), np.full(n + m, -np.inf)
+        np.maximum.at(of_row, i, size)
+        np.maximum.at(of_column, j, size)
+        faint = size < np.log2(_NO_ENTRY) + np.minimum(of_row[i], of_column[j])
+        before, keep = keep, ~faint | (weight > 1)
         if (keep == before).all():
             break
     row, column = _whole_in_each_part(row, column, i[keep], j[keep])

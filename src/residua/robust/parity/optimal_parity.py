@@ -12,23 +12,21 @@ from residua import arrays
 from residua.design.core.generator import ResidualGenerator
 from residua.design.core.method import method
 from residua.design.core.needs import FAULTS
-from residua.design.core.own_time import has_rates, in_own_time
+from residua.design.core.own_time import has_rates
 from residua.design.parity.relation import Relation, plant_rate
 from residua.design.parity.relation_model import RelationModel, relation_model
 from residua.design.parity.relations import ParityRelations, Poles, relations_of
-from residua.design.parity.shortest import RelationSpace, relation_space
+from residua.design.parity.shortest import SEEN, RelationSpace, relation_space
 from residua.errors import DesignError, ModelError
-from residua.linear.polynomials.pencil_null_space import PENCIL_RTOL
+from residua.linear.polynomials.pair_relations import PairRelations
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
-from residua.linear.subspaces.parts import part_numbers
-from residua.linear.systems.balancing import descriptor_units
 from residua.plant import Plant
-from residua.plant.comparable_units import PlantUnits, own_units
 from residua.plant.input_output_model import InputOutputModel
 from residua.robust.parity.best_ratios import best_ratios
 from residua.robust.parity.expected_signals import ExpectedSignals, Sizes, size_factor
 from residua.shown import Shown
 
+Columns = tuple[NDArray[np.float64], NDArray[np.float64]]
 _METHOD = "optimal parity relations"
 _REFERENCE = "Gertler (1991), eq. (6-6); Frank and Wuennenberg (1989)"
 #: What a perfectly decoupled relation leaves of a fault that it counts as blind to, relative to what it sees most.
@@ -85,13 +83,12 @@ class OptimalParity(Shown):
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """The plant with everything that is unwanted among its disturbances, in expected sizes."""
+    """What is wanted and what is unwanted, in expected sizes, as ``B`` and ``D`` of the balanced plant."""
 
-    plant: Plant
-    sizes: NDArray[np.float64]  # of its faults, then of its disturbances
-    aim: Plant
-    unwanted: NDArray[np.float64]
-    wanted: NDArray[np.float64]
+    model: RelationModel
+    wanted: Columns
+    unwanted: Columns
+    noise: Columns
     names: tuple[str, ...]
     constant: bool
 
@@ -104,7 +101,6 @@ class _Task:
     singular=True,
     noise="moving average",
 )
-@in_own_time()
 def optimal_parity(
     plant: Plant | InputOutputModel,
     *,
@@ -121,7 +117,6 @@ def optimal_parity(
     correlation_time: float = 0.0,
     relations: int = 1,
     poles: Poles | None = None,
-    rtol: float = PENCIL_RTOL,
 ) -> OptimalParity:
     r"""Design the parity relations that see most of the faults for what they see of the disturbances.
 
@@ -165,8 +160,6 @@ def optimal_parity(
         How many relations are returned.
     poles : sequence of complex, or mapping of str to sequence, optional
         See :meth:`ParityRelations.with_poles`. The index is that of the relation itself.
-    rtol : float
-        Relative tolerance of rank decisions, in balanced units.
 
     Returns
     -------
@@ -211,25 +204,18 @@ def optimal_parity(
     True
     """
     model = relation_model(plant)
-    others, written = list(variants), model
-    units = own_units(model.plant).units
-    if not others:  # which come in the units of the caller
-        model, units = model.in_own_units()
-    extra = [variant_columns(model.plant, others, inputs, states, correlation_time)] if others else []
-    extra += [np.vstack([model.plant.Bw, model.plant.Dw])] if noise else []
-    task = _task(model.plant, faults, disturbances, insensitive_to, sizes, extra, units)
-    task = replace(task, constant=bool(constant))
-    aim = replace(model, plant=task.aim)
-    free = replace(model, plant=task.aim.without_disturbances())
+    others, plant = list(variants), model.plant
+    extra = [variant_columns(plant, others, inputs, states, correlation_time)] if others else []
+    extra += [np.vstack([plant.Bw, plant.Dw])] if noise else []
+    task = replace(_task(model, faults, disturbances, insensitive_to, sizes, extra), constant=bool(constant))
     if order != int(order) or order < 0:
         raise DesignError(f"order must be a whole number of past samples, got {order!r}")
-    everything = relation_space(free, (), int(order), rtol)
-    if not everything.count:
+    free = replace(model, decouples=False).equations()
+    if not free.count(int(order)):
         raise DesignError(f"there is no relation of order {order}: take a higher one, see parity_orders")
-    decoupled = relation_space(aim, (), int(order), rtol)
-    rows, indices, gains = _perfect(task, aim, decoupled)
+    rows, indices, gains = _perfect(task, _decoupled(task), int(order))
     if not len(indices):
-        rows, indices = _best(task, free, everything, decoupled.count)
+        rows, indices = _best(task, relation_space(free, int(order), task.wanted), _decoupled(task).count(int(order)))
     if not len(indices) or not indices[0] > 0:
         raise DesignError(
             f"no relation of order {order} sees {', '.join(task.names)}"
@@ -238,20 +224,19 @@ def optimal_parity(
         )
     if relations != int(relations) or not 1 <= relations <= len(rows):
         raise DesignError(f"relations must be 1 to {len(rows)}, as many as there are here, got {relations!r}")
-    chosen = [row.in_units_of_the_plant(units) for row in rows[: int(relations)]]
-    return _made(written, task, chosen, indices, gains, poles)
+    return _made(task, rows[: int(relations)], indices, gains, poles)
 
 
 def _task(
-    plant: Plant,
+    model: RelationModel,
     faults: Iterable[str | int] | str | None,
     disturbances: Iterable[str | int] | str | None,
     insensitive_to: Iterable[str | int] | str,
     sizes: Mapping[str, float] | None,
     extra: list[NDArray[np.float64]],
-    units: PlantUnits,
 ) -> _Task:
     """Return what is wanted and unwanted, scaled."""
+    plant = model.plant
     ignored = [plant.faults[i] for i in arrays.positions(insensitive_to, plant.faults, "fault")]
     left = [name for name in plant.faults if name not in ignored]
     names = left if faults is None else [plant.faults[i] for i in arrays.positions(faults, plant.faults, "fault")]
@@ -260,120 +245,93 @@ def _task(
         raise DesignError(f"'{both[0]}' is to be seen and to be ignored" if both else "there is no fault to see")
     counted = arrays.positions(disturbances, plant.disturbances, "disturbance")
     # one size each, and none for a name that is neither a fault nor a disturbance
-    by_name = dict(sizes or {})
-    size = np.diag(size_factor(by_name, (*plant.faults, *plant.disturbances), "fault or disturbance"))
-    size = size / np.concatenate([units.faults, units.disturbances])
+    size = np.diag(size_factor(dict(sizes or {}), (*plant.faults, *plant.disturbances), "fault or disturbance"))
     f = [plant.faults.index(name) for name in names]
     g = [plant.faults.index(name) for name in ignored]
-    Bf, Bd = np.vstack([plant.Bf, plant.Df]), np.vstack([plant.Bd, plant.Dd])
-    nf = len(plant.faults)
-    wanted = Bf[:, f] * size[f]
+    Bf, Bd, nf = np.vstack([plant.Bf, plant.Df]), np.vstack([plant.Bd, plant.Dd]), len(plant.faults)
     unwanted = np.hstack([Bd[:, counted] * size[nf:][counted], Bf[:, g] * size[g], *extra])
-    aim = _disturbed_by(plant.without_faults([x for x in plant.faults if x not in names]), unwanted)
-    return _Task(plant, size, aim, unwanted, wanted, tuple(names), constant=False)
+    noise = np.vstack([plant.Bw, plant.Dw])
+    columns = [_balanced(model, one) for one in (Bf[:, f] * size[f], unwanted, noise)]
+    return _Task(model, columns[0], columns[1], columns[2], tuple(names), constant=False)
 
 
-def _disturbed_by(plant: Plant, columns: NDArray[np.float64]) -> Plant:
-    """Return the plant with other disturbances than its own."""
-    plant = plant.without_disturbances()
-    kept = columns[:, np.abs(columns).max(axis=0, initial=0.0) > 0]
-    if not kept.shape[1]:
-        return plant
-    n = plant.n_states
-    return plant.with_disturbances({f"unwanted {i}": (c[:n], c[n:]) for i, c in enumerate(kept.T)})
+def _balanced(model: RelationModel, columns: NDArray[np.float64]) -> Columns:
+    """Return what enters the equations and the outputs of the plant as ``B`` and ``D`` of the balanced one."""
+    balanced, n = model.balanced, model.plant.n_states
+    units = balanced.units
+    B, D = units.equations[:, None] * columns[:n] / units.rate, units.outputs[:, None] * columns[n:]
+    return balanced.derivative @ B, np.vstack([D, balanced.algebra @ B])
+
+
+def _decoupled(task: _Task) -> PairRelations:
+    """Return the relations that nothing unwanted reaches."""
+    model = task.model.balanced
+    sizes = np.maximum(*(np.abs(part).max(axis=0, initial=0.0) for part in task.unwanted))
+    B, D = (part[:, sizes > 0] / sizes[sizes > 0] for part in task.unwanted)
+    return PairRelations.of(model.A, np.hstack([model.free[0], B]), model.C, np.hstack([model.free[1], D]))
 
 
 def _perfect(
-    task: _Task, aim: RelationModel, space: RelationSpace
+    task: _Task, equations: PairRelations, order: int
 ) -> tuple[list[Relation], NDArray[np.float64], NDArray[np.float64]]:
     """Return the relations that decouple exactly and see a fault, by their response for their size."""
-    nothing = np.zeros(0)
-    if not space.count:
-        return [], nothing, nothing
-    order = [task.aim.faults.index(name) for name in task.names]
-    if not space.seen[order].any():
-        return [], nothing, nothing
-    seen = np.where(space.sizes.max(axis=0, initial=0.0) > space.floor, 1.0, 0.0)[order]
-    p, q = _in_powers(task.plant, space)
-    F = _responses(p, q, task.wanted * seen, task)
+    space = relation_space(equations, order, task.wanted)
+    largest = np.maximum(*(np.abs(part).max(axis=0, initial=0.0) for part in task.wanted))
+    seen = np.linalg.norm(space.responses, axis=(0, 1)) > SEEN * largest
+    if not space.count or not seen.any():
+        return [], np.zeros(0), np.zeros(0)
+    p, q = _in_powers(task, space)
+    wanted = tuple(part * seen for part in task.wanted)
     N = _size_of(task, p, q)
-    gains, combinations = best_ratios(F, N, space.count)
-    terms, _ = best_ratios(_responses(np.abs(p), np.abs(q), np.abs(task.wanted * seen)), N, space.count)
+    gains, combinations = best_ratios(_responses(p, q, wanted, task), N, space.count)
+    terms, _ = best_ratios(_responses(np.abs(p), np.abs(q), tuple(np.abs(part) for part in wanted)), N, space.count)
     kept = gains > _BLIND * terms[0]  # less is rounding of what cancels
-    rows = [space.relation(aim, (), np.einsum("n,nkj->kj", c, space.vectors)) for c in combinations[kept]]
-    return rows, np.full(int(kept.sum()), np.inf), gains[kept]
+    return [space.combined(c) for c in combinations[kept]], np.full(int(kept.sum()), np.inf), gains[kept]
 
 
-def _best(
-    task: _Task, free: RelationModel, space: RelationSpace, blind: int
-) -> tuple[list[Relation], NDArray[np.float64]]:
+def _best(task: _Task, space: RelationSpace, blind: int) -> tuple[list[Relation], NDArray[np.float64]]:
     """Return all relations by their index, without those that see neither faults nor disturbances."""
-    p, q = _in_powers(task.plant, space)
+    p, q = _in_powers(task, space)
     F = _responses(p, q, task.wanted, task)
     indices, combinations = best_ratios(F, _responses(p, q, task.unwanted), space.count - blind)
-    every = (np.abs(np.concatenate([p, q], axis=2)) @ np.abs(task.wanted)).sum(axis=1)
+    every = (np.abs(p) @ np.abs(task.wanted[0]) + np.abs(q) @ np.abs(task.wanted[1])).sum(axis=1)
     terms = np.linalg.norm(np.abs(combinations) @ every, axis=1)
     indices = np.where(np.linalg.norm(combinations @ F, axis=1) > _BLIND * terms, indices, 0.0)  # or it is rounding
-    return [space.relation(free, (), np.einsum("n,nkj->kj", c, space.vectors)) for c in combinations], indices
+    return [space.combined(c) for c in combinations], indices
 
 
-def _in_powers(plant: Plant, space: RelationSpace) -> tuple[NDArray, NDArray]:
+def _in_powers(task: _Task, space: RelationSpace) -> tuple[NDArray, NDArray]:
     """Return the polynomials of relations in powers of the shift, or of the derivative at the rate of the plant."""
-    size = 1.0 if plant.is_discrete else plant_rate(plant)
+    plant = task.model.plant
+    size = 1.0 if plant.is_discrete else plant_rate(plant) / plant.balanced.units.rate
     powers = PolynomialBasis.powers(space.order + 1, size)
-    changed = space.basis.changed_to(powers, space.vectors.transpose(1, 0, 2)).transpose(1, 0, 2)
-    return changed[:, :, : plant.n_states], changed[:, :, plant.n_states :]
+    p, q = (
+        space.basis.changed_to(powers, part.transpose(1, 0, 2)).transpose(1, 0, 2) for part in (space.p, space.q)
+    )
+    return p, q
 
 
-def _responses(p: NDArray, q: NDArray, columns: NDArray[np.float64], task: _Task | None = None) -> NDArray[np.float64]:
+def _responses(p: NDArray, q: NDArray, columns: Columns, task: _Task | None = None) -> NDArray[np.float64]:
     """Return the responses to signals, all samples of each in one row, shape (relations, samples x signals).
 
     For a task that counts constant faults: what they settle to, shape (relations, signals).
     """
-    every = np.concatenate([p, q], axis=2) @ columns
+    every = p @ columns[0] + q @ columns[1]
     if task is not None and task.constant:
-        return every.sum(axis=1) if task.plant.is_discrete else every[:, 0]
+        return every.sum(axis=1) if task.model.plant.is_discrete else every[:, 0]
     return every.reshape(len(p), -1)
 
 
 def _size_of(task: _Task, p: NDArray, q: NDArray) -> NDArray[np.float64]:
-    """Return what the size of a relation is: its response to the noise, or its weights in units of the outputs."""
-    plant = task.plant
-    if plant.Bw.shape[1]:
-        noise = _responses(p, q, np.vstack([plant.Bw, plant.Dw]))
+    """Return what the size of a relation is: its response to the noise, or its weights of the balanced outputs."""
+    if task.noise[0].shape[1]:
+        noise = _responses(p, q, task.noise)
         if np.linalg.matrix_rank(noise) == len(p):
             return noise
-    return (q / _output_units(task)).reshape(len(q), -1)
-
-
-def _output_units(task: _Task) -> NDArray[np.float64]:
-    """Return the units of the outputs for faults and disturbances of their expected sizes.
-
-    The outputs of a part of the plant that nothing connects with another have no common unit with those of the other
-    but by what is expected there. Even units leave that open: each part takes that of its own faults and disturbances.
-    """
-    s = task.plant.system(("fault", "disturbance", "control"))
-    k = len(task.sizes)
-    size = np.concatenate([task.sizes, np.ones(s.n_inputs - k)])
-    B, D = s.B * size, s.D * size
-    u = descriptor_units(s.A, s.E, B, s.C, D)
-    n = s.n_states
-    coupled = np.block([[s.A, B], [s.C, D]]) != 0
-    coupled[:n, :n] |= np.eye(n, dtype=bool) if s.E is None else s.E != 0
-    of_rows, of_columns = part_numbers(coupled)
-    of_outputs, of_signals = of_rows[n:], of_columns[n:][:k]
-    common = [_mean_power(u.inputs[:k][of_signals == i]) if i in of_signals else 1.0 for i in of_outputs]
-    return u.outputs * np.array(common)
-
-
-def _mean_power(powers: NDArray[np.float64]) -> float:
-    """Return the geometric mean of powers of two: of such that are a power of two as large, exactly so much larger."""
-    whole, rest = divmod(int(np.rint(np.log2(powers)).sum()), len(powers))
-    return float(np.ldexp(np.exp2(rest / len(powers)), whole))
+    return q[:, :, : task.model.plant.n_outputs].reshape(len(q), -1)
 
 
 def _made(
-    model: RelationModel,
     task: _Task,
     rows: list[Relation],
     indices: NDArray[np.float64],
@@ -382,6 +340,7 @@ def _made(
 ) -> OptimalParity:
     """Return the relations as a generator of the plant, with what they do not see."""
     perfect = bool(np.isinf(indices[0]))
+    model = task.model
     made = relations_of(model.plant, rows).with_poles(poles, method=_METHOD, notes=model.notes)
     seen = {name for name in task.names if made.structure[:, made.faults.index(name)].any()}
     blind = tuple(name for name in task.names if name not in seen)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from residua.design.core.evidence import format_pole
 from residua.design.core.signals import signal_names
-from residua.design.parity.realization import pole_basis
+from residua.design.parity.realization import chain, pole_basis
 from residua.errors import DesignError
 from residua.linear import StateSpace
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
@@ -37,9 +37,7 @@ def window_filter(
     """
     basis = pole_basis(poles)
     k, n_u = outputs.shape[1] - 1, inputs.shape[2]
-    M = np.diag(basis.real[:k]) + np.eye(k, k=-1)
-    for j in np.flatnonzero(basis.imaginary[:k]):  # the first of a conjugate pair
-        M[j, j + 1] = -basis.links[j + 1]
+    M = chain(basis, k)
     powers = PolynomialBasis.powers(k + 1)
     parts = [powers.changed_to(basis, np.hstack([b, a])) for a, b in zip(outputs, inputs, strict=True)]
     count = len(parts)

@@ -1,0 +1,207 @@
+"""Polynomial rows that annihilate the states and the unknown inputs of a balanced system: its parity relations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from residua.linear.polynomials.polynomial_basis import PolynomialBasis, basis_on_poles
+from residua.linear.subspaces.quotient import Quotient, quotient
+from residua.linear.subspaces.rank import RankDecision
+from residua.tolerances import BALANCED_RANK, RESIDUE, TINY, above_rounding
+
+Matrix = NDArray[np.float64]
+#: Eigenvalues that are this near together, beside the distance of ``F`` from them, are one.
+_MEET = 1e-3
+#: Of a row that has less than this in common with those of another basis nothing is left there.
+_LOST = 1e-9
+#: Coefficients this far below the largest of their row are rounding.
+_NOTHING = 8 * float(np.finfo(float).eps)
+
+
+@dataclass(frozen=True, eq=False)
+class PairRelations:
+    r"""All polynomial rows ``[p, q]`` of a balanced system with :math:`p (zI - A) = q C, \; p B + q D = 0`.
+
+    Divided by its unknown inputs the system is a pair ``(F, G)``, all of whose states are seen, and the rows are
+
+    .. math:: w (zI - F) = v G, \qquad p = w N, \; q = v H - w J
+
+    How many there are of each order, the ranks of the staircase say.
+
+    Attributes
+    ----------
+    quotient : Quotient
+        What is left of the system.
+    """
+
+    quotient: Quotient
+    _found: dict[tuple, tuple[Matrix, Matrix, Matrix]] = field(default_factory=dict, repr=False)
+
+    @classmethod
+    def of(cls, A: Matrix, B: Matrix, C: Matrix, D: Matrix, *, tolerance: float = BALANCED_RANK) -> PairRelations:
+        """Return the rows of a balanced system with unknown inputs."""
+        return cls(quotient(A, B, C, D, tolerance=tolerance))
+
+    @cached_property
+    def seen(self) -> Matrix:
+        """A basis of the states that are seen: that of the quotient where it is all of them."""
+        split = self.quotient.split
+        return split.seen if split.hidden.shape[1] else np.eye(len(split.seen))
+
+    @cached_property
+    def pair(self) -> tuple[Matrix, Matrix]:
+        """``(F, G)``."""
+        F, G = self.quotient.pair
+        return self.seen.T @ F @ self.seen, G @ self.seen
+
+    @cached_property
+    def new(self) -> list[int]:
+        """For each order the number of rows that are no sums of multiples of shorter ones, up to the longest."""
+        m, ranks = len(self.pair[1]), [one.rank for one in self.quotient.split.decisions]
+        missing = [m - rank for rank in ranks if rank] + [m]
+        return [missing[0], *np.diff(missing).tolist()]
+
+    @property
+    def orders(self) -> tuple[int, int] | None:
+        """The smallest and the largest order of rows that are no sums of multiples of shorter ones, if there are any."""
+        there = np.flatnonzero(self.new)
+        return (int(there[0]), int(there[-1])) if len(there) else None
+
+    def count(self, order: int) -> int:
+        """Return how many independent rows of at most an order there are."""
+        return sum((order + 1 - k) * new for k, new in enumerate(self.new[: order + 1]))
+
+    @property
+    def near(self) -> tuple[RankDecision, ...]:
+        """The rank decisions that double precision hardly allows."""
+        q = self.quotient
+        return tuple(one for one in (*q.decisions, *q.split.decisions) if not one.is_clear)
+
+    def basis(self, order: int) -> PolynomialBasis:
+        """Return Newton's polynomials on the eigenvalues of ``F``, for rows of an order."""
+        F = self.pair[0]
+        n = len(F)
+        nodes = np.linalg.eigvals(F)
+        center = float(np.trace(F)) / max(n, 1)
+        away = float(np.abs(F - center * np.eye(n)).max(initial=0.0))
+        if not np.abs(nodes - center).max(initial=0.0) > _MEET * away:  # rounding scatters one
+            return replace(PolynomialBasis.powers(order + 1, away or 1.0), real=np.full(order + 1, center))
+        return basis_on_poles(nodes, order + 1, 1.0, outward=order >= n)
+
+    def rows(
+        self, order: int, basis: PolynomialBasis, *, near: bool = False
+    ) -> tuple[Matrix, Matrix, RankDecision]:
+        """Return ``p`` and ``q`` of all rows of at most an order, shapes (count, order + 1, ...), in a basis.
+
+        Together, and as ``w`` and ``v``, they are orthonormal. ``near``: those too that miss their equations by less
+        than what counts in a rank. The decision is on the conditions that are left when ``w`` has been eliminated.
+        """
+        w, v, s = self._null(order, basis)
+        count = len(v) if near else self.count(order)
+        w, v, kept = w[len(w) - count :], v[len(v) - count :], (order + 1) * v.shape[2] - count
+        return *self._rows(w, v), RankDecision(kept, s, BALANCED_RANK * float(s.max(initial=0.0)))
+
+    def moved(self, p: Matrix, q: Matrix, basis: PolynomialBasis, other: PolynomialBasis) -> tuple[Matrix, Matrix]:
+        """Return ``p`` and ``q`` of one row in another basis, or of the row nearest to it where that costs digits."""
+        moved = [basis.changed_to(other, x) for x in (p @ self.quotient.N.T @ self.seen, q @ self.quotient.H.T)]
+        w, v, _ = self._null(len(q) - 1, other)
+        weights = np.tensordot(w, moved[0], 2) + np.tensordot(v, moved[1], 2)
+        nearest = [np.tensordot(weights, x, 1) for x in (w, v)]
+        if np.linalg.norm(weights) > _LOST * np.hypot(*(np.linalg.norm(x) for x in moved)):
+            moved = min(moved, nearest, key=lambda row: _missed(*row, *self.pair, other))
+        largest = max(float(np.abs(x).max(initial=0.0)) for x in moved)
+        p, q = self._rows(*(above_rounding(x, largest, _NOTHING)[None] for x in moved))
+        return p[0], q[0]
+
+    def completed(self, q: Matrix, basis: PolynomialBasis) -> tuple[Matrix, float]:
+        """Return ``p`` of a row given by its ``q``, and how far it is from annihilating the states, of its terms."""
+        w, v, missed = self._divided(q @ self.quotient.H.T, basis)
+        p, found = self._rows(w[None], v[None])
+        return p[0], max(missed, float(np.abs(found[0] - q).max() / max(float(np.abs(q).max()), TINY)))
+
+    def characteristic(self) -> tuple[Matrix, Matrix]:
+        """Return ``p`` and ``q`` of the only shortest row of a pair with one output, by the eigenvalues of ``F``."""
+        k = len(self.seen.T)
+        basis = self.basis(k)
+        w, v, _ = self._divided(np.eye(k + 1)[:, [k]], basis)
+        p, q = self._rows(w[None], v[None])
+        return p[0], q[0]
+
+    def _divided(self, v: Matrix, basis: PolynomialBasis) -> tuple[Matrix, Matrix, float]:
+        """Return ``w`` with ``w (zI - F) = v G``, ``v``, and what is left over, relative to the terms."""
+        (F, G), k = self.pair, len(v) - 1
+        w, left = np.zeros((k + 1, len(F))), np.zeros(len(F))
+        for j in range(k, -1, -1):
+            left = _next(w[[j]], w[[j + 1]] if j < k else w[:0], v[[j]] @ G, F, basis, j)[0]
+            if j:
+                w[j - 1] = left / basis.sizes[j - 1]
+        terms = np.abs(v).max() * np.abs(G).max(initial=0.0) + np.abs(w).max(initial=0.0) * np.abs(F).max(initial=0.0)
+        return w, v, float(np.abs(left).max(initial=0.0)) / max(float(terms), TINY)
+
+    def _null(self, order: int, basis: PolynomialBasis) -> tuple[Matrix, Matrix, Matrix]:
+        key = order, *(x[: order + 1].tobytes() for x in (basis.real, basis.imaginary, basis.sizes))
+        if key not in self._found:
+            self._found[key] = _null_rows(*self.pair, basis, order, self.count(order))
+        return self._found[key]
+
+    def _rows(self, w: Matrix, v: Matrix) -> tuple[Matrix, Matrix]:
+        """Return ``p`` and ``q``, without what rounding leaves of nothing."""
+        w, H, J = w @ self.seen.T, self.quotient.H, self.quotient.J
+        size = np.abs(v) @ np.abs(H) + np.abs(w) @ np.abs(J)
+        return w @ self.quotient.N, above_rounding(v @ H - w @ J, size.max(axis=2, keepdims=True, initial=0.0), RESIDUE)
+
+
+def _null_rows(
+    F: Matrix, G: Matrix, basis: PolynomialBasis, order: int, count: int
+) -> tuple[Matrix, Matrix, Matrix]:
+    r"""Return orthonormal rows ``w`` and ``v`` with :math:`w (zI - F) = v G`, and what decides how many there are.
+
+    The coefficients follow from each other from the highest on, :math:`\rho_{j-1} w_{j-1} = v_j G + w_j (F - a_j I) +
+    \beta_{j+1} w_{j+1}`, with every ``v_j`` free; the last equation leaves conditions on all that was free. After each
+    step the free parameters are made orthonormal in all coefficients so far, so that what grows hides nothing. What
+    misses its equations least is last; ``count`` of them at least.
+    """
+    m, k = len(G), order
+    before, now = np.zeros((2, 0, len(F)))
+    steps = []
+    for j in range(k, -1, -1):
+        before, now, entering = (np.vstack([part, new]) for part, new in ((before, 0 * G), (now, 0 * G), (0 * now, G)))
+        left = _next(now, before, entering, F, basis, j)
+        if not j:
+            break
+        left = left / basis.sizes[j - 1]
+        R = scipy.linalg.qr(np.vstack([np.eye(len(left)), left.T]), mode="r")[0][: len(left)]
+        before, now = (scipy.linalg.solve_triangular(R, part, trans="T") for part in (now, left))
+        steps.append((R, now))
+    U, s, _ = np.linalg.svd(left) if left.size else (np.eye(len(left)), np.zeros(0), None)
+    count = max(count, len(U) - int(np.count_nonzero(s > BALANCED_RANK * s.max(initial=0.0))))
+    chosen = U[:, len(U) - count :]
+    w, v = np.zeros((count, k + 1, len(F))), np.zeros((count, k + 1, m))
+    for j in range(k + 1):
+        v[:, j], chosen = chosen[len(chosen) - m :].T, chosen[: len(chosen) - m]
+        if steps:
+            R, now = steps.pop()
+            w[:, j] = chosen.T @ now
+            chosen = scipy.linalg.solve_triangular(R, chosen)
+    return w, v, s
+
+
+def _next(w: Matrix, before: Matrix, entering: Matrix, F: Matrix, basis: PolynomialBasis, j: int) -> Matrix:
+    """Return ``v_j G + w_j (F - a_j I) + beta_(j+1) w_(j+1)``, with the first and the last given."""
+    total = entering + w @ F - basis.real[j] * w
+    return total + basis.links[j + 1] * before if len(before) and j + 1 < basis.count else total
+
+
+def _missed(w: Matrix, v: Matrix, F: Matrix, G: Matrix, basis: PolynomialBasis) -> float:
+    """Return how far a row is from ``w (zI - F) = v G``, relative to its largest coefficient, in extended precision."""
+    k, size = len(v) - 1, max(float(np.abs(w).max(initial=0.0)), float(np.abs(v).max(initial=0.0)), TINY)
+    w, v, F, G = (M.astype(np.longdouble) for M in (w, v, F, G))
+    left = basis.real[: k + 1, None] * w - w @ F - v @ G
+    left[:-1] -= basis.links[1 : k + 1, None] * w[1:]
+    left[1:] += basis.sizes[:k, None] * w[:-1]
+    return float(np.abs(left).max(initial=0.0)) / size
