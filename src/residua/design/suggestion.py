@@ -15,8 +15,8 @@ from residua.design.banks.matched_filters import MatchedFilters
 from residua.design.catalogue import methods
 from residua.design.core.brought import PartialDesign, as_generator, for_monitor
 from residua.design.core.generator import ResidualGenerator
-from residua.design.core.internal_form import leakage_of_inputs
 from residua.design.core.lasting_faults import LastingFaults, lasting_faults
+from residua.design.core.leak import reached_inputs
 from residua.design.core.method import Chosen, Method, check_design
 from residua.design.estimation.fault_estimator import FaultEstimator
 from residua.design.ranking import FIRST, UNSEEN, Entry, by_faults, by_state, few, gives, never_first, typed
@@ -410,7 +410,7 @@ def _told(entry: Entry, made: Any, plant: Plant, want: str) -> Entry:
     entry = replace(entry, order=_order(generator or made), blind=blind)
     if generator is not None:
         if plant.disturbances:
-            leaks = leakage_of_inputs(generator.system, generator.plant)[len(plant.inputs) :]
+            leaks = reached_inputs(generator.system, generator.plant)[len(plant.inputs) :]
             reached = tuple(np.array(plant.disturbances)[leaks > POLYNOMIAL_LEAKAGE].tolist())
             entry = replace(entry, reached_by=reached)
         if plant.noises and plant.faults and want != "state":

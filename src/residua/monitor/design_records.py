@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from residua.arrays import frozen
 from residua.design import Evidence, Member, Observer, ResidualGenerator
 from residua.design.core.decoupling import IGNORED
-from residua.design.core.internal_form import frequency_grid, leak_frequencies, leakage
+from residua.design.core.leak import leak, leakage
 from residua.errors import FileFormatError
 from residua.linear import RankDecision, StateSpace
 from residua.number_kinds import ANY as REPORT, COMPLEX, ENTRY, NOT_NEGATIVE, STEP
@@ -189,24 +189,22 @@ def _checked(generator: ResidualGenerator, where: str) -> ResidualGenerator:
 
 
 def _check_leaks(generator: ResidualGenerator, where: str) -> None:
-    """Measure again, at a few frequencies, what must not reach the residual: alarms rest on it.
+    """Measure again what must not reach the residual: alarms rest on it.
 
-    From where it was measured when the filter was designed, as its evidence says: a plant that integrates answers to
-    slower inputs without end, and so does what rounding leaves of a filter. Earlier files do not say it.
-
-    Of what :func:`make_generator` checks, this and the stability are checked again: a millisecond or two. The
-    identities of maps and forms, and the subspaces, tell what faults do; they are as good as the checksum of the file.
+    Of what :func:`make_generator` checks, this and the stability are checked again. The subspaces tell what faults do;
+    they are as good as the checksum of the file.
     """
     promised = dict(generator.evidence.decoupling)
     promised.setdefault("disturbance", promised.get(IGNORED, np.inf))
     cost = generator.evidence.cost_of_sampling
-    slowest = generator.evidence.leaks_measured_from(generator.dt)
-    if slowest is None:
-        w = leak_frequencies(generator.system, generator.plant)[::_EVERY]
+    system, plant = generator.system, generator.plant
+    if generator.state_map is None:
+        gains = leakage(system, plant)
     else:
-        w = frequency_grid(generator.system, generator.plant.system(()))[::_EVERY]
-        w = w[(w >= slowest) | (w == w[-1])]
-    for name, gain in leakage(generator.system, generator.plant, w).items():
+        found, n_u = leak(system, plant, generator.state_map, generator.static_map).gains, len(plant.inputs)
+        parts = {"control": found[:, :n_u], "disturbance": found[:, n_u:]}
+        gains = {name: float(part.max()) for name, part in parts.items() if part.size}
+    for name, gain in gains.items():
         known = max(promised.get(name, np.inf), cost.get(name, 0.0))
         if not gain <= max(2 * POLYNOMIAL_LEAKAGE, 1.01 * known):  # twice, for other rounding than where it was made
             raise FileFormatError(

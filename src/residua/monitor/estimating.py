@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from residua.design import ResidualGenerator
-from residua.design.core.decoupling import Approximate, Decoupled, Leaks, Promise
-from residua.design.core.evidence import measured_from, of_sampling
+from residua.design.banks.bank import maps_of
+from residua.design.core.decoupling import Approximate, Decoupled, Promise
+from residua.design.core.evidence import of_sampling
 from residua.design.core.generator import make_generator
-from residua.design.core.internal_form import leak_frequencies, leakage
+from residua.design.core.leak import leakage
 from residua.errors import ModelError
 from residua.linear import StateSpace
 from residua.linear.systems.state_space import stack_systems
@@ -44,30 +45,26 @@ def with_estimator(bank: ResidualGenerator, estimator: ResidualGenerator) -> Res
             f"bank and estimator are for different plants ({', '.join(differ)}): design both for bank.plant"
         )
     system = stack_systems([bank.system, estimator.system])
-    form = stack_systems([bank.internal_form(), estimator.internal_form()])
     names = [*bank.residuals, *estimator.residuals]
-    sampled, slowest = _sampled_leaks(bank, estimator, system)
+    sampled = _sampled_leaks(bank, estimator, system)
     return make_generator(
         system.replaced(outputs=names),
         one,
         f"{bank.method}, with {estimator.method}",
-        bank.evidence.extended(
-            decoupling=sampled, conditions=slowest, notes=(f"beside it, tested by no member: {estimator.method}",)
-        ),
+        bank.evidence.extended(decoupling=sampled, notes=(f"beside it, tested by no member: {estimator.method}",)),
         decouples=_decouples(bank, sampled),
-        known_form=form.replaced(outputs=names),
+        **maps_of([bank, estimator], names),
         members=bank.members,
         codes=bank.codes,
         estimated=("",) * bank.n_residuals + estimator.estimated,
     )
 
 
-def _sampled_leaks(bank: ResidualGenerator, estimator: ResidualGenerator, system: StateSpace) -> Leaks:
-    """Return how far inputs reach the two together, where either was sampled: at the frequencies of both."""
+def _sampled_leaks(bank: ResidualGenerator, estimator: ResidualGenerator, system: StateSpace) -> dict[str, float]:
+    """Return how far inputs reach the two together, where either was sampled."""
     if not any(part.evidence.cost_of_sampling for part in (bank, estimator)):
-        return Leaks({}, {})
-    w = leak_frequencies(system, bank.plant)
-    return Leaks(of_sampling(leakage(system, bank.plant, w)), measured_from(w, system.dt))
+        return {}
+    return of_sampling(leakage(system, bank.plant))
 
 
 def _decouples(bank: ResidualGenerator, sampled: dict[str, float]) -> Promise:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from residua.design import ResidualGenerator
-from residua.design.core.internal_form import frequency_grid, leakage
-from residua.design.core.signatures import fault_responses, outside_subspaces
+from residua.design.core.balanced_filter import BalancedFilter
+from residua.design.core.leak import leakage
+from residua.design.core.signatures import outside_subspaces, responses_of_filter
 from residua.errors import AccuracyError
 from residua.linear import simulate_descriptor
 from residua.linear.systems.recursion import run_filter
@@ -70,12 +71,10 @@ def check_residual_generator(
 
 
 def _check_subspaces(generator: ResidualGenerator, tolerance: float) -> None:
-    form = generator.internal_form()
-    dt = generator.dt
-    # other frequencies than those of the design
-    w = np.logspace(-3, 0, 40) * 3.05 / dt if dt else frequency_grid(form, generator.system, points=97)
-    maps = generator.state_map, generator.static_map
-    found = fault_responses(generator.system, generator.plant, form, *maps, w)
+    assert generator.state_map is not None
+    f = BalancedFilter.of(generator.system, generator.plant, generator.state_map, generator.static_map)
+    points = np.sqrt(f.points[1:] * f.points[:-1])  # between those of the design
+    found = responses_of_filter(f, points)
     allowed = tolerance + 2 * generator.evidence.conditions.get("response off the signatures", 0.0)
     for name, outside in outside_subspaces(found, dict(generator.subspaces), generator.faults).items():
         if outside > allowed:

@@ -285,15 +285,20 @@ def _stacked(parts: dict[str, ResidualGenerator], method: str, reference: str) -
         "members": tuple(members),
         "codes": np.array(codes, dtype=bool).reshape(len(codes), len(plant.faults)),
     }
-    maps = [g.state_map for g in generators if g.state_map is not None]
-    if len(maps) < len(generators):
-        form = _named(stack_systems([g.internal_form() for g in generators]), parts)
-        return make_generator(system, plant, method, evidence, known_form=form, **options)
-    static = None
-    if any(g.static_map is not None for g in generators):
-        none = [np.zeros((g.n_residuals, plant.n_states)) for g in generators]
-        static = np.vstack([z if g.static_map is None else g.static_map for z, g in zip(none, generators, strict=True)])
-    return make_generator(system, plant, method, evidence, state_map=np.vstack(maps), static_map=static, **options)
+    return make_generator(system, plant, method, evidence, **maps_of(generators, system.outputs), **options)
+
+
+def maps_of(parts: Sequence[ResidualGenerator], names: Sequence[str]) -> dict[str, Any]:
+    """Return the maps of filters side by side, or their internal form where one was sampled."""
+    maps = [part.state_map for part in parts if part.state_map is not None]
+    if len(maps) < len(parts):
+        return {"known_form": stack_systems([part.internal_form() for part in parts]).replaced(outputs=names)}
+    statics = [part.static_map for part in parts]
+    if all(static is None for static in statics):
+        return {"state_map": np.vstack(maps)}
+    none = [np.zeros((part.n_residuals, part.plant.n_states)) for part in parts]
+    static = [zero if known is None else known for zero, known in zip(none, statics, strict=True)]
+    return {"state_map": np.vstack(maps), "static_map": np.vstack(static)}
 
 
 def measured_of_members(system: StateSpace, members: list[ResidualGenerator]) -> MeasuredBefore:

@@ -21,6 +21,8 @@ _BEYOND = 30.0
 _INTEGRATES = 1e-5
 #: A pole of a sampled system this near to zero has no rate; an infinite one of a pencil is as far from finite.
 _NO_RATE = 1e-9
+#: Rows of triangular systems that are solved together.
+_ROWS = 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,14 +169,25 @@ class Resolvent:
 
     def __call__(self, B: NDArray, s: NDArray[np.complex128]) -> NDArray[np.complex128]:
         """Return ``(s E - A)^-1 B`` at points, shape (points, n, inputs); ``B`` may be one for each point."""
-        right = self.Q.conj().T @ np.broadcast_to(B, (len(s), *B.shape[-2:]))
-        out = np.zeros(right.shape, dtype=complex)
-        for i in range(len(self.upper) - 1, -1, -1):
-            row = s[:, None] * self.lower[i, i + 1 :] - self.upper[i, i + 1 :]
-            pivot = s * self.lower[i, i] - self.upper[i, i]
-            rest = right[:, i] - (row[:, None] @ out[:, i + 1 :])[:, 0]
-            out[:, i] = rest / np.where(pivot == 0, np.finfo(float).eps, pivot)[:, None]
-        return self.Z @ out
+        right = self.Q.conj().T @ B
+        n, m = right.shape[-2:]
+        x = np.array(np.broadcast_to(right, (len(s), n, m)).transpose(1, 0, 2), dtype=complex, order="C")
+        ordinary = not np.any(np.triu(self.lower, 1))
+
+        def subtract(rows: slice, below: slice) -> None:
+            known = x[below].reshape(below.stop - below.start, len(s) * m)
+            x[rows] += (self.upper[rows, below] @ known).reshape(-1, len(s), m)
+            if not ordinary:
+                x[rows] -= s[:, None] * (self.lower[rows, below] @ known).reshape(-1, len(s), m)
+
+        for end in range(n, 0, -_ROWS):
+            first = max(0, end - _ROWS)
+            subtract(slice(first, end), slice(end, n))  # of all rows of a block at once
+            for i in range(end - 1, first - 1, -1):
+                subtract(slice(i, i + 1), slice(i + 1, end))
+                pivot = s * self.lower[i, i] - self.upper[i, i]
+                x[i] *= (1 / np.where(pivot == 0, np.finfo(float).eps, pivot))[:, None]
+        return np.ascontiguousarray((self.Z @ x.reshape(n, len(s) * m)).reshape(n, len(s), m).transpose(1, 0, 2))
 
 
 def _rates(poles: NDArray, sampled: bool) -> NDArray[np.complex128]:

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from residua.design.core.evidence import Evidence, measured_from
-from residua.design.core.internal_form import JointResponses, leak_frequencies, leakage_of_inputs
-from residua.design.core.leak import Matrix, leak
+from residua.design.core.balanced_filter import BalancedFilter
+from residua.design.core.evidence import measured_from
+from residua.design.core.leak import leak_of
 from residua.errors import AccuracyError
 from residua.linear import StateSpace
 from residua.plant import Plant
@@ -48,13 +48,14 @@ class Decoupled:
     apart: bool = False
     limit: float = LEAK
 
-    def measured(
-        self, system: StateSpace, plant: Plant, state_map: Matrix, static_map: Matrix | None
-    ) -> tuple[Leaks, float]:
+    def leaks(self, f: BalancedFilter | None, system: StateSpace, plant: Plant) -> Leaks:
         """Return the leaks of a filter with a state map, and how far its identities are missed; or raise."""
-        watched, n_u = plant.faults_as_disturbances(self.faults) if self.faults else plant, len(plant.inputs)
-        unknown = (watched.Bd, watched.Dd) if self.disturbances else (watched.Bd[:, :0], watched.Dd[:, :0])
-        found = leak(system, plant, state_map, static_map, unknown=unknown)
+        del system
+        assert f is not None
+        ignored = [plant.faults.index(name) for name in self.faults]
+        Bd, Dd = (plant.Bd, plant.Dd) if self.disturbances else (plant.Bd[:, :0], plant.Dd[:, :0])
+        found = leak_of(f, np.hstack([Bd, plant.Bf[:, ignored]]), np.hstack([Dd, plant.Df[:, ignored]]))
+        n_u = len(plant.inputs)
         gains = {"control": found.gains[:, :n_u]}
         if self.disturbances and (self.apart or not self.faults):
             gains |= {"disturbance": found.gains[:, n_u : n_u + len(plant.disturbances)]}
@@ -66,26 +67,8 @@ class Decoupled:
                 "the states of the filter are no function of those of the plant: its equations miss by "
                 f"{found.defects:.2g} > {LEAK:.0e}; check its state_map, or ask for slower poles"
             )
-        return Leaks(leaks, measured_from(np.array([found.slowest]), plant.dt) if leaks else {}), found.defects
-
-    def leaks(self, system: StateSpace, plant: Plant, evidence: Evidence, known: JointResponses | None = None) -> Leaks:
-        """Return the measured leaks of a filter without a state map, or raise when one is too large."""
-        del evidence
-        watched = plant.faults_as_disturbances(self.faults) if self.faults else plant
-        if not (plant.inputs or watched.disturbances):
-            return Leaks({}, {})
-        if known is None or known.plant is not watched:
-            known, w = None, leak_frequencies(system, watched)
-        else:
-            w = known.w
-        leakage, n_u = leakage_of_inputs(system, watched, w, known), len(plant.inputs)
-        leaks = {"control": leakage[:n_u]}
-        if self.disturbances and (self.apart or not self.faults):
-            leaks |= {"disturbance": leakage[n_u : n_u + len(plant.disturbances)]}
-        if self.faults:
-            leaks |= {IGNORED: leakage[n_u:]}
-        gains = self._accepted({name: float(part.max()) for name, part in leaks.items() if len(part)})
-        return Leaks(gains, measured_from(w, plant.dt))
+        conditions = measured_from(np.array([found.slowest]), plant.dt) if leaks else {}
+        return Leaks(leaks, {"identities": found.defects} | conditions)
 
     def _accepted(self, leaks: dict[str, float]) -> dict[str, float]:
         for name, gain in leaks.items():
@@ -111,11 +94,9 @@ class Approximate:
 
     entry: str
 
-    def leaks(self, system: StateSpace, plant: Plant, evidence: Evidence, known: JointResponses | None = None) -> Leaks:
-        """Return nothing, after checking that the evidence has the number that the design is judged by."""
-        del system, plant, known
-        if self.entry not in {**evidence.conditions, **evidence.decoupling}:
-            raise TypeError(f"an approximate design must say how far inputs reach its residual: no {self.entry!r}")
+    def leaks(self, f: BalancedFilter | None, system: StateSpace, plant: Plant) -> Leaks:
+        """Return nothing: the evidence has the number that the design is judged by."""
+        del f, system, plant
         return Leaks({}, {})
 
 
@@ -137,9 +118,9 @@ class MeasuredBefore:
     plant: Plant
     measured: Mapping[str, float]
 
-    def leaks(self, system: StateSpace, plant: Plant, evidence: Evidence, known: JointResponses | None = None) -> Leaks:
+    def leaks(self, f: BalancedFilter | None, system: StateSpace, plant: Plant) -> Leaks:
         """Return what was measured, after checking that filter and signals are those that it was measured of."""
-        del evidence, known
+        del f
         one, other = ([np.frexp(getattr(s, name))[0] for name in "ABCD"] for s in (system, self.system))
         signals = [sorted((*p.inputs, *p.disturbances, *p.faults)) for p in (plant, self.plant)]
         if signals[0] != signals[1] or not all(np.array_equal(a, b) for a, b in zip(one, other, strict=True)):

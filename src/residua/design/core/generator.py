@@ -10,23 +10,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residua.design.core.canonical_checks import checked
+from residua.design.core.balanced_filter import BalancedFilter
 from residua.design.core.decoupling import Approximate, Decoupled, Promise
-from residua.design.core.evidence import Evidence, format_pole, measured_from, of_sampling
-from residua.design.core.internal_form import (
-    frequency_grid,
-    internal_form,
-    leak_frequencies,
-    leakage,
-    with_silent_inputs,
-)
-from residua.design.core.own_time import has_rates
+from residua.design.core.evidence import Evidence, format_pole, of_sampling
+from residua.design.core.internal_form import frequency_grid, internal_form, with_silent_inputs
+from residua.design.core.leak import leakage
 from residua.design.core.responses import covariance_of_sums, steady_responses
 from residua.design.core.sampled_form import refuse_growth, sampled_form
 from residua.design.core.signals import discretized_filter, run_signals, sampled_filter
+from residua.design.core.signatures import responses_of_filter, responses_of_form, signatures_of
 from residua.errors import AccuracyError
 from residua.linear import RankDecision, StateSpace, decide_rank
-from residua.linear.systems.response_terms import in_even_units
+from residua.linear.systems.scaling import balanced_system
 from residua.plant import Plant
 from residua.progress import check_time
 from residua.tolerances import POLYNOMIAL_LEAKAGE
@@ -35,10 +30,6 @@ if TYPE_CHECKING:
     from residua.design.observers.observer import Observer
     from residua.design.parity.equivalence import Equivalence
     from residua.design.parity.relations import ParityRelations, Poles
-
-
-#: Frequencies that often tell by themselves that all residuals are independent.
-_FEW = 6
 
 
 @dataclass(frozen=True)
@@ -50,7 +41,6 @@ class Member:
     faults: tuple[str, ...]
 
 
-@has_rates(static_map=-1)
 @dataclass(frozen=True, eq=False)
 class ResidualGenerator:
     r"""A stable linear filter from inputs and outputs of a plant to residuals.
@@ -166,16 +156,7 @@ class ResidualGenerator:
         form = self._internal_form
         skip = range(len(self.faults), len(self.faults) + len(self.plant.disturbances))
         columns = [i for i in range(form.n_inputs) if i not in skip]
-        even = in_even_units(form.select(inputs=columns))
-        system, w = even.system, frequency_grid(form)
-        if self.known_form is None and self.state_map is not None:  # where its check has eliminated already
-            own, w = in_even_units(self.system), leak_frequencies(self.system, self.plant)
-            factors = own.equations / even.equations
-            system = system.replaced(A=own.system.A, B=factors[:, None] * system.B, C=system.C / factors)
-        few = _rank_of_rows(system, w[:: -(-len(w) // _FEW)])
-        if few.rank == self.n_residuals and few.is_clear:  # at further frequencies they are no less independent
-            return few.rank
-        return _rank_of_rows(system, w).rank
+        return _rank_of_rows(balanced_system(form.select(inputs=columns))[0], frequency_grid(form)).rank
 
     @cached_property
     def structure(self) -> NDArray[np.bool_]:
@@ -309,15 +290,13 @@ class ResidualGenerator:
         known = None
         if self.state_map is not None and plant.n_states == self.plant.n_states:
             known = sampled_form(self.system, self.state_map, self.plant, system, plant, hold_outputs)
-        w = leak_frequencies(system, plant)
-        cost = of_sampling(leakage(system, plant, w))
+        cost = of_sampling(leakage(system, plant))
         note = (
             f"sampled at {system.dt:g} s: inputs held, outputs {hold_outputs} between samples; "
             "the gains marked 'sampled' are what that costs"
         )
         evidence = self.evidence.extended(
             decoupling=cost,
-            conditions=measured_from(w, plant.dt) if cost else {},
             notes=(note,),
             poles=system.poles(),
             requested_poles=np.exp(self.evidence.requested_poles * system.dt),
@@ -464,7 +443,6 @@ def make_generator(
     state_map: NDArray[np.float64] | None = None,
     static_map: NDArray[np.float64] | None = None,
     known_form: StateSpace | None = None,
-    state_units: NDArray[np.float64] | None = None,
     observer: Observer | None = None,
     members: tuple[Member, ...] = (),
     codes: NDArray[np.bool_] | None = None,
@@ -474,28 +452,34 @@ def make_generator(
     """Return a generator with its signatures, after checking that it is stable, decoupled, and its identities hold.
 
     Every design passes here, and no other place makes a generator of a filter. ``decouples`` says what must not reach
-    the residual, which is measured here, or which entry of the evidence says how far it does. A filter whose states
-    are no linear function of the plant's brings its internal form, ``known_form``; an approximate one need not. Of
-    such ``state_units`` are those of its states, powers of two, if it was written in other ones.
+    the residual, which is measured here, or which entry of the evidence says how far it does. An approximate filter,
+    such as a sampled continuous one, has no state map; its internal form is ``known_form`` where it is known.
     """
     check_time()
     if not system.is_stable():
         raise AccuracyError(f"the filter is not stable: poles {', '.join(map(format_pole, system.poles()))}")
-    if state_map is None and known_form is None and not isinstance(decouples, Approximate):
-        raise TypeError("make_generator needs a state_map or a known_form of an exact design")
-    found = checked(system, plant, evidence, decouples, state_map, static_map, known_form, state_units)
-    bases = {name: signature.basis(found.residuals) for name, signature in found.signatures.items()}
+    if state_map is None and isinstance(decouples, Decoupled):
+        raise TypeError("make_generator needs the state_map of an exact design")
+    if isinstance(decouples, Approximate) and decouples.entry not in {**evidence.conditions, **evidence.decoupling}:
+        raise TypeError(f"an approximate design must say how far inputs reach its residual: no {decouples.entry!r}")
+    f = None if state_map is None else BalancedFilter.of(system, plant, state_map, static_map)
+    leaks = decouples.leaks(f, system, plant)
+    if f is not None:
+        responses = responses_of_filter(f)
+    else:
+        form = internal_form(system, plant) if known_form is None else known_form
+        responses = responses_of_form(form, len(plant.faults))
+    bases, off = signatures_of(responses, plant.faults)
     if isinstance(decouples, Decoupled):  # what is left of the faults that are ignored has passed the check
         bases |= {name: np.zeros((system.n_outputs, 0)) for name in decouples.faults}
-    conditions = {"identities": found.identity}
-    conditions |= {"response off the signatures": found.off} if plant.faults else {}
+    conditions = {"response off the signatures": off} if plant.faults else {}
     if not members:
         members = (Member(method, tuple(range(system.n_outputs)), plant.faults),)
     return ResidualGenerator(
         system,
         plant,
         method,
-        evidence.extended(decoupling=found.leaks.gains, conditions=conditions | found.leaks.conditions),
+        evidence.extended(decoupling=leaks.gains, conditions=leaks.conditions | conditions),
         bases,
         observer=observer,
         members=members,

@@ -27,8 +27,8 @@ from residua.plant import Plant
 _NO_TERM = 1e-9
 #: Terms are at least this part of the largest of their input: where nothing has to cancel, rounding is all there is.
 _LEAST_TERM = 1e-7
-#: Complex numbers in the largest arrays: 64 MB.
-_AT_ONCE = 4_000_000
+#: Complex numbers in the largest arrays: what caches hold.
+_AT_ONCE = 400_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +111,34 @@ def leak_of(f: BalancedFilter, Bd: Matrix, Dd: Matrix, of_estimate: bool = False
     used = np.minimum(np.abs(np.vstack([f.L, f.F - np.diag(np.diag(f.F))])).max(axis=0, initial=0.0), 1.0)
     defects = max((float(np.abs(M).max(initial=0.0)) for M in (used[:, None] * dA, dC)), default=0.0)
     return Leak(gains, defects, f.slowest)
+
+
+def leakage(system: StateSpace, plant: Plant) -> dict[str, float]:
+    """Return how far controls and disturbances reach a filter without a state map, such as a sampled design.
+
+    The largest of `reached_inputs` for ``"control"`` and ``"disturbance"``, as far as the plant has any.
+    """
+    gains, n_u = reached_inputs(system, plant), len(plant.inputs)
+    groups = {"control": gains[:n_u], "disturbance": gains[n_u:]}
+    return {name: float(part.max()) for name, part in groups.items() if len(part)}
+
+
+def reached_inputs(system: StateSpace, plant: Plant) -> Matrix:
+    """Return how far each control, then each disturbance, reaches a filter.
+
+    Of each input and residual the peak of the response over the peak of the sum of the sizes of its terms; of the
+    residuals the largest. The response is the sum of what goes through
+    the filter directly and through the plant: rounding of these terms, 1e-16 of them, is part of it.
+    """
+    f, n_u = BalancedFilter.of(system, plant, np.zeros((system.n_states, plant.n_states))), len(plant.inputs)
+    B, D, U = f.entering(np.hstack([plant.B, plant.Bd]), np.hstack([plant.D, plant.Dd]))
+    Q = f.L @ f.of_filter(np.hstack([f.Gu * U[:n_u], f.Gy]), f.points) + np.hstack([f.Ju * U[:n_u], f.Jy])
+    P = f.C @ f.of_plant(B, f.points) + D
+    response, terms = Q[..., n_u:] @ P, np.abs(Q[..., n_u:]) @ np.abs(P)
+    response[..., :n_u] += Q[..., :n_u]
+    terms[..., :n_u] += np.abs(Q[..., :n_u])
+    peak, terms = np.abs(response).max(axis=0, initial=0.0), terms.max(axis=0, initial=0.0)
+    return (peak / np.where(terms > 0, terms, 1.0)).max(axis=0, initial=0.0)
 
 
 def answers(system: StateSpace, plant: Plant, terms: Matrix) -> NDArray[np.bool_]:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from residua.errors import AccuracyError
 from residua.linear import StateSpace
-from residua.linear.systems.response_terms import in_even_units
+from residua.linear.systems.scaling import balanced_system
 from residua.tolerances import IDENTITY, TINY
 
 #: Windows of more samples are summed by doubling: what they cost grows with the logarithm of their length.
@@ -21,14 +21,14 @@ def steady_responses(form: StateSpace) -> NDArray[np.float64]:
 
     Rounding is judged by the terms of the same response: each residual and each fault has its own units.
     """
-    even = in_even_units(form)
-    A, B, C, D = even.system.A, even.system.B, even.system.C, even.system.D
+    system, units = balanced_system(form)
+    A, B, C, D = system.A, system.B, system.C, system.D
     X = np.linalg.solve((np.eye(len(A)) if form.is_discrete else 0.0) - A, B)
     gain, terms = C @ X + D, np.abs(C) @ np.abs(X) + np.abs(D)
     heights = np.abs(C).max(axis=1, initial=0.0)
     anywhere = heights[:, None] * np.abs(X).max(axis=0, initial=0.0)  # a state may be mere rounding
     gain = np.where(np.abs(gain) > 1e-10 * terms + 1e-13 * anywhere, gain, 0.0)
-    return gain / even.outputs[:, None] / even.inputs
+    return gain / units.outputs[:, None] / units.inputs
 
 
 def state_covariance(A: NDArray, Q: NDArray) -> NDArray[np.float64]:

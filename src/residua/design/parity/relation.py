@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.design.core.generator import ResidualGenerator
-from residua.design.core.internal_form import frequency_grid, leak_frequencies
+from residua.design.core.internal_form import frequency_grid
 from residua.design.parity.realization import pole_basis
 from residua.errors import ModelError
 from residua.linear.poles.placement import default_margin
@@ -19,6 +19,8 @@ from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.plant import Plant
 from residua.tolerances import TINY
 
+#: Rad per sample, below which no residual of a sampled plant is looked at.
+_SLOWEST = 1e-3
 Matrix = NDArray[np.float64]
 #: Poles that meet those of the plant are this part of the plant's distance from them apart.
 _MEET = 1e-3
@@ -73,14 +75,12 @@ def digits_lost(rows: Sequence[Relation], generator: ResidualGenerator) -> float
     In a filter on the poles of the rows' bases the terms are :math:`q_j N_j / N_k y`. What is left of them of the
     response to a fault, at frequencies below the rate of the plant (the median), is what rounding in data and
     arithmetic is relative to; of the faults that a residual sees, the one of which least is left counts. A sampled
-    plant that integrates answers to ever slower faults by ever more: frequencies begin where those of leaks do.
+    plant that integrates answers to ever slower faults by ever more: frequencies begin at periods of 6,000 samples.
     """
     plant = generator.plant
     model = plant.balanced
-    if plant.is_discrete:
-        w = leak_frequencies(generator.system, plant, ("fault",))
-    else:
-        w = frequency_grid(generator.system, plant.system(()))
+    w = frequency_grid(generator.system, plant.system(()))
+    w = w[w >= _SLOWEST / plant.dt] if plant.is_discrete else w
     w = w[w <= max(plant_rate(plant), w[len(w) // 4])]
     points = np.exp(1j * w * plant.dt) if plant.is_discrete else 1j * w / model.units.rate
     faults = model.units.inputs[len(plant.inputs) + len(plant.disturbances) :]

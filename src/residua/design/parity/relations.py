@@ -21,7 +21,6 @@ from residua.design.parity.realization import realize_relation
 from residua.design.parity.relation import Relation, default_poles, digits_lost, filter_basis
 from residua.errors import AccuracyError, DesignError, SettingError
 from residua.linear import PolynomialMatrix, StateSpace, is_stable_mode
-from residua.linear.polynomials.pair_relations import PairRelations
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.plant import Plant
 from residua.shown import Shown
