@@ -3,76 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from contextvars import ContextVar
-from dataclasses import dataclass
-from typing import Any
-
-
-@dataclass(eq=False)
-class UnitOfRates:
-    """A unit in which rates are worked on, and whether a text has asked for it.
-
-    Attributes
-    ----------
-    value : float
-        In 1/s.
-    asked : bool
-        What is made while it is false has the unit in no text, and is the same in any.
-    around : UnitOfRates or None
-        The unit outside, of which this is a multiple: who asks for this one has asked for that one too.
-    """
-
-    value: float
-    around: UnitOfRates | None = None
-    asked: bool = False
-
-    def ask(self) -> float:
-        """Return the unit to one who writes it into a text."""
-        one: UnitOfRates | None = self
-        while one is not None:
-            one.asked = True
-            one = one.around
-        return self.value
-
-
-_unit: ContextVar[UnitOfRates | None] = ContextVar("unit of rates", default=None)
-
-
-@contextmanager
-def rates_in(unit: float) -> Iterator[UnitOfRates]:
-    """Within this, rates are worked on in that many 1/s; texts say them in 1/s all the same."""
-    around = _unit.get()
-    here = UnitOfRates(unit if around is None else around.value * unit, around)
-    token = _unit.set(here)
-    try:
-        yield here
-    finally:
-        _unit.reset(token)
-
-
-def unit_of_rates() -> float:
-    """Return the unit in which rates are worked on here, in 1/s: what texts multiply them by."""
-    here = _unit.get()
-    return 1.0 if here is None else here.ask()
-
-
-def as_given(value: Any, power: float = 1.0) -> Any:
-    """Return an option with a power of a rate in it as it was given, for a text that says what is wrong with it."""
-    if hasattr(value, "tolist"):
-        value = value.tolist()  # of an array, or a number of NumPy
-    factor = unit_of_rates() ** power
-    if factor == 1.0 or value is None or isinstance(value, (str, bytes, bool)):
-        return value
-    if isinstance(value, Mapping):
-        return {name: as_given(one, power) for name, one in value.items()}
-    if isinstance(value, Sequence):
-        return [as_given(one, power) for one in value]
-    try:
-        return value * factor
-    except TypeError:  # no number: it was not converted either
-        return value
+from collections.abc import Iterable
 
 
 def number(value: float | None, digits: int = 4) -> str:

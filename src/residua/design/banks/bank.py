@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -14,7 +14,6 @@ from residua.analysis.coding_sets import Structure, structure_rows
 from residua.design.core.decoupling import IGNORED, MeasuredBefore
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import Member, ResidualGenerator, make_generator
-from residua.design.core.own_time import has_rates
 from residua.design.observers.observer import Observer
 from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace
@@ -30,7 +29,6 @@ MemberDesign = Callable[[str, Plant], ResidualGenerator]
 MOST_STATES = 4000
 
 
-@has_rates()
 @dataclass(frozen=True, eq=False, repr=False)
 class Bank(Shown):
     """Residual generators that each ignore some faults, so that who fires names the fault.

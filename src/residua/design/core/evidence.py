@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from residua.linear.subspaces.rank import RankDecision
 from residua.shown import Shown
-from residua.words import unit_of_rates
 
 #: How the decoupling of a sampled design calls what sampling costs, after the name of the group of inputs.
 _SAMPLED = ", sampled"
@@ -138,7 +137,7 @@ class Evidence(Shown):
 
 def format_pole(pole: complex) -> str:
     """Return a pole as short text, in whatever unit of time: only a pole at zero is a zero."""
-    pole = unit_of_rates() * complex(pole)
+    pole = complex(pole)
     if pole == 0:
         return "0"
     if abs(pole.imag) <= 1e-9 * abs(pole):

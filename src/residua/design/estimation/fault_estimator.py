@@ -16,7 +16,6 @@ from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.design.core.internal_form import frequency_grid, internal_form
 from residua.design.core.method import method
 from residua.design.core.needs import FAULTS, groups_of_faults
-from residua.design.core.own_time import has_rates
 from residua.design.core.signals import sampled_filter, stack_signals
 from residua.design.estimation.fault_reading import FaultReading, read_faults
 from residua.design.observers.observer import Observer
@@ -27,7 +26,6 @@ from residua.linear.norms.system_norms import h2_norm, hinf_norm
 from residua.linear.poles.spectrum import mean_rate
 from residua.plant import Plant
 from residua.tolerances import LEAK, above_rounding
-from residua.words import as_given
 
 _METHOD = "fault estimator"
 REFERENCES = (
@@ -36,7 +34,6 @@ REFERENCES = (
 )
 
 
-@has_rates(lag=-1)
 @dataclass(frozen=True, eq=False)
 class FaultEstimator:
     r"""An observer that estimates faults, and the state that they cannot disturb.
@@ -241,7 +238,7 @@ def fault_estimator(
     """
     names = _chosen(plant, faults)
     if bandwidth is not None and not (np.isfinite(bandwidth) and bandwidth > 0):
-        raise SettingError(f"bandwidth must be a positive number in rad/s, got {as_given(bandwidth)!r}")
+        raise SettingError(f"bandwidth must be a positive number in rad/s, got {bandwidth!r}")
     disturbed = plant.faults_as_disturbances(names)
     try:
         observer = unknown_input_observer(disturbed, poles=poles, margin=margin, scaling="even")

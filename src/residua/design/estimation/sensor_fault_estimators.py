@@ -9,7 +9,6 @@ from numpy.typing import ArrayLike
 
 from residua import arrays
 from residua.design.core.method import method
-from residua.design.core.own_time import has_rates
 from residua.design.estimation.fault_estimator import FaultEstimator, fault_estimator
 from residua.errors import AccuracyError, DesignError
 from residua.plant import Plant
@@ -17,7 +16,6 @@ from residua.shown import Shown
 from residua.words import counted
 
 
-@has_rates()
 @dataclass(frozen=True, eq=False, repr=False)
 class SensorFaultEstimators(Shown, Mapping[str, FaultEstimator]):
     """Fault estimators by the name of the sensor that each is for; a mapping.

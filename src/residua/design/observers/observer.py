@@ -11,7 +11,6 @@ from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.design.core.leak import answers, leak
-from residua.design.core.own_time import has_rates
 from residua.design.core.signals import sampled_filter, signal_names, stack_signals
 from residua.design.observers.observer_gain import gain_evidence
 from residua.errors import AccuracyError, DesignError
@@ -22,7 +21,6 @@ from residua.tolerances import LEAK, above_rounding
 from residua.words import counted, used_up
 
 
-@has_rates(F=1, K=1, J=-1, V=-1)
 @dataclass(frozen=True, eq=False, repr=False)
 class Observer:
     r"""An observer of ``E x' = A x + B u + ...``, with the matrices named as by Twardy and Kaczorek.

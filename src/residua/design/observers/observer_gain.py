@@ -11,14 +11,13 @@ from numpy.typing import ArrayLike, NDArray
 from residua.errors import DesignError
 from residua.plant import Plant
 from residua.plant.balanced import BalancedPlant
-from residua.words import as_given
 
 
 def checked_options(poles: Any, margin: float | None) -> tuple[Any, float | None]:
     """Return the wanted poles as numbers, by name where they were, and the margin; or say what is wrong with them."""
     if margin is not None:
         if isinstance(margin, bool) or not isinstance(margin, (int, float, np.number)) or not 0 < margin < np.inf:
-            raise DesignError(f"margin must be a positive number in 1/s, got {as_given(margin)!r}")
+            raise DesignError(f"margin must be a positive number in 1/s, got {margin!r}")
         if poles is not None and not isinstance(poles, Mapping):
             raise DesignError("give poles or margin, not both")
     poles = list(poles) if isinstance(poles, Iterator) else poles

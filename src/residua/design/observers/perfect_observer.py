@@ -31,7 +31,7 @@ from residua.linear.poles.spectrum import describe_modes
 from residua.linear.subspaces.rank import left_null_basis, without_noise
 from residua.plant import Plant
 from residua.tolerances import BALANCED_RANK, DESIGN_ROUNDING, LEAK, SAME, above_rounding
-from residua.words import as_given, counted, used_up
+from residua.words import counted, used_up
 
 REFERENCE = "Twardy and Kaczorek, part I, eqs. (30) to (33), Theorem 4, Procedure 2"
 #: States of a filter beyond which its peak gain is not computed.
@@ -387,7 +387,7 @@ def _bandwidth(bandwidth: float | None, plant: Plant) -> float:
     if bandwidth is None:
         return 5.0 * plant.balanced.units.rate * default_margin(plant.balanced.dynamics)
     if not np.isfinite(bandwidth) or bandwidth <= 0:
-        raise SettingError(f"bandwidth must be a positive number of rad/s, got {as_given(bandwidth)!r}")
+        raise SettingError(f"bandwidth must be a positive number of rad/s, got {bandwidth!r}")
     return float(bandwidth)
 
 

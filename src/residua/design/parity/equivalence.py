@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from residua.design.core.evidence import format_pole
 from residua.design.core.generator import ResidualGenerator
 from residua.design.core.internal_form import frequency_grid
-from residua.design.core.own_time import has_rates, written_by
 from residua.design.parity.conversion import RowFraction, row_fractions
 from residua.design.parity.realization import chain, pole_basis
 from residua.errors import AccuracyError, DesignError, ModelError
@@ -35,13 +34,6 @@ _FILTER_ERROR = 1e-3
 _CANCEL = 1e-5
 
 
-def _in_other_time(row: RowTransformation, factor: float) -> RowTransformation:
-    """Return a filter whose rates are ``factor`` as large: ``Z`` and ``P`` stay monic."""
-    return replace(row, gain=row.gain * factor ** (len(row.poles) - len(row.zeros)))
-
-
-@has_rates(zeros=1, poles=1)
-@written_by(_in_other_time)
 @dataclass(frozen=True, eq=False)
 class RowTransformation:
     r"""One residual of the second generator as a filtered residual of the first, :math:`r_b = k\, Z(z) / P(z)\, r_a`.
@@ -83,7 +75,6 @@ class RowTransformation:
         return f"{text} of {self.first}"
 
 
-@has_rates()
 @dataclass(frozen=True, eq=False, repr=False)
 class Equivalence(Shown):
     """What one generator is to another.

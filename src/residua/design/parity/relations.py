@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence, format_pole
 from residua.design.core.generator import ResidualGenerator, make_generator
-from residua.design.core.own_time import has_rates
 from residua.design.core.signals import signal_names
 from residua.design.parity.directions import Directions, check_directions
 from residua.design.parity.realization import realize_relation
@@ -39,7 +38,6 @@ _TOO_MANY = 10.0
 Poles = Sequence[complex] | ArrayLike | Mapping[str, Sequence[complex]]
 
 
-@has_rates()
 @dataclass(frozen=True, eq=False, repr=False)
 class ParityRelations(Shown):
     r"""Polynomial equations between inputs and outputs that hold while nothing fails, one per residual.

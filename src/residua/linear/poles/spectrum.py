@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from residua.errors import AccuracyError
 from residua.linear.poles.assignment import least_cost_columns
 from residua.linear.poles.stability import modes_with_uncertainty
-from residua.words import counted, unit_of_rates
+from residua.words import counted
 
 Poles = NDArray[np.complex128]
 _EPS = float(np.finfo(float).eps)
@@ -25,7 +25,7 @@ _FARTHEST = 1e300
 def describe_modes(modes: Iterable[complex] | NDArray) -> str:
     """Return modes as short text for messages."""
     out = []
-    for mode in unit_of_rates() * np.asarray(modes, dtype=complex).ravel():
+    for mode in np.asarray(modes, dtype=complex).ravel():
         real = f"{mode.real:.5g}"
         out.append(real if mode.imag == 0 else f"{real}{mode.imag:+.5g}j")
     return ", ".join(out) if out else "none"

@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 from residua.errors import ResiduaError
 from residua.forks import forkable_lock
 from residua.progress import check_time
-from residua.words import rates_in
 
 R = TypeVar("R")
 #: Numbers and words whose value says all, once their type is known.
@@ -119,31 +118,6 @@ class Latest(Generic[R]):
         check_time()
         known = self._kept_under(key)
         return self._keep(key, compute()) if known is None else known.result
-
-    def of_texts(self, key: Hashable, compute: Callable[[], R]) -> R:
-        """Return the same of a function that may write rates into texts, in whatever unit these are worked on.
-
-        Where it asked for that unit the result is kept by it too; elsewhere it is the same in all units. A refusal is
-        an answer, and is kept.
-        """
-        check_time()
-        known = self._kept_under(key)
-        if known is not None:
-            return _answer(known.result)
-        with rates_in(1.0) as unit:  # one of our own, which says whether it was asked for here
-            own = unit.value, key
-            known = self._kept_under(own)
-            if known is not None:
-                unit.ask()  # what this result becomes part of has the unit in it too
-                return _answer(known.result)
-            try:
-                result, error = compute(), None
-            except ResiduaError as refusal:
-                result, error = cast("R", copy(refusal)), refusal
-        result = self._keep(own if unit.asked else key, result)
-        if error is not None:
-            raise error
-        return result
 
     def _kept_under(self, key: Hashable) -> _Kept[R] | None:
         with _lock:

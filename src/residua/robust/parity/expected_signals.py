@@ -14,7 +14,6 @@ from residua.design.core.evidence import format_pole
 from residua.errors import AccuracyError, DesignError, SettingError
 from residua.linear import StateSpace
 from residua.plant import Plant
-from residua.words import as_given
 
 #: Sizes of signals: one for all, one each, by name (others one), or a covariance.
 Sizes = float | ArrayLike | Mapping[str, float]
@@ -53,7 +52,7 @@ class ExpectedSignals:
         """Check the settings."""
         T = self.correlation_time
         if not isinstance(T, (int, float)) or not isfinite(T) or T < 0:
-            raise SettingError(f"correlation_time must be seconds, zero or more, got {as_given(T, -1)!r}")
+            raise SettingError(f"correlation_time must be seconds, zero or more, got {T!r}")
 
     def driven(self, plant: Plant) -> DrivenPlant:
         """Return a plant with what drives it."""

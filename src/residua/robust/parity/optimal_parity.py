@@ -12,7 +12,6 @@ from residua import arrays
 from residua.design.core.generator import ResidualGenerator
 from residua.design.core.method import method
 from residua.design.core.needs import FAULTS
-from residua.design.core.own_time import has_rates
 from residua.design.parity.relation import Relation, plant_rate
 from residua.design.parity.relation_model import RelationModel, relation_model
 from residua.design.parity.relations import ParityRelations, Poles, relations_of
@@ -33,7 +32,6 @@ _REFERENCE = "Gertler (1991), eq. (6-6); Frank and Wuennenberg (1989)"
 _BLIND = 1e-9
 
 
-@has_rates()
 @dataclass(frozen=True, eq=False, repr=False)
 class OptimalParity(Shown):
     r"""Exact relations in the order of their index :math:`|w^T Q_f| / |w^T Q_d|`.
