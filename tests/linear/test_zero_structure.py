@@ -8,6 +8,7 @@ import scipy.linalg
 
 from residua.linear import StateSpace, invariant_zeros
 from residua.linear.poles.matrix_poles import explicit_poles
+from residua.linear.poles.spectrum import match_poles
 from residua.linear.poles.zero_structure import without_zero_eigenvalues
 
 
@@ -35,19 +36,15 @@ def test_a_pencil_keeps_its_other_eigenvalues(seed):
     rng = np.random.default_rng(seed)
     A = chains(rng, [3, 2], [-1.0, 2.0])
     T = rng.normal(size=A.shape) + 3 * np.eye(7)
-    rest, E, count, regular = without_zero_eigenvalues(T @ A, T, float(np.linalg.norm(T @ A)))
-    assert (count, regular) == (5, True)
+    rest, E, count = without_zero_eigenvalues(T @ A, T, float(np.linalg.norm(T @ A)))
+    assert count == 5
     np.testing.assert_allclose(np.sort(scipy.linalg.eigvals(rest, E).real), [-1, 2], rtol=1e-9)
 
 
-def test_of_a_large_matrix_the_first_levels_are_looked_at_and_the_rest_is_told_from_rounding():
+def test_a_long_chain_of_integrators_has_all_its_poles_at_zero():
     n = 120
     Q = np.linalg.qr(np.random.default_rng(0).normal(size=(n, n)))[0]
-    A = Q @ np.diag(np.ones(n - 1), 1) @ Q.T
-    _, _, count, regular = without_zero_eigenvalues(A, None, float(np.linalg.norm(A)))
-    assert 3 <= count < n
-    assert not regular
-    assert not explicit_poles(A).any()
+    assert not explicit_poles(Q @ np.diag(np.ones(n - 1), 1) @ Q.T).any()
 
 
 def test_a_matrix_that_is_singular_by_rounding_alone_has_no_pole_at_zero():
@@ -88,10 +85,12 @@ def test_poles_and_zeros_are_the_same_in_whatever_unit_of_time(seed, factor):
     T = 2.0 ** rng.integers(-20, 21, n)
     B, C = B / T[:, None], 2.0**9 * C * T
     scaled = A / T[:, None] * T
-    np.testing.assert_array_equal(explicit_poles(factor * scaled), factor * explicit_poles(A.astype(float)))
+    found, wanted = explicit_poles(factor * scaled), factor * explicit_poles(A.astype(float))
+    assert np.count_nonzero(found == 0) == np.count_nonzero(wanted == 0)
+    np.testing.assert_allclose(found[match_poles(wanted, found)], wanted, rtol=1e-6)
     here, there = invariant_zeros(scaled, B, C), invariant_zeros(factor * scaled, factor * B, C)
     assert here.normal_rank == there.normal_rank
-    np.testing.assert_array_equal(there.zeros, factor * here.zeros)
+    np.testing.assert_allclose(there.zeros, factor * here.zeros, rtol=1e-6)
 
 
 def test_a_weak_coupling_neither_scatters_zeros_nor_is_lost_among_them():

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from residua.linear.polynomials.polynomial_matrix import PolynomialMatrix
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, decide_rank, left_null_basis
-from residua.linear.systems.balancing import evened
+from residua.linear.systems.scaling import even_units
 from residua.tolerances import RESIDUE, above_rounding
 
 
@@ -123,7 +123,7 @@ def _null_vectors(
 def _balanced(P: PolynomialMatrix, variable: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the coefficients with rows and columns of one size, without zero columns, and the factors of the rows."""
     C = P.scaled(variable).coefficients
-    rows, columns = evened(np.sqrt((C**2).sum(axis=0)))
+    rows, columns = even_units(np.sqrt((C**2).sum(axis=0)))
     C = C * rows[:, None] * columns
     return C[:, :, np.any(C != 0, axis=(0, 1))], rows
 

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from residua.linear.subspaces.parts import part_of_each
-from residua.linear.systems.state_space import StateSpace
+
+if TYPE_CHECKING:
+    from residua.linear.systems.state_space import StateSpace
 
 #: Entries this far below the largest both of their row and of their column count as none when the units are chosen:
 #: what a linearisation leaves of zeros would move all units far away.
@@ -120,6 +123,18 @@ def balanced_system(system: StateSpace) -> tuple[StateSpace, Scaling]:
     E = None if system.E is None else R * system.E * X
     D = Y * system.D * U
     return system.replaced(A=R * system.A * X, B=R * system.B * U, C=Y * system.C * X, D=D, E=E), units
+
+
+def even_units(M: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the factors of rows and of columns with which the entries of a matrix are nearest to one."""
+    rows, columns = M.shape
+    static = scaling(np.zeros((0, 0)), np.zeros((0, columns)), np.zeros((rows, 0)), M, sampled=True)
+    return static.outputs, static.inputs
+
+
+def power_near(size: float | NDArray) -> NDArray[np.float64]:
+    """Return powers of two near sizes; 1 for zero."""
+    return np.exp2(np.round(np.log2(np.where(np.greater(size, 0), size, 1.0))))
 
 
 def _least_squares(
