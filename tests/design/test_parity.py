@@ -349,25 +349,12 @@ def test_a_delay_cannot_be_undone_by_a_filter() -> None:
         "late",
         now.evidence,
         decouples=Decoupled(),
-        known_form=_late_form(now),
     )
     found = now.equivalent_to(delayed)
     assert found.kind == "poles"
     assert found.rows[0].poles.tolist() == pytest.approx([0.0], abs=1e-9)
     with pytest.raises(DesignError, match="answers late"):
         delayed.equivalent_to(now).realization()
-
-
-def _late_form(generator: rs.design.ResidualGenerator) -> rs.StateSpace:
-    form = generator.internal_form()
-    k = form.n_states
-    return form.replaced(
-        A=np.block([[form.A, np.zeros((k, 1))], [form.C, np.zeros((1, 1))]]),
-        B=np.vstack([form.B, form.D]),
-        C=np.eye(k + 1)[-1:],
-        D=np.zeros_like(form.D),
-        states=None,
-    )
 
 
 def test_a_zero_of_its_own_makes_a_filter() -> None:
@@ -381,7 +368,6 @@ def test_a_zero_of_its_own_makes_a_filter() -> None:
         "zero",
         now.evidence,
         decouples=Decoupled(),
-        known_form=now.internal_form().series(zero),
     )
     found = now.equivalent_to(made)
     assert found

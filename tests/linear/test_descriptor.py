@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.linalg
+from residua.linear.systems.response_terms import paths
 
 import residua as rs
 from guards import trips
@@ -19,7 +20,6 @@ from residua.linear import (
     weierstrass_form,
 )
 from residua.linear.systems.descriptor import scaled_pencil, unit_free_pencil
-from residua.linear.systems.response_terms import paths
 from residua.plant import without_algebraic_equations
 
 SEEDS = range(12)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.linalg
+from residua.linear.systems.response_terms import accurate_response, response_terms
 from scipy.sparse.csgraph import connected_components
 
 from residua.errors import ModelError
@@ -14,7 +15,6 @@ from residua.linear.poles.doubling import filter_covariance
 from residua.linear.subspaces.parts import connected_parts, strong_parts
 from residua.linear.systems import resolvent
 from residua.linear.systems.resolvent import solutions, solver
-from residua.linear.systems.response_terms import accurate_response, response_terms
 from residua.linear.systems.units import _with_rate
 
 KINDS = ("full", "chain", "blocks", "graded")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.signal
+from residua.plant.comparable_units import with_rates_times
 
 import residua as rs
 from effort import rounds
@@ -14,7 +15,6 @@ from refusals import Refused
 from residua.errors import AccuracyError, ModelError
 from residua.linear import StateSpace
 from residua.linear.polynomials.polynomial_matrix import PolynomialMatrix
-from residua.plant.comparable_units import with_rates_times
 from residua.plant.input_output_conversion import input_output_from_plant
 from residua.plant.input_output_model import InputOutputModel
 
