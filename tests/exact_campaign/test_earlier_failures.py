@@ -252,6 +252,8 @@ EARLIER = [
     ("repeated poles", 50018, designs._observers),
     # a residual read a dead sensor by what rounding left of its injection
     ("dead sensors", 50071, designs._banks_of_rows),
+    # the pencil at a point far beyond the rates of a system lost the other terms
+    ("feedthrough", 50099, None),
     # noise in states was weighed beside noise in outputs in the unit of time of the caller
     ("stiff", 50023, designs._noise),
     # the campaign asked for estimates of faults of which no pole is free

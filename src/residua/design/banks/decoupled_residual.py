@@ -122,7 +122,7 @@ def decoupled_residual(
     J = without_rounding(O.T @ q.J)  # of an output that is not read nothing may be left
     K = above_rounding(J + found.K @ q.H, np.abs(J) + np.abs(found.K) @ np.abs(q.H), RESPONSE_ROUNDING)
     units, R, Y = model.units, model.units.equations, model.units.outputs
-    T = (O.T @ q.N @ model.derivative - K[:, p:] @ model.algebra) * R
+    T = without_rounding(O.T @ q.N @ model.derivative - K[:, p:] @ model.algebra) * R
     Ky, Hy, V = units.rate * K[:, :p] * Y, q.H[:, :p] * Y, q.H[:, p:] @ model.algebra * R / units.rate
     system = StateSpace(
         units.rate * (O.T @ F @ O - found.K @ G @ O),

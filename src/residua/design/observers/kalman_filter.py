@@ -57,9 +57,8 @@ def kalman_filter(plant: Plant) -> ResidualGenerator:
     Raises
     ------
     DesignError
-        If the plant has no noise, or no process noise where the filter needs it; the measurement noise of a continuous
-        plant is singular, or the covariance of the innovations of a sampled one; the pair (C, A) is not detectable; or
-        a mode on the stability boundary gets no noise.
+        If the plant has no noise, or no process noise where the filter needs it, the measurement noise is singular,
+        the pair (C, A) is not detectable or a mode on the stability boundary gets no noise.
 
     See Also
     --------
@@ -118,15 +117,12 @@ def _gain(plant: Plant, model: BalancedPlant) -> ObserverGain:
     units, rate = model.units, model.units.rate
     X, Y = units.states, units.outputs
     R = Y[:, None] * plant.measurement_noise * Y
-    level = (
-        float(np.diag(R).max(initial=0.0)) or 1.0
-    )  # in whatever unit of time: noise in states beside that in outputs
+    level = float(np.diag(R).max(initial=0.0)) or 1.0  # states beside outputs, in whatever unit of time
     R = R / level
     size = np.sqrt(np.where(np.diag(R) > 0, np.diag(R), 1.0))  # outputs as large as their noise
     n = plant.n_states
-    singular = not np.linalg.eigvalsh(R / size[:, None] / size).min(initial=1.0) > RANK
     try:
-        if not plant.is_discrete and singular:
+        if not plant.is_discrete and not np.linalg.eigvalsh(R / size[:, None] / size).min(initial=1.0) > RANK:
             raise DesignError(
                 "the measurement noise is singular, and a continuous Kalman filter divides by it: give every "
                 f"measurement noise of its own, with_noise(measurement=...), or sample the plant: {_BOTH}"
@@ -143,11 +139,6 @@ def _gain(plant: Plant, model: BalancedPlant) -> ObserverGain:
         )
     except AccuracyError as error:
         if not _moves_by_itself(plant, model):
-            if singular:
-                raise DesignError(
-                    "the innovations have a singular covariance: measurements without noise repeat one another, or "
-                    f"show states without noise; leave them out, or give each noise of its own: {_BOTH}"
-                ) from error
             raise
         raise DesignError(
             f"there is no stationary Kalman filter: a mode on the boundary of stability gets no noise; {_BOTH}"
