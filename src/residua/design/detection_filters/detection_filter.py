@@ -67,12 +67,13 @@ def detection_filter(
 
     The gain confines the response to each fault to a space of its own, so that, whatever its time course,
     the residual of an actuator or component fault stays on the line :math:`C A^\mu l_i` (the first nonzero of
-    :math:`C l_i, C A l_i, \dots`) and that of a sensor fault in a plane. With as many independent
-    measurements as states and all poles alike, :math:`K = (A - \lambda I) C^+`. Otherwise each fault gets
-    its detection space, whose poles are free, one more for each invariant zero of
-    :math:`(A, l_i, C)`; invariant zeros of all faults together that belong to no single fault are poles
-    that no gain moves. Faults that one filter cannot keep apart are split over as few filters as needed,
-    which run as one.
+    :math:`C l_i, C A l_i, \dots`) and that of a sensor fault on the line of its output. With as many independent
+    measurements as states and all poles alike, :math:`K = (A - \lambda I) C^+`, and sensor faults stay in planes.
+    Otherwise each fault gets its detection space, whose poles are free: for an actuator fault one, and one more for
+    each invariant zero of :math:`(A, l_i, C)`; for a sensor fault one for each state that the other sensors do not
+    see. Invariant zeros of all faults together that belong to no single fault are poles that no gain moves. Faults
+    that one filter cannot keep apart, or only by a large gain, are split over as few filters as needed, which run as
+    one. For one fault a filter exists wherever the pair (C, A) is detectable and an output answers to the fault.
 
     Parameters
     ----------
