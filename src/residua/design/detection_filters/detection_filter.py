@@ -36,7 +36,7 @@ from residua.linear.subspaces.quotient import observable_split
 from residua.linear.systems.state_space import stack_systems
 from residua.plant import Plant
 from residua.plant.balanced import undetectable
-from residua.tolerances import BALANCED_RANK
+from residua.tolerances import BALANCED_RANK, above_rounding
 
 #: The units in which a pseudoinverse is the smallest.
 Scaling = Literal["plant", "even"]
@@ -212,7 +212,8 @@ def _scalar_gain(pair: ErrorPair, pole: float, *, asked: bool) -> DirectionalGai
     inverse = np.zeros((n, len(C)))
     inverse[np.ix_(columns, rows)] = scipy.linalg.solve_triangular(R, Q.T)
     note = "as many independent measurements as states: every fault keeps its direction or plane"
-    K = (A - pole * np.eye(n)) @ inverse
+    off = above_rounding(A - pole * np.eye(n), np.abs(A) + abs(pole) * np.eye(n))
+    K = above_rounding(off @ inverse, np.abs(off) @ np.abs(inverse))
     error = float(np.abs(np.linalg.eigvals(A - K @ C) - pole).max(initial=0.0))
     requested = np.full(n if asked else 0, pole, dtype=complex)
     return DirectionalGain(K, np.zeros(0, complex), requested, error, (note,))

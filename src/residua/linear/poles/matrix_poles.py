@@ -7,6 +7,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from residua.linear.poles.zero_structure import rounding_of
+from residua.linear.subspaces.parts import strong_parts
 from residua.linear.systems.scaling import scaling
 
 #: A pole of more than this fraction of the size of its matrix is not zero: a triple zero is scattered by about as much.
@@ -14,10 +15,17 @@ _NEAR_ZERO = 1e-5
 
 
 def explicit_poles(A: NDArray) -> NDArray[np.complex128]:
-    """Return the eigenvalues of a matrix; those that may be nothing but rounding of zero are zero."""
+    """Return the eigenvalues of a matrix; those that may be nothing but rounding of zero are zero.
+
+    Those of parts without couplings both ways are computed by themselves: nothing scatters them.
+    """
+    parts = [A[np.ix_(part, part)] for part in strong_parts(A)]
+    poles = (part[0].astype(complex) if len(part) == 1 else _poles_of_part(part) for part in parts)
+    return np.concatenate([np.zeros(0, dtype=complex), *poles])
+
+
+def _poles_of_part(A: NDArray) -> NDArray[np.complex128]:
     n = len(A)
-    if n < 2:
-        return A.reshape(-1).astype(complex)
     units = scaling(A, np.zeros((n, 0)), np.zeros((0, n)), np.zeros((0, 0)), sampled=False)
     balanced = A / units.states[:, None] * units.states / units.rate
     poles, size = np.linalg.eigvals(balanced).astype(complex), float(np.linalg.norm(balanced))
