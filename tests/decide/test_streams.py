@@ -266,7 +266,7 @@ def test_residuals_that_foretell_each_other_exactly_are_tested_at_the_designed_r
     rng, system = np.random.default_rng(0), engine.system(("noise",))
     y = system.simulate(rng.standard_normal((30_000, system.n_inputs)))
     test = rs.decide.CUSUM(mean_time_between_false_alarms=500)
-    monitor = rs.Monitor(rs.design.robust_detection_filter(engine), test=test)
+    monitor = rs.Monitor(rs.design.robust_detection_filter(engine, scaling="even"), test=test)
     monitor.fit(np.zeros((20_000, 1)), y[:20_000])
     assert "2 combinations of residuals predicted exactly" in monitor.norm_test.basis
     alarm = monitor.run(np.zeros((10_000, 1)), y[20_000:]).alarm
@@ -280,7 +280,9 @@ def test_what_is_foretold_exactly_does_not_depend_on_how_many_samples_say_so(sam
     rng, system = np.random.default_rng(samples), engine.system(("noise",))
     y = system.simulate(rng.standard_normal((samples, system.n_inputs)))
     test = rs.decide.EWMA(mean_time_between_false_alarms=500)
-    monitor = rs.Monitor(rs.design.robust_detection_filter(engine), test=test).fit(np.zeros((samples, 1)), y)
+    monitor = rs.Monitor(rs.design.robust_detection_filter(engine, scaling="even"), test=test).fit(
+        np.zeros((samples, 1)), y
+    )
     assert "; 2 combinations of residuals predicted exactly" in monitor.norm_test.basis
 
 
