@@ -205,22 +205,20 @@ class ParityRelations(Shown):
         plant, model = self.plant, self.plant.balanced
         units, n_u = model.units, len(plant.inputs)
         controls = units.equations[:, None] * plant.B / units.rate, units.outputs[:, None] * plant.D
-        made = []
-        for row, height in zip(rows, self.heights, strict=True):
-            one = realize_relation(*row.in_equations(plant), controls, row.basis)
-            made.append(replace(one, C=height * one.C, D=height * one.D, static_map=height * one.static_map))
+        made = [realize_relation(*row.in_equations(plant), controls, row.basis) for row in rows]
+        heights = self.heights[:, None]
         signals = np.concatenate([np.ones(n_u), units.outputs])
         system = StateSpace(
             units.rate * scipy.linalg.block_diag(*[one.A for one in made]),
             units.rate * np.vstack([one.B for one in made]) * signals,
-            scipy.linalg.block_diag(*[one.C for one in made]),
-            np.vstack([one.D for one in made]) * signals,
+            heights * scipy.linalg.block_diag(*[one.C for one in made]),
+            heights * np.vstack([one.D for one in made]) * signals,
             dt=plant.dt,
             inputs=signal_names(plant),
             outputs=self.names,
         )
         state_map = np.vstack([one.state_map for one in made]) * units.equations
-        static_map = np.vstack([one.static_map for one in made]) * units.equations / units.rate
+        static_map = heights * np.vstack([one.static_map for one in made]) * units.equations / units.rate
         return system, {"state_map": state_map, "static_map": None if plant.E is None else static_map}
 
     def _with_digits(self, made: ResidualGenerator, rows: Sequence[Relation], *, asked: bool) -> ResidualGenerator:
