@@ -16,6 +16,7 @@ from residua.linear.polynomials.common_factor import without_common_factor
 from residua.linear.polynomials.pair_relations import PairRelations
 from residua.tolerances import LEAKAGE
 
+
 @dataclass(frozen=True, eq=False)
 class RowFraction:
     """One residual as relation and filter, :math:`r = r^* c(z) / d(z)`.

@@ -24,9 +24,7 @@ class Realization:
     static_map: Matrix
 
 
-def realize_relation(
-    p: Matrix, q: Matrix, controls: tuple[Matrix, Matrix], basis: PolynomialBasis
-) -> Realization:
+def realize_relation(p: Matrix, q: Matrix, controls: tuple[Matrix, Matrix], basis: PolynomialBasis) -> Realization:
     r"""Return one relation divided by :math:`\prod_i (z - \lambda_i)`, as a chain of first and second order sections.
 
     In the basis :math:`N_0 = 1, \rho N_{j+1} = (z - \lambda_{j+1}) N_j` the relation has the coefficients ``q_j`` and

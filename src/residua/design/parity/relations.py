@@ -29,6 +29,8 @@ from residua.tolerances import RESPONSE_ROUNDING, above_rounding
 from residua.words import counted
 
 Matrix = NDArray[np.float64]
+#: Coefficients of which nothing is left of the others, in any unit.
+_HUGE = 1e50
 #: Of several relations those of which the newest sample counts for less are nearly of a lower order.
 _NEWEST = 1e-3
 _LOST = "digits lost to cancellation"
@@ -207,6 +209,12 @@ class ParityRelations(Shown):
         controls = units.equations[:, None] * plant.B / units.rate, units.outputs[:, None] * plant.D
         made = [realize_relation(*row.in_equations(plant), controls, row.basis) for row in rows]
         heights = self.heights[:, None]
+        largest = max((float(np.abs(one.B).max(initial=0.0)) for one in made), default=0.0)
+        if not largest < _HUGE:
+            raise AccuracyError(
+                f"of a relation of order {max(self.orders)} with these poles the newest sample counts 1, others "
+                f"{largest:.0e}: it is lost in rounding; choose poles near those of the plant, or use decoupled_residual"
+            )
         signals = np.concatenate([np.ones(n_u), units.outputs])
         system = StateSpace(
             units.rate * scipy.linalg.block_diag(*[one.A for one in made]),

@@ -144,7 +144,9 @@ def made_of_shortest(
         return with_rank(make(space), space)
     except AccuracyError as error:
         for order in range(shortest):
-            near = relation_space(equations, order, faults, filter_basis(model.plant, default_poles(model.plant, order)))
+            near = relation_space(
+                equations, order, faults, filter_basis(model.plant, default_poles(model.plant, order))
+            )
             for many in range(1, near.count + 1):  # those that miss their equations least are last
                 few = near.last(many)
                 if few.seen[list(seen)].all():

@@ -99,9 +99,7 @@ class PairRelations:
             return replace(PolynomialBasis.powers(order + 1, away or 1.0), real=np.full(order + 1, center))
         return basis_on_poles(nodes, order + 1, 1.0, outward=order >= n)
 
-    def rows(
-        self, order: int, basis: PolynomialBasis, *, near: bool = False
-    ) -> tuple[Matrix, Matrix, RankDecision]:
+    def rows(self, order: int, basis: PolynomialBasis, *, near: bool = False) -> tuple[Matrix, Matrix, RankDecision]:
         """Return ``p`` and ``q`` of all rows of at most an order, shapes (count, order + 1, ...), in a basis.
 
         Together, and as ``w`` and ``v``, they are orthonormal. ``near``: those too that miss their equations by less
@@ -174,14 +172,14 @@ def _by_parts(q: Matrix, parts: NDArray[np.int_]) -> Matrix:
     out, reads = [], np.tile(parts, q.shape[1])
     for part in np.unique(parts):
         # what reads nothing else, of the rows that are left
-        U, s, _ = np.linalg.svd(flat[:, reads != part]) if (reads != part).any() else (np.eye(len(q)), np.zeros(0), None)
+        U, s, _ = (
+            np.linalg.svd(flat[:, reads != part]) if (reads != part).any() else (np.eye(len(q)), np.zeros(0), None)
+        )
         out.append(U[:, int(np.count_nonzero(s > DESIGN_ROUNDING * s.max(initial=0.0))) :].T)
     return np.vstack(out) if sum(map(len, out)) == len(q) else np.eye(len(q))
 
 
-def _null_rows(
-    F: Matrix, G: Matrix, basis: PolynomialBasis, order: int, count: int
-) -> tuple[Matrix, Matrix, Matrix]:
+def _null_rows(F: Matrix, G: Matrix, basis: PolynomialBasis, order: int, count: int) -> tuple[Matrix, Matrix, Matrix]:
     r"""Return orthonormal rows ``w`` and ``v`` with :math:`w (zI - F) = v G`, and what decides how many there are.
 
     The coefficients follow from each other from the highest on, :math:`\rho_{j-1} w_{j-1} = v_j G + w_j (F - a_j I) +

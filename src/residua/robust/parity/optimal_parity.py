@@ -328,9 +328,7 @@ def _in_powers(task: _Task, space: RelationSpace) -> tuple[NDArray, NDArray]:
     plant = task.model.plant
     size = 1.0 if plant.is_discrete else plant_rate(plant) / plant.balanced.units.rate
     powers = PolynomialBasis.powers(space.order + 1, size)
-    p, q = (
-        space.basis.changed_to(powers, part.transpose(1, 0, 2)).transpose(1, 0, 2) for part in (space.p, space.q)
-    )
+    p, q = (space.basis.changed_to(powers, part.transpose(1, 0, 2)).transpose(1, 0, 2) for part in (space.p, space.q))
     return p, q
 
 
