@@ -21,7 +21,6 @@ from residua.design.parity.realization import realize_relation
 from residua.design.parity.relation import Relation, default_poles, digits_lost, filter_basis
 from residua.errors import AccuracyError, DesignError, SettingError
 from residua.linear import PolynomialMatrix, StateSpace, is_stable_mode
-from residua.linear.polynomials.pair_relations import PairRelations
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.plant import Plant
 from residua.shown import Shown
@@ -187,7 +186,7 @@ class ParityRelations(Shown):
         chosen = self._poles(poles)
         rows = self._moved([filter_basis(self.plant, one) for one in chosen])
         rows = [row.times(1 / float(np.prod(row.basis.sizes[: row.order]))) for row in rows]  # monic again
-        system, maps = self._filter(rows)
+        system, state_map, static_map = self._filter(rows)
         evidence = Evidence(
             method=method,
             poles=system.poles(),
@@ -196,13 +195,22 @@ class ParityRelations(Shown):
             references=("Gertler (1991), sections 3.1, 3.2 and 3.5",),
         )
         decouples = Decoupled(disturbances=not self._disturbed(rows))
-        made = make_generator(system, self.plant, method, evidence, decouples=decouples, relations=self, **maps)
+        made = make_generator(
+            system,
+            self.plant,
+            method,
+            evidence,
+            decouples=decouples,
+            state_map=state_map,
+            static_map=static_map,
+            relations=self,
+        )
         if self.directions is not None:
             off = check_directions(made, self.directions)
             made = replace(made, evidence=made.evidence.extended(conditions={"response off the directions": off}))
         return self._with_digits(made, rows, asked=poles is not None)
 
-    def _filter(self, rows: Sequence[Relation]) -> tuple[StateSpace, dict[str, Matrix | None]]:
+    def _filter(self, rows: Sequence[Relation]) -> tuple[StateSpace, Matrix, Matrix | None]:
         """Return the filters of rows side by side, driven by the same signals, with their maps."""
         plant, model = self.plant, self.plant.balanced
         units, n_u = model.units, len(plant.inputs)
@@ -213,7 +221,8 @@ class ParityRelations(Shown):
         if not largest < _HUGE:
             raise AccuracyError(
                 f"of a relation of order {max(self.orders)} with these poles the newest sample counts 1, others "
-                f"{largest:.0e}: it is lost in rounding; choose poles near those of the plant, or use decoupled_residual"
+                f"{largest:.0e}: it is lost in rounding; choose poles near those of the plant, or use "
+                "decoupled_residual"
             )
         signals = np.concatenate([np.ones(n_u), units.outputs])
         system = StateSpace(
@@ -227,7 +236,7 @@ class ParityRelations(Shown):
         )
         state_map = np.vstack([one.state_map for one in made]) * units.equations
         static_map = heights * np.vstack([one.static_map for one in made]) * units.equations / units.rate
-        return system, {"state_map": state_map, "static_map": None if plant.E is None else static_map}
+        return system, state_map, None if plant.E is None else static_map
 
     def _with_digits(self, made: ResidualGenerator, rows: Sequence[Relation], *, asked: bool) -> ResidualGenerator:
         """Return a filter with the digits that cancel in its evidence; a moving average of too many only if asked."""

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-
 from residua.analysis.coding_sets import Structure
 from residua.design.banks.bank import Bank, build_bank, wanted_rows
 from residua.design.banks.structured_bank import ROWS

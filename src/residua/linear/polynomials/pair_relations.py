@@ -74,7 +74,7 @@ class PairRelations:
 
     @property
     def orders(self) -> tuple[int, int] | None:
-        """The smallest and the largest order of rows that are no sums of multiples of shorter ones, if there are any."""
+        """The smallest and the largest order of rows that are no sums of multiples of shorter ones, if any."""
         there = np.flatnonzero(self.new)
         return (int(there[0]), int(there[-1])) if len(there) else None
 
@@ -118,14 +118,16 @@ class PairRelations:
 
     def moved(self, p: Matrix, q: Matrix, basis: PolynomialBasis, other: PolynomialBasis) -> tuple[Matrix, Matrix]:
         """Return ``p`` and ``q`` of one row in another basis, or of the row nearest to it where that costs digits."""
-        moved = [basis.changed_to(other, x) for x in (p @ self.quotient.N.T @ self.seen, q @ self.quotient.H.T)]
+        both = p @ self.quotient.N.T @ self.seen, q @ self.quotient.H.T
+        moved = (basis.changed_to(other, both[0]), basis.changed_to(other, both[1]))
         w, v, _ = self._null(len(q) - 1, other)
         weights = np.tensordot(w, moved[0], 2) + np.tensordot(v, moved[1], 2)
-        nearest = [np.tensordot(weights, x, 1) for x in (w, v)]
-        if np.linalg.norm(weights) > _GONE * np.hypot(*(np.linalg.norm(x) for x in moved)):
+        nearest = (np.tensordot(weights, w, 1), np.tensordot(weights, v, 1))
+        if np.linalg.norm(weights) > _GONE * np.linalg.norm(np.hstack(moved)):
             moved = min(moved, nearest, key=lambda row: _missed(*row, *self.pair, other))
         largest = max(float(np.abs(x).max(initial=0.0)) for x in moved)
-        p, q = self._rows(*(above_rounding(x, largest, _NOTHING)[None] for x in moved))
+        w, v = (above_rounding(x, largest, _NOTHING)[None] for x in moved)
+        p, q = self._rows(w, v)
         return p[0], q[0]
 
     def completed(self, q: Matrix, basis: PolynomialBasis) -> tuple[Matrix, float]:
@@ -221,8 +223,8 @@ def _next(w: Matrix, before: Matrix, entering: Matrix, F: Matrix, basis: Polynom
 def _missed(w: Matrix, v: Matrix, F: Matrix, G: Matrix, basis: PolynomialBasis) -> float:
     """Return how far a row is from ``w (zI - F) = v G``, relative to its largest coefficient, in extended precision."""
     k, size = len(v) - 1, max(float(np.abs(w).max(initial=0.0)), float(np.abs(v).max(initial=0.0)), TINY)
-    w, v, F, G = (M.astype(np.longdouble) for M in (w, v, F, G))
-    left = basis.real[: k + 1, None] * w - w @ F - v @ G
-    left[:-1] -= basis.links[1 : k + 1, None] * w[1:]
-    left[1:] += basis.sizes[:k, None] * w[:-1]
+    W, V, M, C = (x.astype(np.longdouble) for x in (w, v, F, G))
+    left = basis.real[: k + 1, None] * W - W @ M - V @ C
+    left[:-1] -= basis.links[1 : k + 1, None] * W[1:]
+    left[1:] += basis.sizes[:k, None] * W[:-1]
     return float(np.abs(left).max(initial=0.0)) / size

@@ -12,7 +12,6 @@ from residua.linear.polynomials.polynomial_matrix import PolynomialMatrix
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, decide_rank, left_null_basis
 from residua.tolerances import RESIDUE, above_rounding
 
-
 #: Sweeps over rows and columns.
 _SWEEPS = 4
 

@@ -253,8 +253,8 @@ def _task(
     Bf, Bd, nf = np.vstack([plant.Bf, plant.Df]), np.vstack([plant.Bd, plant.Dd]), len(plant.faults)
     unwanted = np.hstack([Bd[:, counted] * size[nf:][counted], Bf[:, g] * size[g], *extra])
     noise = np.vstack([plant.Bw, plant.Dw])
-    columns = [_balanced(model, one) for one in (Bf[:, f] * size[f], unwanted, noise)]
-    return _Task(model, *columns, _output_sizes(model, size), tuple(names), constant=False)
+    wanted, unwanted, noise = (_balanced(model, one) for one in (Bf[:, f] * size[f], unwanted, noise))
+    return _Task(model, wanted, unwanted, noise, _output_sizes(model, size), tuple(names), constant=False)
 
 
 def _output_sizes(model: RelationModel, sizes: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -304,10 +304,10 @@ def _perfect(
     if not space.count or not seen.any():
         return [], np.zeros(0), np.zeros(0)
     p, q = _in_powers(task, space)
-    wanted = tuple(part * seen for part in task.wanted)
+    wanted = task.wanted[0] * seen, task.wanted[1] * seen
     N = _size_of(task, p, q)
     gains, combinations = best_ratios(_responses(p, q, wanted, task), N, space.count)
-    terms, _ = best_ratios(_responses(np.abs(p), np.abs(q), tuple(np.abs(part) for part in wanted)), N, space.count)
+    terms, _ = best_ratios(_responses(np.abs(p), np.abs(q), (np.abs(wanted[0]), np.abs(wanted[1]))), N, space.count)
     kept = gains > _BLIND * terms[0]  # less is rounding of what cancels
     return [space.combined(c) for c in combinations[kept]], np.full(int(kept.sum()), np.inf), gains[kept]
 
