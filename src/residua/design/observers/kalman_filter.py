@@ -57,8 +57,9 @@ def kalman_filter(plant: Plant) -> ResidualGenerator:
     Raises
     ------
     DesignError
-        If the plant has no noise, or no process noise where the filter needs it, the measurement noise is singular,
-        the pair (C, A) is not detectable or a mode on the stability boundary gets no noise.
+        If the plant has no noise, or no process noise where the filter needs it; the measurement noise of a continuous
+        plant is singular, or the covariance of the innovations of a sampled one; the pair (C, A) is not detectable; or
+        a mode on the stability boundary gets no noise.
 
     See Also
     --------
@@ -121,8 +122,9 @@ def _gain(plant: Plant, model: BalancedPlant) -> ObserverGain:
     R = R / level
     size = np.sqrt(np.where(np.diag(R) > 0, np.diag(R), 1.0))  # outputs as large as their noise
     n = plant.n_states
+    singular = not np.linalg.eigvalsh(R / size[:, None] / size).min(initial=1.0) > RANK
     try:
-        if not plant.is_discrete and not np.linalg.eigvalsh(R / size[:, None] / size).min(initial=1.0) > RANK:
+        if not plant.is_discrete and singular:
             raise DesignError(
                 "the measurement noise is singular, and a continuous Kalman filter divides by it: give every "
                 f"measurement noise of its own, with_noise(measurement=...), or sample the plant: {_BOTH}"
@@ -139,6 +141,11 @@ def _gain(plant: Plant, model: BalancedPlant) -> ObserverGain:
         )
     except AccuracyError as error:
         if not _moves_by_itself(plant, model):
+            if singular:
+                raise DesignError(
+                    "the innovations have a singular covariance: measurements without noise repeat one another, or "
+                    f"show states without noise; leave them out, or give each noise of its own: {_BOTH}"
+                ) from error
             raise
         raise DesignError(
             f"there is no stationary Kalman filter: a mode on the boundary of stability gets no noise; {_BOTH}"
