@@ -263,6 +263,7 @@ EARLIER = [
     ("stiff", 31267, designs._parity),
 ]
 
+
 @pytest.mark.parametrize(("kind", "seed", "stage"), EARLIER, ids=[f"{kind} {seed}" for kind, seed, _ in EARLIER])
 def test_what_failed_before_holds(kind: str, seed: int, stage: examination.Stage | None) -> None:
     asked = (analyses,) if stage is None else (analyses, stage)

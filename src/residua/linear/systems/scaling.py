@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from residua.linear.subspaces.parts import part_of_each
-from residua.linear.systems.state_space import StateSpace
+
+if TYPE_CHECKING:
+    from residua.linear.systems.state_space import StateSpace
 
 #: Entries this far below the largest both of their row and of their column count as none when the units are chosen:
 #: what a linearisation leaves of zeros would move all units far away.
