@@ -10,11 +10,11 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from residua.plant.comparable_units import with_rates_times
 
 import residua as rs
 from residua.errors import ResiduaError
 from residua.plant import Plant
-from residua.plant.comparable_units import with_rates_times
 from residua.words import as_given, rates_in
 
 D = rs.design

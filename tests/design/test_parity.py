@@ -349,25 +349,12 @@ def test_a_delay_cannot_be_undone_by_a_filter() -> None:
         "late",
         now.evidence,
         decouples=Decoupled(),
-        known_form=_late_form(now),
     )
     found = now.equivalent_to(delayed)
     assert found.kind == "poles"
     assert found.rows[0].poles.tolist() == pytest.approx([0.0], abs=1e-9)
     with pytest.raises(DesignError, match="answers late"):
         delayed.equivalent_to(now).realization()
-
-
-def _late_form(generator: rs.design.ResidualGenerator) -> rs.StateSpace:
-    form = generator.internal_form()
-    k = form.n_states
-    return form.replaced(
-        A=np.block([[form.A, np.zeros((k, 1))], [form.C, np.zeros((1, 1))]]),
-        B=np.vstack([form.B, form.D]),
-        C=np.eye(k + 1)[-1:],
-        D=np.zeros_like(form.D),
-        states=None,
-    )
 
 
 def test_a_zero_of_its_own_makes_a_filter() -> None:
@@ -381,7 +368,6 @@ def test_a_zero_of_its_own_makes_a_filter() -> None:
         "zero",
         now.evidence,
         decouples=Decoupled(),
-        known_form=now.internal_form().series(zero),
     )
     found = now.equivalent_to(made)
     assert found
@@ -465,3 +451,47 @@ def test_relations_of_a_triple_pole_read_their_outputs() -> None:
     made = rs.design.primary_residuals(plant)  # (-1, 0, 1) A = -2 (-1, 0, 1)
     assert made.relations.orders == (1, 3)
     assert np.allclose(made.relations.output_rows.coefficients[:, 0, 0], [2, 1, 0, 0])
+
+
+def rod(n: int) -> rs.Plant:
+    """Return a rod through which heat diffuses, heated at one end, measured at six places, sampled."""
+    A = (np.diag(-2 * np.ones(n)) + np.diag(np.ones(n - 1), 1) + np.diag(np.ones(n - 1), -1)) * (n / 10) ** 2
+    C = np.eye(n)[np.linspace(0, n - 1, 6).round().astype(int)]
+    plant = rs.Plant(A, np.eye(n)[:, [0]] * (n / 10) ** 2, C).discretize(0.1)
+    plant = plant.with_actuator_faults().with_sensor_faults()
+    return plant.with_disturbances({"d": np.roll(plant.B[:, 0], n // 2)})
+
+
+@pytest.mark.parametrize("n", [50, 100])
+def test_of_windows_that_fade_a_shorter_one_is_near(n: int) -> None:
+    """The relation of the smallest order is lost in a moving average; shorter ones hold to 1e-11 of the plant."""
+    made = rs.design.parity_relations(rod(n))
+    assert made.relations.orders[0] < 9
+    assert max(made.evidence.decoupling.values()) < 1e-6
+    assert made.structure.any()
+    assert any(note.startswith("near: rank") for note in made.evidence.notes)
+
+
+def test_a_chain_of_integrators_keeps_its_whole_numbers() -> None:
+    plant = rs.Plant(np.eye(12, k=1), np.eye(12)[:, [-1]], np.eye(12)[[0]]).with_sensor_faults()
+    made = rs.design.parity_relations(plant)
+    assert made.relations.orders == (12,)
+    assert max(made.evidence.decoupling.values()) < 1e-9
+    np.testing.assert_array_equal(made.relations.output_rows.coefficients.ravel(), np.eye(13)[12])
+
+
+def test_what_nothing_connects_is_not_mixed() -> None:
+    A = np.diag([-1.0, -2, -1, -2]) + np.diag([1.0, 0, 1], -1)
+    plant = rs.Plant(A, np.eye(4)[:, [0, 2]], np.eye(4)[[1, 3]]).with_sensor_faults()
+    assert rs.design.parity_relations(plant).structure.sum(axis=1).tolist() == [1, 1]
+
+
+def test_moving_averages_of_high_order_that_leak_are_refused_though_asked_for() -> None:
+    """Poles from 0.9 to 0.99: the sum of the coefficients is 1e-16, less than their rounding."""
+    poles = np.linspace(0.9, 0.99, 12)
+    plant = rs.Plant(np.diag(poles) + np.diag(np.full(11, 0.05), 1), np.eye(12)[:, [-1]], np.eye(12)[[0]], dt=1.0)
+    plant = plant.with_actuator_faults()
+    with pytest.raises(AccuracyError, match="ask for other poles, or use decoupled_residual"):
+        rs.design.parity_relations(plant, poles=np.zeros(12))
+    made = rs.design.parity_relations(plant, poles=np.full(12, 0.95))
+    assert max(made.evidence.decoupling.values()) < 1e-9

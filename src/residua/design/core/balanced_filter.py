@@ -177,9 +177,9 @@ class Resolvent:
 
         def subtract(rows: slice, below: slice) -> None:
             known = x[below].reshape(below.stop - below.start, len(s) * m)
-            x[rows] += (self.upper[rows, below] @ known).reshape(-1, len(s), m)
+            x[rows] += (self.upper[rows, below] @ known).reshape(x[rows].shape)
             if not ordinary:
-                x[rows] -= s[:, None] * (self.lower[rows, below] @ known).reshape(-1, len(s), m)
+                x[rows] -= s[:, None] * (self.lower[rows, below] @ known).reshape(x[rows].shape)
 
         for end in range(n, 0, -_ROWS):
             first = max(0, end - _ROWS)

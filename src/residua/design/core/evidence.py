@@ -51,15 +51,13 @@ class Evidence(Shown):
     fixed_poles : ndarray
         Poles that no gain can move: unobservable modes, which are invariant zeros of the plant.
     decoupling : mapping of str to float
-        Largest gain to the residual from each group of inputs that must not be seen (``"control"``,
-        ``"disturbance"``), relative to the terms that have to cancel, from a hundredth of the slowest pole of plant and
-        filter on, and of a plant that integrates from a 25th of its slowest zero on; of a sampled one from the
-        slower of these and of 1e-3 rad per sample, or from 1e-5 of the Nyquist frequency if it does not integrate.
-        A plant that does answers to slower inputs by powers of 1/s more; what rounding leaves of the filter does too.
-        Where that was, ``conditions`` say, and :meth:`leaks_measured_from`.
+        How far each group of inputs that must not be seen (``"control"``, ``"disturbance"``) reaches the residual: the
+        peak over frequency of the response, over the peak of the sum of the sizes of the terms that have to cancel.
+        1e-16 is exact, 1 no decoupling; no unit is in it. The response is that to the defects, what the identities of
+        the filter miss in extended precision, from a thirtieth of the slowest rate of plant and filter on.
     ranks : mapping of str to RankDecision
-        Every rank decision with the singular values on both sides of its gap. It is made, and they are, in units that
-        are chosen from the plant itself, of time too: they are the same whatever units the plant is written in.
+        Every rank decision with the singular values on both sides of its gap. It is made, and they are, in the
+        balanced units of the plant.
     conditions : mapping of str to float
         Named condition numbers and residuals of the identities that define the design.
     notes : tuple of str

@@ -19,6 +19,7 @@ from residua.design.core.responses import covariance_of_sums, steady_responses
 from residua.design.core.sampled_form import refuse_growth, sampled_form
 from residua.design.core.signals import discretized_filter, run_signals, sampled_filter
 from residua.design.core.signatures import responses_of_filter, responses_of_form, signatures_of
+from residua.design.core.state_map import state_map_of
 from residua.errors import AccuracyError
 from residua.linear import RankDecision, StateSpace, decide_rank
 from residua.linear.systems.scaling import balanced_system
@@ -452,14 +453,15 @@ def make_generator(
     """Return a generator with its signatures, after checking that it is stable, decoupled, and its identities hold.
 
     Every design passes here, and no other place makes a generator of a filter. ``decouples`` says what must not reach
-    the residual, which is measured here, or which entry of the evidence says how far it does. An approximate filter,
-    such as a sampled continuous one, has no state map; its internal form is ``known_form`` where it is known.
+    the residual, which is measured here, or which entry of the evidence says how far it does. The state map of an exact
+    design is found where it is not given. An approximate filter, such as a sampled continuous one, has none; its
+    internal form is ``known_form`` where it is known.
     """
     check_time()
     if not system.is_stable():
         raise AccuracyError(f"the filter is not stable: poles {', '.join(map(format_pole, system.poles()))}")
     if state_map is None and isinstance(decouples, Decoupled):
-        raise TypeError("make_generator needs the state_map of an exact design")
+        system, state_map, static_map = state_map_of(system, plant)
     if isinstance(decouples, Approximate) and decouples.entry not in {**evidence.conditions, **evidence.decoupling}:
         raise TypeError(f"an approximate design must say how far inputs reach its residual: no {decouples.entry!r}")
     f = None if state_map is None else BalancedFilter.of(system, plant, state_map, static_map)

@@ -14,7 +14,7 @@ from residua.tolerances import above_rounding
 #: Frequencies of a grid, if nothing else is asked for.
 POINTS = 60
 #: Of the largest pole, the part below which a pole is at zero.
-_SMALL = float(np.sqrt(np.finfo(float).eps))
+_SMALL = 1e-12
 
 
 def internal_form(

@@ -36,7 +36,7 @@ from residua.linear.subspaces.quotient import observable_split
 from residua.linear.systems.state_space import stack_systems
 from residua.plant import Plant
 from residua.plant.balanced import undetectable
-from residua.tolerances import BALANCED_RANK
+from residua.tolerances import BALANCED_RANK, above_rounding
 
 #: The units in which a pseudoinverse is the smallest.
 Scaling = Literal["plant", "even"]
@@ -67,12 +67,13 @@ def detection_filter(
 
     The gain confines the response to each fault to a space of its own, so that, whatever its time course,
     the residual of an actuator or component fault stays on the line :math:`C A^\mu l_i` (the first nonzero of
-    :math:`C l_i, C A l_i, \dots`) and that of a sensor fault in a plane. With as many independent
-    measurements as states and all poles alike, :math:`K = (A - \lambda I) C^+`. Otherwise each fault gets
-    its detection space, whose poles are free, one more for each invariant zero of
-    :math:`(A, l_i, C)`; invariant zeros of all faults together that belong to no single fault are poles
-    that no gain moves. Faults that one filter cannot keep apart are split over as few filters as needed,
-    which run as one.
+    :math:`C l_i, C A l_i, \dots`) and that of a sensor fault on the line of its output. With as many independent
+    measurements as states and all poles alike, :math:`K = (A - \lambda I) C^+`, and sensor faults stay in planes.
+    Otherwise each fault gets its detection space, whose poles are free: for an actuator fault one, and one more for
+    each invariant zero of :math:`(A, l_i, C)`; for a sensor fault one for each state that the other sensors do not
+    see. Invariant zeros of all faults together that belong to no single fault are poles that no gain moves. Faults
+    that one filter cannot keep apart, or only by a large gain, are split over as few filters as needed, which run as
+    one. For one fault a filter exists wherever the pair (C, A) is detectable and an output answers to the fault.
 
     Parameters
     ----------
@@ -211,7 +212,8 @@ def _scalar_gain(pair: ErrorPair, pole: float, *, asked: bool) -> DirectionalGai
     inverse = np.zeros((n, len(C)))
     inverse[np.ix_(columns, rows)] = scipy.linalg.solve_triangular(R, Q.T)
     note = "as many independent measurements as states: every fault keeps its direction or plane"
-    K = (A - pole * np.eye(n)) @ inverse
+    off = above_rounding(A - pole * np.eye(n), np.abs(A) + abs(pole) * np.eye(n))
+    K = above_rounding(off @ inverse, np.abs(off) @ np.abs(inverse))
     error = float(np.abs(np.linalg.eigvals(A - K @ C) - pole).max(initial=0.0))
     requested = np.full(n if asked else 0, pole, dtype=complex)
     return DirectionalGain(K, np.zeros(0, complex), requested, error, (note,))

@@ -263,9 +263,9 @@ def gain_evidence(pair: ErrorPair, gain: DirectionalGain, *, asked: bool = True)
                 "a sensor"
             )
     return {
-        "poles": rate * np.linalg.eigvals(F),
-        "requested_poles": rate * requested,
-        "fixed_poles": rate * gain.fixed,
+        "poles": rate * np.linalg.eigvals(F).astype(complex),
+        "requested_poles": rate * requested.astype(complex),
+        "fixed_poles": rate * gain.fixed.astype(complex),
         "conditions": {"pole error": error, "size of K": float(np.linalg.norm(gain.K, 2)) if gain.K.size else 0.0},
         "notes": gain.notes,
     }

@@ -118,9 +118,7 @@ def _gain(plant: Plant, model: BalancedPlant) -> ObserverGain:
     units, rate = model.units, model.units.rate
     X, Y = units.states, units.outputs
     R = Y[:, None] * plant.measurement_noise * Y
-    level = (
-        float(np.diag(R).max(initial=0.0)) or 1.0
-    )  # in whatever unit of time: noise in states beside that in outputs
+    level = float(np.diag(R).max(initial=0.0)) or 1.0  # states beside outputs, in whatever unit of time
     R = R / level
     size = np.sqrt(np.where(np.diag(R) > 0, np.diag(R), 1.0))  # outputs as large as their noise
     n = plant.n_states

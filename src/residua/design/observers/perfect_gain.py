@@ -56,13 +56,15 @@ class PlantPencil:
         d, Y = units.inputs[first : first + len(plant.disturbances)], units.outputs[outputs]
         e = units.equations / units.rate
         B, C, D = e[:, None] * plant.Bd * d, C[outputs], Y[:, None] * plant.Dd[outputs] * d
-        own = scaling(A, B, C, D, E, sampled=plant.is_discrete)
-        rows = np.concatenate([own.equations / own.rate, own.outputs])
-        columns = np.concatenate([own.states, own.inputs])
+        # not rounded to powers of two: the smallest gains are to be the same in all units
+        equations, states, outputs, own = scaling(A, B, C, D, E, sampled=plant.is_discrete).exact
+        rows = np.concatenate([equations / own, outputs])
+        inputs = np.abs(rows[:, None] * np.vstack([B, D])).max(axis=0, initial=0.0)
+        columns = np.concatenate([states, 1 / np.where(inputs > 0, inputs, 1.0)])
         R, S = rows[:, None] * np.block([[A, B], [C, D]]) * columns, np.zeros((len(rows), len(columns)))
-        S[:n, :n] = own.equations[:, None] * E * own.states
+        S[:n, :n] = equations[:, None] * E * states
         rows, columns = rows * np.concatenate([e, Y]), columns * np.concatenate([units.states, d])
-        rate = units.rate * own.rate
+        rate = units.rate * own
         return cls(R, S, n, rows, columns, rate, 1.0 if plant.dt else bandwidth / rate)
 
     @cached_property
@@ -237,21 +239,22 @@ def _random_gains(p: PlantPencil, reading: Matrix, chains: int, rng: np.random.G
     """Yield random gains with some number of chains in the observable part."""
     split = observable_split(p.M, p.H)
     O, U = split.seen, split.hidden  # noqa: E741
-    M, H, count = p.M, p.H @ O, len(p.H)
+    M, H = p.M, p.H @ O
     rest = deadbeat(U.T @ M @ U, np.zeros((0, U.shape[1])))
     # what moves N as much as it is large already; without anything to move, what moves G as much
     whole, seen = float(np.linalg.norm(M, 2)), float(np.linalg.norm(H, 2)) if H.size else 0.0
     size = whole / seen if seen and whole else float(np.linalg.norm(p.inverse, 2))
     for attempt in range(_ATTEMPTS if rest else 0):
         strength = size * (0.1, 0.3, 1.0)[attempt % 3]
-        mix = np.linalg.qr(rng.standard_normal((count, chains)))[0].T if chains else np.zeros((0, count))
+        # drawn for all equations and states: the same whatever bases these have here
+        mix = rng.standard_normal((chains, len(p.R))) @ p.left.T
+        mix = np.linalg.qr(mix.T)[0].T if chains else mix
+        drawn = strength * rng.standard_normal((len(M), len(p.R))) @ p.left.T
         # few combinations see the observable part only when it has no repeated mode: a random gain sees to that
-        Z0 = strength * rng.standard_normal((O.shape[1], count))
-        found = deadbeat(O.T @ M @ O + Z0 @ H, mix @ H)
+        found = deadbeat(O.T @ M @ O + O.T @ drawn @ H, mix @ H)
         if found is None or rest is None:
             continue
-        Z2 = strength * rng.standard_normal((U.shape[1], count))
-        Z = (O @ (Z0 + found[0] @ mix) + U @ Z2) @ reading
+        Z = (drawn + O @ found[0] @ mix) @ reading
         # N = [N11 0; N21 N22] in these coordinates: the observable group comes first
         yield _finished(p, Z, np.hstack([O @ found[1], U @ rest[1]]), [*found[2], *rest[2]])
 

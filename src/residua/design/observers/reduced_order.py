@@ -83,7 +83,7 @@ def reduced_observer(
     made = Observer(
         plant,
         units.rate * own,
-        (down @ q.N @ model.derivative - K[:, n_used:] @ model.algebra) * R,
+        without_rounding(down @ q.N @ model.derivative - K[:, n_used:] @ model.algebra) * R,
         _embedded(units.rate * K[:, :n_used] * Y[used], used, p),
         X * without_rounding(out @ V2),
         _embedded(X * inverse[:, :n_used] * Y[used], used, p),

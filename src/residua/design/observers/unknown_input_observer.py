@@ -387,7 +387,7 @@ def _of_singular_plant(
     inverse = without_rounding(q.R @ q.known[0])
     K = _summed(q.J, gain.K, q.H)
     read = q.H[:, :p] * Y
-    T = (q.N @ model.derivative - K[:, p:] @ model.algebra) * R
+    T = without_rounding(q.N @ model.derivative - K[:, p:] @ model.algebra) * R
     return Observer(
         plant,
         units.rate * (F - gain.K @ G),

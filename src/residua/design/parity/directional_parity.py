@@ -256,7 +256,8 @@ def _read(space: RelationSpace, wanted: Directions, tries: Matrix) -> Matrix:
     values = space.basis.values(_POINTS, space.order)
     values = values / np.maximum(np.linalg.norm(values, axis=1, keepdims=True), TINY)
     q = np.einsum("tn,pk,nkj->tpj", tries, values, space.q)
-    return np.linalg.svd(q.reshape(len(tries), len(_POINTS), wanted.count, -1), compute_uv=False)
+    s = np.linalg.svd(q.reshape(len(tries), len(_POINTS), wanted.count, -1), compute_uv=False)
+    return np.asarray(s, dtype=np.float64)
 
 
 def _check_attainable(model: RelationModel, wanted: Directions, ignored: Sequence[str]) -> None:

@@ -196,7 +196,7 @@ class Equivalence(Shown):
             rate = self.plant.balanced.units.rate  # powers are compared in balanced time
             basis, k = pole_basis(row.poles / rate), len(row.poles)
             zeros = np.atleast_1d(np.poly(row.zeros / rate)).real[::-1] * row.gain * rate ** (len(row.zeros) - k)
-            padded = np.concatenate([zeros, np.zeros(k + 1 - len(zeros))])
+            padded = np.asarray(np.concatenate([zeros, np.zeros(k + 1 - len(zeros))]), dtype=np.float64)
             q = PolynomialBasis.powers(k + 1).changed_to(basis, padded[:, None])
             last = np.eye(k)[-1:] if k else np.zeros((1, 0))
             one = StateSpace(rate * chain(basis, k), rate * q[:k], last, q[k:], dt=a.dt)

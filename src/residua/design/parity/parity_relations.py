@@ -235,7 +235,8 @@ def _check_size(model: RelationModel, order: int) -> None:
     if states > _MOST_STATES:
         raise SettingError(
             f"order {order} means up to {states} states of filters, the most is {_MOST_STATES}; above the "
-            f"{model.plant.n_states} states of the plant relations are shifted copies of shorter ones: ask for a lower order"
+            f"{model.plant.n_states} states of the plant relations are shifted copies of shorter ones: ask for a "
+            "lower order"
         )
 
 

@@ -73,5 +73,5 @@ def pole_basis(poles: NDArray[np.complex128], size: float = 1.0) -> PolynomialBa
     upper = upper[np.argsort(np.abs(upper), kind="stable")]
     pairs = np.column_stack([upper, upper.conj()]).ravel()
     real = np.sort(poles[poles.imag == 0].real)
-    nodes = np.concatenate([real, pairs, [0.0]])
+    nodes = np.concatenate([real, pairs, [0.0]]).astype(np.complex128)
     return PolynomialBasis(nodes.real, np.where(nodes.imag > 0, nodes.imag, 0.0), np.full(len(nodes), size))

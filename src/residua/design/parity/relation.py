@@ -96,12 +96,16 @@ def digits_lost(rows: Sequence[Relation], generator: ResidualGenerator) -> float
 
 
 def plant_rate(plant: Plant) -> float:
-    """Return the rate in 1/s at which a continuous filter has its poles when the user lists none."""
+    """Return the rate in 1/s at which a continuous filter has its poles when the user lists none.
+
+    The mean rate of the poles of the plant; where all of them integrate, the rate of the balanced plant.
+    """
+    rate = plant.balanced.units.rate
     try:
-        A = plant.A if plant.E is None else real_block_diagonal(plant.system(()).poles())
+        A = plant.balanced.A if plant.E is None else real_block_diagonal(plant.system(()).poles() / rate)
     except ModelError:  # a singular plant may have no poles
         return 1.0
-    return default_margin(A, plant.dt)
+    return rate * default_margin(A, plant.dt)
 
 
 def default_poles(plant: Plant, order: int) -> NDArray[np.complex128]:

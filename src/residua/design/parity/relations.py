@@ -27,6 +27,8 @@ from residua.tolerances import RESPONSE_ROUNDING, above_rounding
 from residua.words import counted
 
 Matrix = NDArray[np.float64]
+#: Coefficients of which nothing is left of the others, in any unit.
+_HUGE = 1e50
 #: Of several relations those of which the newest sample counts for less are nearly of a lower order.
 _NEWEST = 1e-3
 _LOST = "digits lost to cancellation"
@@ -182,7 +184,7 @@ class ParityRelations(Shown):
         chosen = self._poles(poles)
         rows = self._moved([filter_basis(self.plant, one) for one in chosen])
         rows = [row.times(1 / float(np.prod(row.basis.sizes[: row.order]))) for row in rows]  # monic again
-        system, maps = self._filter(rows)
+        system, state_map, static_map = self._filter(rows)
         evidence = Evidence(
             method=method,
             poles=system.poles(),
@@ -191,34 +193,48 @@ class ParityRelations(Shown):
             references=("Gertler (1991), sections 3.1, 3.2 and 3.5",),
         )
         decouples = Decoupled(disturbances=not self._disturbed(rows))
-        made = make_generator(system, self.plant, method, evidence, decouples=decouples, relations=self, **maps)
+        made = make_generator(
+            system,
+            self.plant,
+            method,
+            evidence,
+            decouples=decouples,
+            state_map=state_map,
+            static_map=static_map,
+            relations=self,
+        )
         if self.directions is not None:
             off = check_directions(made, self.directions)
             made = replace(made, evidence=made.evidence.extended(conditions={"response off the directions": off}))
         return self._with_digits(made, rows, asked=poles is not None)
 
-    def _filter(self, rows: Sequence[Relation]) -> tuple[StateSpace, dict[str, Matrix | None]]:
+    def _filter(self, rows: Sequence[Relation]) -> tuple[StateSpace, Matrix, Matrix | None]:
         """Return the filters of rows side by side, driven by the same signals, with their maps."""
         plant, model = self.plant, self.plant.balanced
         units, n_u = model.units, len(plant.inputs)
         controls = units.equations[:, None] * plant.B / units.rate, units.outputs[:, None] * plant.D
-        made = []
-        for row, height in zip(rows, self.heights, strict=True):
-            one = realize_relation(*row.in_equations(plant), controls, row.basis)
-            made.append(replace(one, C=height * one.C, D=height * one.D, static_map=height * one.static_map))
+        made = [realize_relation(*row.in_equations(plant), controls, row.basis) for row in rows]
+        heights = self.heights[:, None]
+        largest = max((float(np.abs(one.B).max(initial=0.0)) for one in made), default=0.0)
+        if not largest < _HUGE:
+            raise AccuracyError(
+                f"of a relation of order {max(self.orders)} with these poles the newest sample counts 1, others "
+                f"{largest:.0e}: it is lost in rounding; choose poles near those of the plant, or use "
+                "decoupled_residual"
+            )
         signals = np.concatenate([np.ones(n_u), units.outputs])
         system = StateSpace(
             units.rate * scipy.linalg.block_diag(*[one.A for one in made]),
             units.rate * np.vstack([one.B for one in made]) * signals,
-            scipy.linalg.block_diag(*[one.C for one in made]),
-            np.vstack([one.D for one in made]) * signals,
+            heights * scipy.linalg.block_diag(*[one.C for one in made]),
+            heights * np.vstack([one.D for one in made]) * signals,
             dt=plant.dt,
             inputs=signal_names(plant),
             outputs=self.names,
         )
         state_map = np.vstack([one.state_map for one in made]) * units.equations
-        static_map = np.vstack([one.static_map for one in made]) * units.equations / units.rate
-        return system, {"state_map": state_map, "static_map": None if plant.E is None else static_map}
+        static_map = heights * np.vstack([one.static_map for one in made]) * units.equations / units.rate
+        return system, state_map, None if plant.E is None else static_map
 
     def _with_digits(self, made: ResidualGenerator, rows: Sequence[Relation], *, asked: bool) -> ResidualGenerator:
         """Return a filter with the digits that cancel in its evidence; a moving average of too many only if asked."""

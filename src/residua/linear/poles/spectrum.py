@@ -15,7 +15,7 @@ from residua.words import counted
 Poles = NDArray[np.complex128]
 _EPS = float(np.finfo(float).eps)
 #: Rates below this, of the fastest or per sample, are those of integrators.
-_NO_RATE = 1e-5
+_INTEGRATES = 1e-5
 #: No pole may miss by more than this, however ill-conditioned it is.
 _MOST_BY_ROUNDING = 1e-3
 #: Relative distances beyond this are all the same, so that sums of them are finite.
@@ -39,10 +39,10 @@ def mean_rate(poles: NDArray, dt: float = 0.0) -> float:
     poles = np.asarray(poles, dtype=complex)
     if not dt:
         rates = np.abs(poles)
-        rates = rates[rates > _NO_RATE * rates.max(initial=0.0)]
+        rates = rates[rates > _INTEGRATES * rates.max(initial=0.0)]
         return float(np.exp(np.mean(np.log(rates)))) if rates.size else 1.0
-    rates = np.abs(np.log(poles[np.abs(poles) > _NO_RATE]))
-    rates = rates[rates > _NO_RATE]
+    rates = np.abs(np.log(poles[np.abs(poles) > _INTEGRATES]))
+    rates = rates[rates > _INTEGRATES]
     return min(float(np.exp(np.mean(np.log(rates)))) if rates.size else 0.1, 1.0) / dt
 
 

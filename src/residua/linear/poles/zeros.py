@@ -212,6 +212,7 @@ def pencil_rank_at(
     units = scaling(A, B, C, D, E, sampled=False)
     R, X, U, Y = units.equations[:, None], units.states, units.inputs, units.outputs[:, None]
     dynamic = R * (A - s * (np.eye(len(A)) if E is None else E)) * X / units.rate
-    pencil = np.block([[dynamic, R * B * U / units.rate], [Y * C * X, Y * D * U]])
+    far = max(1.0, float(np.abs(dynamic).max(initial=0.0)))  # of an s far beyond the rates of the system
+    pencil = np.block([[dynamic / far, R * B * U / units.rate / far], [Y * C * X, Y * D * U]])
     largest = max(1.0, float(np.abs(pencil).max(initial=0.0)))
     return decide_rank(pencil, rtol=rtol, scale=largest)

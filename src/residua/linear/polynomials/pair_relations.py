@@ -10,15 +10,16 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis, basis_on_poles
+from residua.linear.subspaces.parts import part_numbers
 from residua.linear.subspaces.quotient import Quotient, quotient
 from residua.linear.subspaces.rank import RankDecision
-from residua.tolerances import BALANCED_RANK, RESIDUE, TINY, above_rounding
+from residua.tolerances import BALANCED_RANK, DESIGN_ROUNDING, RESIDUE, TINY, above_rounding
 
 Matrix = NDArray[np.float64]
 #: Eigenvalues that are this near together, beside the distance of ``F`` from them, are one.
 _MEET = 1e-3
 #: Of a row that has less than this in common with those of another basis nothing is left there.
-_LOST = 1e-9
+_GONE = 1e-9
 #: Coefficients this far below the largest of their row are rounding.
 _NOTHING = 8 * float(np.finfo(float).eps)
 
@@ -37,15 +38,20 @@ class PairRelations:
     ----------
     quotient : Quotient
         What is left of the system.
+    parts : ndarray
+        For each output the number of the part of the system that it belongs to, which nothing connects with others.
     """
 
     quotient: Quotient
+    parts: NDArray[np.int_]
     _found: dict[tuple, tuple[Matrix, Matrix, Matrix]] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(cls, A: Matrix, B: Matrix, C: Matrix, D: Matrix, *, tolerance: float = BALANCED_RANK) -> PairRelations:
         """Return the rows of a balanced system with unknown inputs."""
-        return cls(quotient(A, B, C, D, tolerance=tolerance))
+        n = len(A)
+        coupled = np.block([[np.eye(n) + np.abs(A), B], [C, D]]) != 0
+        return cls(quotient(A, B, C, D, tolerance=tolerance), part_numbers(coupled)[0][n:])
 
     @cached_property
     def seen(self) -> Matrix:
@@ -68,7 +74,7 @@ class PairRelations:
 
     @property
     def orders(self) -> tuple[int, int] | None:
-        """The smallest and the largest order of rows that are no sums of multiples of shorter ones, if there are any."""
+        """The smallest and the largest order of rows that are no sums of multiples of shorter ones, if any."""
         there = np.flatnonzero(self.new)
         return (int(there[0]), int(there[-1])) if len(there) else None
 
@@ -102,18 +108,26 @@ class PairRelations:
         w, v, s = self._null(order, basis)
         count = len(v) if near else self.count(order)
         w, v, kept = w[len(w) - count :], v[len(v) - count :], (order + 1) * v.shape[2] - count
-        return *self._rows(w, v), RankDecision(kept, s, BALANCED_RANK * float(s.max(initial=0.0)))
+        p, q = self._rows(w, v)
+        if (self.parts != self.parts[:1]).any():
+            U = _by_parts(q, self.parts)
+            p, q = np.tensordot(U, p, 1), np.tensordot(U, q, 1)
+            size = np.abs(q).max(axis=(1, 2), keepdims=True, initial=0.0)
+            q = above_rounding(q, size, RESIDUE)
+        return p, q, RankDecision(kept, s, BALANCED_RANK * float(s.max(initial=0.0)))
 
     def moved(self, p: Matrix, q: Matrix, basis: PolynomialBasis, other: PolynomialBasis) -> tuple[Matrix, Matrix]:
         """Return ``p`` and ``q`` of one row in another basis, or of the row nearest to it where that costs digits."""
-        moved = [basis.changed_to(other, x) for x in (p @ self.quotient.N.T @ self.seen, q @ self.quotient.H.T)]
+        both = p @ self.quotient.N.T @ self.seen, q @ self.quotient.H.T
+        moved = (basis.changed_to(other, both[0]), basis.changed_to(other, both[1]))
         w, v, _ = self._null(len(q) - 1, other)
         weights = np.tensordot(w, moved[0], 2) + np.tensordot(v, moved[1], 2)
-        nearest = [np.tensordot(weights, x, 1) for x in (w, v)]
-        if np.linalg.norm(weights) > _LOST * np.hypot(*(np.linalg.norm(x) for x in moved)):
+        nearest = (np.tensordot(weights, w, 1), np.tensordot(weights, v, 1))
+        if np.linalg.norm(weights) > _GONE * np.linalg.norm(np.hstack(moved)):
             moved = min(moved, nearest, key=lambda row: _missed(*row, *self.pair, other))
         largest = max(float(np.abs(x).max(initial=0.0)) for x in moved)
-        p, q = self._rows(*(above_rounding(x, largest, _NOTHING)[None] for x in moved))
+        w, v = (above_rounding(x, largest, _NOTHING)[None] for x in moved)
+        p, q = self._rows(w, v)
         return p[0], q[0]
 
     def completed(self, q: Matrix, basis: PolynomialBasis) -> tuple[Matrix, float]:
@@ -152,6 +166,19 @@ class PairRelations:
         w, H, J = w @ self.seen.T, self.quotient.H, self.quotient.J
         size = np.abs(v) @ np.abs(H) + np.abs(w) @ np.abs(J)
         return w @ self.quotient.N, above_rounding(v @ H - w @ J, size.max(axis=2, keepdims=True, initial=0.0), RESIDUE)
+
+
+def _by_parts(q: Matrix, parts: NDArray[np.int_]) -> Matrix:
+    """Return combinations of rows that read the outputs of one part each."""
+    flat = q.reshape(len(q), -1)
+    out, reads = [], np.tile(parts, q.shape[1])
+    for part in np.unique(parts):
+        # what reads nothing else, of the rows that are left
+        U, s, _ = (
+            np.linalg.svd(flat[:, reads != part]) if (reads != part).any() else (np.eye(len(q)), np.zeros(0), None)
+        )
+        out.append(U[:, int(np.count_nonzero(s > DESIGN_ROUNDING * s.max(initial=0.0))) :].T)
+    return np.vstack(out) if sum(map(len, out)) == len(q) else np.eye(len(q))
 
 
 def _null_rows(F: Matrix, G: Matrix, basis: PolynomialBasis, order: int, count: int) -> tuple[Matrix, Matrix, Matrix]:
@@ -196,8 +223,8 @@ def _next(w: Matrix, before: Matrix, entering: Matrix, F: Matrix, basis: Polynom
 def _missed(w: Matrix, v: Matrix, F: Matrix, G: Matrix, basis: PolynomialBasis) -> float:
     """Return how far a row is from ``w (zI - F) = v G``, relative to its largest coefficient, in extended precision."""
     k, size = len(v) - 1, max(float(np.abs(w).max(initial=0.0)), float(np.abs(v).max(initial=0.0)), TINY)
-    w, v, F, G = (M.astype(np.longdouble) for M in (w, v, F, G))
-    left = basis.real[: k + 1, None] * w - w @ F - v @ G
-    left[:-1] -= basis.links[1 : k + 1, None] * w[1:]
-    left[1:] += basis.sizes[:k, None] * w[:-1]
+    W, V, M, C = (x.astype(np.longdouble) for x in (w, v, F, G))
+    left = basis.real[: k + 1, None] * W - W @ M - V @ C
+    left[:-1] -= basis.links[1 : k + 1, None] * W[1:]
+    left[1:] += basis.sizes[:k, None] * W[:-1]
     return float(np.abs(left).max(initial=0.0)) / size

@@ -7,11 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-#: Nodes nearer than this fraction of the distance to the farthest one meet (a triple pole scatters by 1e-5) ...
-_MEETING = 1e-3
-#: ... and count as this fraction of the distance to the nearest other one apart.
-_MEETING_SIZE = 0.1
-
 
 @dataclass(frozen=True, eq=False)
 class PolynomialBasis:
@@ -116,7 +111,6 @@ def _leja(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Return real parts, imaginary parts and sizes of nodes in the order of Leja."""
     upper = values[values.imag >= 0]
-    nearest = _least_distances(upper, values)
     rest = list(range(len(upper)))
     log_size = np.zeros(len(upper))  # of the current element at each node
     center = upper.mean().real if len(upper) else 0.0
@@ -128,7 +122,7 @@ def _leja(
         node = upper[pick]
         for step, conjugate in enumerate([node, node.conjugate()] if node.imag > 0 else [node]):
             with np.errstate(divide="ignore"):
-                log_size = log_size + np.log(np.maximum(np.abs(upper - conjugate), nearest))
+                log_size = log_size + np.log(np.abs(upper - conjugate))
             left = log_size[rest] if rest else np.zeros(0)
             largest = float(np.max(left, initial=-np.inf))
             size = float(np.exp(largest)) if np.isfinite(largest) else previous
@@ -138,14 +132,6 @@ def _leja(
             imaginary.append(node.imag if step == 0 else 0.0)
             sizes.append(size)
     return np.array(real), np.array(imaginary), np.array(sizes)
-
-
-def _least_distances(upper: NDArray[np.complex128], values: NDArray[np.complex128]) -> NDArray[np.float64]:
-    """Return for each node how near others count at most: nodes that meet would make sizes of rounding."""
-    distances = np.abs(upper[:, None] - values[None, :])
-    apart = distances > _MEETING * distances.max(axis=1, keepdims=True, initial=0.0)
-    nearest = np.where(apart, distances, np.inf).min(axis=1, initial=np.inf)
-    return np.where(np.isfinite(nearest), _MEETING_SIZE * nearest, 0.0)
 
 
 def basis_on_poles(poles: ArrayLike, count: int, size: float, *, outward: bool = False) -> PolynomialBasis:
@@ -173,7 +159,7 @@ def basis_on_poles(poles: ArrayLike, count: int, size: float, *, outward: bool =
         a = values[0].real
         return PolynomialBasis(np.full(count, a), np.zeros(count), np.full(count, float(size)))
     size = float(np.median(np.abs(values))) or size
-    floor = 1e-6 * size  # poles that meet would make sizes of rounding
+    floor = 1e-4 * size  # poles that meet would make sizes of rounding
     one = PolynomialBasis.on(values, size=size)
     one = PolynomialBasis(one.real, one.imaginary, np.maximum(one.sizes, floor))
     if outward:

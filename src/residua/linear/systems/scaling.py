@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 #: what a linearisation leaves of zeros would move all units far away.
 _NO_ENTRY = 1e-10
 #: Rounds in which faint entries are left out and the units chosen anew.
-_ROUNDS = 6
+_ROUNDS = 2
 #: Weight of ``r_i + x_i = 0`` where there is no ``E``: the equation of a state has the units of that state.
 _TIED = 1e4
 #: Added before a factor is rounded down: no half of a whole number, where other units would round another way.

@@ -17,6 +17,7 @@ from residua.errors import ModelError
 from residua.linear.poles.matrix_poles import explicit_poles
 from residua.linear.systems.descriptor import finite_poles
 from residua.linear.systems.scaling import scaling
+from residua.tolerances import BALANCED_STABLE
 
 
 @dataclass(frozen=True, init=False, eq=False)
@@ -170,9 +171,11 @@ class StateSpace:
         return self._poles.copy()
 
     def is_stable(self) -> bool:
-        """Tell whether every finite pole lies strictly inside the stability region."""
+        """Tell whether every finite pole lies inside the stability region, by more than rounding."""
         poles = self._poles
-        return bool((np.abs(poles) < 1).all() if self.is_discrete else (poles.real < 0).all())
+        if self.is_discrete:
+            return bool((np.abs(poles) < 1 - BALANCED_STABLE).all())
+        return bool((poles.real < -BALANCED_STABLE * np.abs(poles).max(initial=0.0)).all())
 
     def frequency_response(self, w: ArrayLike) -> NDArray[np.complex128]:
         """Evaluate the transfer matrix on the stability boundary.

@@ -19,6 +19,7 @@ from residua.design.parity.shortest import SEEN, RelationSpace, relation_space
 from residua.errors import DesignError, ModelError
 from residua.linear.polynomials.pair_relations import PairRelations
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
+from residua.linear.subspaces.parts import part_numbers
 from residua.plant import Plant
 from residua.plant.input_output_model import InputOutputModel
 from residua.robust.parity.best_ratios import best_ratios
@@ -87,6 +88,7 @@ class _Task:
     wanted: Columns
     unwanted: Columns
     noise: Columns
+    outputs: NDArray[np.float64]  # the sizes of what is expected in the part of each, balanced
     names: tuple[str, ...]
     constant: bool
 
@@ -249,8 +251,29 @@ def _task(
     Bf, Bd, nf = np.vstack([plant.Bf, plant.Df]), np.vstack([plant.Bd, plant.Dd]), len(plant.faults)
     unwanted = np.hstack([Bd[:, counted] * size[nf:][counted], Bf[:, g] * size[g], *extra])
     noise = np.vstack([plant.Bw, plant.Dw])
-    columns = [_balanced(model, one) for one in (Bf[:, f] * size[f], unwanted, noise)]
-    return _Task(model, columns[0], columns[1], columns[2], tuple(names), constant=False)
+    wanted, unwanted, noise = (_balanced(model, one) for one in (Bf[:, f] * size[f], unwanted, noise))
+    return _Task(model, wanted, unwanted, noise, _output_sizes(model, size), tuple(names), constant=False)
+
+
+def _output_sizes(model: RelationModel, sizes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the sizes of the balanced outputs for faults and disturbances of their expected sizes.
+
+    The outputs of a part of the plant that nothing connects with another have no common unit with those of the other
+    but by what is expected there: each part takes that of its own faults and disturbances.
+    """
+    plant, balanced = model.plant, model.balanced
+    n, nd = len(balanced.A), len(plant.disturbances)
+    B, D = (
+        np.hstack([role[k] for role in (balanced.free, balanced.faults, balanced.disturbances, balanced.controls)])
+        for k in (0, 1)
+    )
+    coupled = np.block([[np.eye(n) + np.abs(balanced.A), B], [balanced.C, D]]) != 0
+    of_rows, of_columns = part_numbers(coupled)
+    of_outputs = of_rows[n : n + plant.n_outputs]
+    of_signals = of_columns[n + balanced.free[0].shape[1] :][: len(sizes)]
+    own = balanced.units.inputs[len(plant.inputs) :]
+    expected = np.log(sizes / np.concatenate([own[nd:], own[:nd]]))
+    return np.exp([expected[of_signals == i].mean() if i in of_signals else 0.0 for i in of_outputs])
 
 
 def _balanced(model: RelationModel, columns: NDArray[np.float64]) -> Columns:
@@ -279,10 +302,10 @@ def _perfect(
     if not space.count or not seen.any():
         return [], np.zeros(0), np.zeros(0)
     p, q = _in_powers(task, space)
-    wanted = tuple(part * seen for part in task.wanted)
+    wanted = task.wanted[0] * seen, task.wanted[1] * seen
     N = _size_of(task, p, q)
     gains, combinations = best_ratios(_responses(p, q, wanted, task), N, space.count)
-    terms, _ = best_ratios(_responses(np.abs(p), np.abs(q), tuple(np.abs(part) for part in wanted)), N, space.count)
+    terms, _ = best_ratios(_responses(np.abs(p), np.abs(q), (np.abs(wanted[0]), np.abs(wanted[1]))), N, space.count)
     kept = gains > _BLIND * terms[0]  # less is rounding of what cancels
     return [space.combined(c) for c in combinations[kept]], np.full(int(kept.sum()), np.inf), gains[kept]
 
@@ -319,12 +342,12 @@ def _responses(p: NDArray, q: NDArray, columns: Columns, task: _Task | None = No
 
 
 def _size_of(task: _Task, p: NDArray, q: NDArray) -> NDArray[np.float64]:
-    """Return what the size of a relation is: its response to the noise, or its weights of the balanced outputs."""
+    """Return what the size of a relation is: its response to the noise, or its weights in units of the outputs."""
     if task.noise[0].shape[1]:
         noise = _responses(p, q, task.noise)
         if np.linalg.matrix_rank(noise) == len(p):
             return noise
-    return q[:, :, : task.model.plant.n_outputs].reshape(len(q), -1)
+    return (q[:, :, : task.model.plant.n_outputs] * task.outputs).reshape(len(q), -1)
 
 
 def _made(
