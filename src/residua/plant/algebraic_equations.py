@@ -13,7 +13,7 @@ from residua.errors import AccuracyError, ModelError
 from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.linear.systems.descriptor import ScaledPencil, balanced_pencil, pencil_decision, weierstrass_form
 from residua.plant.channels import ROLES
-from residua.tolerances import IDENTITY, ROUNDING, TINY
+from residua.tolerances import IDENTITY, ROUNDING, TINY, above_rounding
 
 if TYPE_CHECKING:
     from residua.plant.plant import Plant
@@ -71,7 +71,10 @@ def without_algebraic_equations(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> 
     E1, A2 = U[:, :r].T @ p.E, U[:, r:].T @ p.A
     whole = np.vstack([E1, A2])
     _check_index(plant, p, whole, rtol)
-    return _reduced(plant, p, U, r, np.linalg.inv(whole), E1)
+    inverse = np.linalg.inv(whole)
+    # rounding of zeros would be a way from an input to an output that the equations do not have
+    inverse = above_rounding(inverse, float(np.abs(inverse).max(initial=0.0)))
+    return _reduced(plant, p, U, r, inverse, E1)
 
 
 def _check_index(plant: Plant, p: ScaledPencil, whole: NDArray, rtol: float) -> None:
