@@ -81,6 +81,16 @@ def test_a_moving_average_that_loses_more_than_ten_digits_is_refused_and_one_tha
     assert not any("cancel" in note for note in short.evidence.notes)
 
 
+@pytest.mark.parametrize("n", [10, 12])
+def test_a_moving_average_that_leaks_as_much_as_faults_leave_is_refused_though_asked_for(
+    benchmark_module: ModuleType, n: int
+) -> None:
+    outcome = benchmark_module.measure("moving average", benchmark_module.near_one(n, 0), 0)
+    assert "of what a fault does" in outcome.reason
+    assert "choose poles near those of the plant" in outcome.reason
+    assert benchmark_module.measure("poles at one rate", benchmark_module.near_one(n, 0), 0).slow < 1e-9
+
+
 def test_the_published_conclusions() -> None:
     for n in (20, 25, 30):
         assert int(published("near one", n, "poles at one rate")["refused"]) >= 9
