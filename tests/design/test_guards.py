@@ -382,7 +382,7 @@ def test_directional_relations_that_miss_their_directions_are_refused(
         check_directions(made, wanted)
 
 
-@trips("design.parity.shortest:made_of_shortest")
+@trips("design.parity.shortest:shortest_space")
 def test_a_relation_that_exists_and_is_not_found_is_no_missing_one(monkeypatch: pytest.MonkeyPatch) -> None:
     D.structured_parity(gertler(), {"r1": ["p2"]})
     changed(
