@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.linalg
-from residua.linear.systems.response_terms import paths
-
 import residua as rs
 from guards import trips
 from residua.errors import AccuracyError, DataError, ModelError, SettingError
@@ -443,28 +441,3 @@ def test_index_2_plants_are_refused_with_the_reason() -> None:
     singular = rs.Plant([[1, 0], [0, 0]], [[0], [1]], [[1, 0]], E=[[1, 0], [0, 0]])
     with pytest.raises(ModelError, match="zero for every s"):
         singular.discretize(0.1)
-
-
-def test_no_path_leads_where_no_chain_of_equations_does() -> None:
-    """Each state follows from an equation of its own: 0 = -3 x2 is not moved by an input of another equation."""
-    system = rs.linear.StateSpace(
-        [[1, 1, -3], [0, -3, 0], [2, -3, 0]],
-        [[0], [0], [-2]],
-        np.eye(3),
-        np.zeros((3, 1)),
-        E=[[1, 0, 0], [0, 0, 0], [0, 0, 0]],
-    )
-    assert paths(system, system.B, system.D)[:, 0].tolist() == [True, False, True]
-
-
-@pytest.mark.parametrize("seed", range(40))
-def test_a_path_leads_wherever_there_is_a_response(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    n = int(rng.integers(2, 7))
-    A, E = (rng.integers(-2, 3, (n, n)) * (rng.random((n, n)) < share) for share in (0.4, 0.3))
-    B = 1.0 * (rng.random((n, 2)) < 0.3)
-    if np.linalg.matrix_rank(1.2345 * E - A) < n:
-        E, A = np.diag([1.0] * (n - 1) + [0.0]), A + 3.0 * np.eye(n)
-    system = rs.linear.StateSpace(A, B, np.eye(n), np.zeros((n, 2)), E=E)
-    there = np.abs(np.linalg.solve(1.2345 * E - A, B)) > 1e-9
-    assert not np.any(there & ~paths(system, system.B, system.D))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.signal
-from residua.plant.comparable_units import with_rates_times
+from scaled_plants import with_rates_times
 
 import residua as rs
 from effort import rounds
