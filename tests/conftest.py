@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 # Before NumPy is imported: with matrices of ten rows the threads of the linear algebra do nothing but wait for each
 # other, which takes twice the time on two cores.
@@ -18,7 +18,6 @@ import refusals  # noqa: E402
 from collected import Collected  # noqa: E402
 from guards import reached_guards  # noqa: E402, F401
 from refusals import refused  # noqa: E402, F401
-from residua.linear.systems.array_cache import forget  # noqa: E402
 from traced import Traced  # noqa: E402
 
 if TYPE_CHECKING:
@@ -32,28 +31,6 @@ def pytest_configure(config: pytest.Config) -> None:
     refusals.pytest_configure(config)
     config.pluginmanager.register(Traced(config), "traced")
     config.pluginmanager.register(Collected(config), "collected")
-
-
-class _Forgetful(pytest.MonkeyPatch):  # pyright: ignore[reportGeneralTypeIssues]
-    """Patches, after each of which functions compute again what they have kept of before."""
-
-    def setattr(self, *args: Any, **options: Any) -> None:
-        """Set it, and let go of what functions have kept."""
-        super().setattr(*args, **options)
-        forget()
-
-    def undo(self) -> None:
-        """Undo all, and let go of what functions have kept since."""
-        super().undo()
-        forget()
-
-
-@pytest.fixture
-def monkeypatch() -> Iterator[pytest.MonkeyPatch]:
-    """Patches of a test, which no result that was kept hides and none that is kept outlives."""
-    patch = _Forgetful()
-    yield patch
-    patch.undo()
 
 
 @pytest.fixture(scope="module")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.linalg
+
 import residua as rs
 from guards import trips
 from residua.errors import AccuracyError, DataError, ModelError, SettingError
@@ -17,7 +18,7 @@ from residua.linear import (
     simulate_descriptor,
     weierstrass_form,
 )
-from residua.linear.systems.descriptor import scaled_pencil, unit_free_pencil
+from residua.linear.systems.descriptor import balanced_pencil
 from residua.plant import without_algebraic_equations
 
 SEEDS = range(12)
@@ -129,16 +130,6 @@ def test_a_nearly_algebraic_part_is_right_or_refused(exponent: int) -> None:
     np.testing.assert_allclose(np.sort(np.abs(form.poles)), np.sort(np.abs(expected)), rtol=1e-6)
 
 
-def test_scaling_is_exact_and_shape_free() -> None:
-    rng = np.random.default_rng(0)
-    A, E = rng.standard_normal((5, 3)) * 10.0 ** rng.uniform(-6, 6, (5, 1)), np.zeros((5, 3))
-    E[0, 0] = 1e-9
-    p = scaled_pencil(A, E)
-    assert np.array_equal(p.A, p.rows[:, None] * A * p.columns)
-    assert np.array_equal(p.E, p.unit * p.rows[:, None] * E * p.columns)
-    assert np.abs(p.A).max() < 4
-
-
 #: Found in bad units as one of index 1, when scaling depended on the units.
 INDEX_2 = np.zeros((6, 6)), np.diag([1.0, 1, 1, 1, 1, 0])
 for _i, _j, _a in ((0, 0, -2), (0, 3, 1), (1, 2, 2), (2, 1, 2), (2, 2, 2), (2, 5, -1), (3, 1, 1), (4, 3, 1), (5, 2, 1)):
@@ -155,14 +146,14 @@ def test_the_form_does_not_depend_on_units(seed: int) -> None:
     form = weierstrass_form(rows[:, None] * A * columns, rows[:, None] * E * columns / unit)
     assert (form.n_finite, form.index) == (4, 2)
     plain, scaled = (
-        unit_free_pencil(A, E),
-        unit_free_pencil(rows[:, None] * A * columns, rows[:, None] * E * columns / unit),
+        balanced_pencil(A, E),
+        balanced_pencil(rows[:, None] * A * columns, rows[:, None] * E * columns / unit),
     )
     assert np.abs(np.log2(scaled.A[A != 0] / plain.A[A != 0])).max() <= 3
 
 
 @trips("linear.systems.descriptor:weierstrass_form:2")
-@pytest.mark.parametrize("exponent", [9.0, 9.3, 9.6])
+@pytest.mark.parametrize("exponent", [9.5, 9.6, 9.7])
 def test_a_rank_without_a_gap_is_refused(exponent: float) -> None:
     """Two small singular values of E, one on either side of the tolerance: what is kept is no more than what is not."""
     rng = np.random.default_rng(0)
@@ -441,3 +432,15 @@ def test_index_2_plants_are_refused_with_the_reason() -> None:
     singular = rs.Plant([[1, 0], [0, 0]], [[0], [1]], [[1, 0]], E=[[1, 0], [0, 0]])
     with pytest.raises(ModelError, match="zero for every s"):
         singular.discretize(0.1)
+
+
+def test_no_path_leads_where_no_chain_of_equations_does() -> None:
+    """Each state follows from an equation of its own: 0 = -3 x2 is not moved by an input of another equation."""
+    system = rs.linear.StateSpace(
+        [[1, 1, -3], [0, -3, 0], [2, -3, 0]],
+        [[0], [0], [-2]],
+        np.eye(3),
+        np.zeros((3, 1)),
+        E=[[1, 0, 0], [0, 0, 0], [0, 0, 0]],
+    )
+    assert (system.evaluate(0.7)[0, :, 0] != 0).tolist() == [True, False, True]

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from residua.design.core.signatures import _dimension
 from residua.linear import invariant_zeros
-from residua.linear.poles.matrix_poles import explicit_poles, is_rounding_of_zero
+from residua.linear.poles.matrix_poles import explicit_poles
 from residua.linear.polynomials.polynomial_basis import basis_on_poles
 from residua.linear.subspaces.parts import row_parts
 from residua.linear.subspaces.rank import without_slight_mixing
@@ -65,15 +65,6 @@ def test_the_scatter_of_poles_that_meet_is_no_size() -> None:
     basis = basis_on_poles(np.full(4, -1.0), 6, 2.5)
     assert basis.sizes.tolist() == [2.5] * 6
     assert basis.real.tolist() == [-1.0] * 6
-
-
-def test_a_zero_of_multiplicity_two_that_rounding_scatters_is_zero_and_a_small_one_is_not() -> None:
-    A = np.array([[1e-16, 1.0], [-3e-17, 0.0]])
-    values, right = np.linalg.eig(A)
-    left = np.linalg.inv(right).conj().T
-    overlap = 1 / np.linalg.norm(left, axis=0)
-    assert is_rounding_of_zero(values, overlap, 1.0).all()
-    assert not is_rounding_of_zero(np.array([1e-9, 1.0]), np.ones(2), 1.0).any()
 
 
 @pytest.mark.parametrize("seed", range(6))

@@ -16,10 +16,10 @@ from residua.linear.subspaces.rank import (
     spectral_norm,
     without_noise,
 )
-from residua.linear.systems.balancing import descriptor_units, evened, without_rounding
+from residua.linear.systems.scaling import even_units, scaling
 from residua.plant import OperatingPoint, Plant
 from residua.plant.disturbances import factor_disturbance
-from residua.tolerances import RESIDUE, TINY, above_rounding
+from residua.tolerances import RESIDUE, TINY, above_rounding, without_rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +87,7 @@ def is_singular(plant: Plant) -> bool:
     """Tell whether ``E`` of a plant is singular."""
     if plant.E is None:
         return False
-    rows, columns = evened(plant.E)
+    rows, columns = even_units(plant.E)
     return decide_rank(rows[:, None] * plant.E * columns, rtol=1e-12).rank < plant.n_states
 
 
@@ -123,7 +123,8 @@ def singular_decoupling(plant: Plant, form: OutputFreeForm, *, rtol: float = DEF
     """
     n, q, p = plant.n_states, form.E.shape[1], len(form.C)
     E = np.eye(n) if plant.E is None else plant.E
-    u = descriptor_units(form.A, E, np.hstack([plant.B, form.E]), form.C, np.zeros((p, len(plant.inputs) + q)))
+    B, D = np.hstack([plant.B, form.E]), np.zeros((p, len(plant.inputs) + q))
+    u = scaling(form.A, B, form.C, D, E, sampled=plant.is_discrete)
     R, S, Y = u.equations[:, None], u.states, u.outputs[:, None]
     D = R * form.E
     size = np.linalg.norm(D, axis=0)
@@ -161,7 +162,7 @@ def algebraic_equations(plant: Plant, *, without: NDArray | None = None) -> NDAr
     if plant.E is None:
         return np.zeros((0, plant.n_states))
     drive, direct = np.hstack([plant.B, plant.Bd]), np.hstack([plant.D, plant.Dd])
-    u = descriptor_units(plant.A, plant.E, drive, plant.C, direct)
+    u = scaling(plant.A, drive, plant.C, direct, plant.E, sampled=plant.is_discrete)
     E = u.equations[:, None] * plant.E * u.states
     D = u.equations[:, None] * (plant.Bd[:, :0] if without is None else without)
     size = np.linalg.norm(D, axis=0)

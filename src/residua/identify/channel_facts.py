@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from residua.errors import DataError
 from residua.identify.outlying_values import outlying_values
 from residua.identify.segments import BLOCK, Gathered
-from residua.linear.systems.balancing import power_of_two
+from residua.linear.systems.scaling import power_near
 from residua.recording.levels import units_between
 from residua.tolerances import DATA_ROUNDING, RANK
 from residua.visible import listed
@@ -59,7 +59,7 @@ class ChannelFacts:
     @property
     def units(self) -> NDArray[np.float64]:
         """A power of two near the standard deviation of each channel: what it is divided by."""
-        return power_of_two(np.where(self.deviation > 0, self.deviation, 1.0))
+        return power_near(self.deviation)
 
     @property
     def _still(self) -> NDArray[np.bool_]:

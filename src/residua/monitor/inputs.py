@@ -14,7 +14,7 @@ from residua.design import ResidualGenerator
 from residua.design.core.evidence import format_pole
 from residua.design.core.signals import checked_signals
 from residua.errors import DataError
-from residua.linear.systems.balancing import state_units
+from residua.linear.systems.scaling import scaling
 from residua.plant import Plant
 from residua.recording.matching import matched_names, required_columns, spelling_notes
 from residua.recording.recording import Recording, read_recording, recording_from_frame
@@ -249,7 +249,7 @@ def _forgotten(generator: ResidualGenerator, left: float) -> int:
     s = generator.system.explicit()
     if not s.n_states or not np.any(s.C):
         return 0
-    units = state_units(s.A, s.B, s.C, s.D)
+    units = scaling(s.A, s.B, s.C, s.D, sampled=True).states
     rows, step, largest = s.C * units, s.A / units[:, None] * units, 0.0
     for k in range(_MOST_SAMPLES):
         size = float(np.linalg.norm(rows))
@@ -270,7 +270,7 @@ def _samples_until(generator: ResidualGenerator, left: float) -> int:
 def _last_read(generator: ResidualGenerator) -> int:
     """Return after how many samples a state at the start leaves nothing in the residual of a moving average."""
     s = generator.system.explicit()
-    units = state_units(s.A, s.B, s.C, s.D)
+    units = scaling(s.A, s.B, s.C, s.D, sampled=True).states
     rows, step = s.C * units, s.A / units[:, None] * units
     largest = float(np.abs(rows).max(initial=0.0))
     for k in range(s.n_states):

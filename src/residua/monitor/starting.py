@@ -17,7 +17,7 @@ from residua.decide.test import ResidualTest
 from residua.design import ResidualGenerator
 from residua.errors import SettingError
 from residua.linear.systems.recursion import ordered_product
-from residua.linear.systems.units import system_units
+from residua.linear.systems.scaling import scaling
 from residua.visible import echo
 
 #: How a filter starts: from rest at the first sample, or with the state that its first residuals show.
@@ -114,7 +114,7 @@ def start_fit(generator: ResidualGenerator, test: ResidualTest, settle: int) -> 
     A, C = system.A, system.C
     weights = _known_weights(test)
     if weights is None:  # in units of the states that come to the same whatever those of the plant are
-        T = system_units(A, np.zeros((n, 0)), C, np.zeros((len(C), 0))).states
+        T = scaling(A, np.zeros((n, 0)), C, np.zeros((len(C), 0)), sampled=True).states
         weights = _weights_by_size(C * T, A / T[:, None] * T, samples)
     blocks, block = [], weights.T @ C
     for _ in range(samples):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from residua.arrays import frozen
 from residua.errors import AccuracyError, ModelError
 from residua.linear.subspaces.rank import DEFAULT_RTOL
-from residua.linear.systems.descriptor import ScaledPencil, pencil_decision, unit_free_pencil, weierstrass_form
+from residua.linear.systems.descriptor import ScaledPencil, balanced_pencil, pencil_decision, weierstrass_form
 from residua.plant.channels import ROLES
 from residua.tolerances import IDENTITY, ROUNDING, TINY
 
@@ -63,7 +63,7 @@ def without_algebraic_equations(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> 
     """
     if plant.E is None:
         return plant
-    p = unit_free_pencil(plant.A, plant.E)
+    p = balanced_pencil(plant.A, plant.E)
     U, s, _ = np.linalg.svd(p.E)
     r = int(np.count_nonzero(s > rtol * s[0])) if s.size else 0
     if r == plant.n_states:

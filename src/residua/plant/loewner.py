@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from residua.linear.poles.stability import hidden_modes
 from residua.linear.polynomials.polynomial_matrix import PolynomialMatrix
 from residua.linear.subspaces.rank import RankDecision, spectral_norm
-from residua.linear.systems.balancing import balance_system, power_of_two, state_units
+from residua.linear.systems.scaling import power_near, scaling
 from residua.linear.systems.state_space import StateSpace
 from residua.plant.observer_form import ReachablePart, quotient, response_points
 from residua.tolerances import RESIDUE, RESPONSE_ROUNDING, TINY
@@ -88,7 +88,7 @@ class Loewner:
         A = left @ self.shifted @ right
         B = left @ self.values_left * np.any(whole.B, axis=0)
         C = -self.values_right @ right * np.any(whole.C, axis=1)[:, None]
-        T = state_units(A, B, C, whole.D)
+        T = scaling(A, B, C, whole.D, sampled=whole.is_discrete).states
         return whole.replaced(A=A / T[:, None] * T, B=B / T[:, None], C=C * T, states=None)
 
 
@@ -124,14 +124,15 @@ def loewner_part(found: Loewner, k: int, whole: StateSpace) -> ReachablePart:
     They are what is left of ``whole`` beside the ``k`` directions that its inputs reach, by the states at the points.
     """
     n = whole.n_states
-    balanced = balance_system(whole.A.T, np.zeros((n, 0)), whole.B.T, np.zeros((whole.n_inputs, 0)))
-    A, B = balanced.A.T, balanced.C.T
+    units = scaling(whole.A, whole.B, np.zeros((0, n)), np.zeros((0, whole.n_inputs)), sampled=whole.is_discrete)
+    A = units.equations[:, None] * whole.A * units.states
+    B = units.equations[:, None] * whole.B * units.inputs
     shifted = found.points[:, None, None] * np.eye(n) - A
     states = np.asarray(np.linalg.solve(shifted, B.astype(complex)), dtype=complex)
     reached = _columns(states).real.transpose(1, 0, 2).reshape(n, -1) @ (found.Vh[:k] * found.columns).T
     Q = np.linalg.qr(reached / np.maximum(np.linalg.norm(reached, axis=0), TINY), mode="complete")[0]
     left_over = spectral_norm(Q[:, k:].T @ A @ Q[:, :k]) + 10 * n * _EPS * spectral_norm(A)
-    removed, uncertainty = hidden_modes(balanced.A, Q, k, left_over)
+    removed, uncertainty = hidden_modes(A.T, Q, k, left_over)
     return ReachablePart(found.system(k, whole), removed, uncertainty, (found.decided(k),))
 
 
@@ -174,5 +175,5 @@ def _even_units(
         for axis in (0, 1):
             scaled, noise = (np.linalg.norm(units[0][:, None] * M * units[1], axis=1 - axis) for M in (L, rounding))
             factor = np.minimum(1 / np.maximum(scaled, TINY), RESPONSE_ROUNDING / np.maximum(noise, TINY))
-            units[axis] = units[axis] * np.where(scaled > _SURELY * noise, power_of_two(factor), 0.0)
+            units[axis] = units[axis] * np.where(scaled > _SURELY * noise, power_near(factor), 0.0)
     return units[0], units[1]

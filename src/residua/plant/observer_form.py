@@ -12,8 +12,8 @@ from residua.linear.poles.stability import hidden_modes
 from residua.linear.polynomials.polynomial_matrix import PolynomialMatrix
 from residua.linear.subspaces.observability import staircase
 from residua.linear.subspaces.rank import RankDecision, decide_rank, equilibrated
-from residua.linear.systems.balancing import power_of_two, state_units
 from residua.linear.systems.descriptor import weierstrass_form
+from residua.linear.systems.scaling import power_near, scaling
 from residua.linear.systems.state_space import StateSpace
 from residua.tolerances import TINY
 
@@ -123,7 +123,7 @@ def observer_form(
     """
     unit = unit_of_variable(H)
     H, N = H.scaled(unit), N.scaled(unit)
-    size = power_of_two(np.abs(H.coefficients).max(axis=(0, 2)))
+    size = power_near(np.abs(H.coefficients).max(axis=(0, 2)))
     H, N = (PolynomialMatrix(P.coefficients / size[:, None]) for P in (H, N))
     degrees = tuple(max(pair) for pair in zip(H.row_degrees, N.row_degrees, strict=True))
     shift, last, low_H, low_N = _chains(H, N, degrees)
@@ -211,7 +211,7 @@ def reachable_part(system: StateSpace) -> ReachablePart:
             C=(system.C / form.states) @ Q,
             states=None,
         )
-    T = state_units(system.A, system.B, system.C, system.D)
+    T = scaling(system.A, system.B, system.C, system.D, sampled=system.is_discrete).states
     system = system.replaced(A=system.A / T[:, None] * T, B=system.B / T[:, None], C=system.C * T)
     return ReachablePart(system, removed, uncertainty, form.decisions)
 

@@ -10,6 +10,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from residua.linear import StateSpace
+from residua.linear.systems.scaling import power_near
 from residua.plant import Plant
 
 Matrix = NDArray[np.float64]
@@ -194,11 +195,6 @@ def _rates(poles: NDArray, sampled: bool) -> NDArray[np.complex128]:
     """Return poles of a sampled system as rates per sample; those at zero have none."""
     poles = np.asarray(poles, dtype=complex)
     return np.asarray(np.log(poles[np.abs(poles) > _NO_RATE]), dtype=complex) if sampled else poles
-
-
-def power_near(size: Matrix) -> Matrix:
-    """Return powers of two near sizes; 1 for zero."""
-    return np.exp2(np.round(np.log2(np.where(size > 0, size, 1.0))))
 
 
 def extended_sum(*products: tuple[Matrix, ...]) -> Matrix:

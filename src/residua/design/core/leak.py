@@ -19,8 +19,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.design.core.balanced_filter import BalancedFilter, Matrix, Resolvent, extended_sum, power_near
+from residua.design.core.balanced_filter import BalancedFilter, Matrix, Resolvent, extended_sum
 from residua.linear import StateSpace
+from residua.linear.systems.scaling import power_near
 from residua.plant import Plant
 
 #: A term this far below what it is made of, or below the largest of its input, is rounding.

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from residua.linear import StateSpace
 from residua.linear.subspaces.quotient import observable_split
+from residua.linear.systems.scaling import power_near
 from residua.plant import Plant
 from residua.tolerances import BALANCED_RANK
 
@@ -98,7 +99,7 @@ def _without_unseen(system: StateSpace, plant: Plant) -> StateSpace:
     """Return a filter without the states that its outputs do not see."""
     states, rows = _sizes(system, plant)
     A, C = system.A / states[:, None] * states, system.C * states
-    split = observable_split(A / _power(np.abs(A).max(initial=0.0)), rows * C)
+    split = observable_split(A / power_near(np.abs(A).max(initial=0.0)), rows * C)
     if not split.hidden.shape[1]:
         return system
     O = split.seen  # noqa: E741
@@ -114,14 +115,9 @@ def _sizes(system: StateSpace, plant: Plant) -> tuple[Matrix, Matrix]:
     signals = np.concatenate([units.inputs[: len(plant.inputs)], 1 / units.outputs])
     points = np.exp(1j * _ANGLES) if system.is_discrete else 1j * units.rate * _ANGLES
     responses = np.linalg.solve(points[:, None, None] * np.eye(k) - system.A, (system.B * signals).astype(complex))
-    states = _power(np.abs(responses).max(axis=(0, 2), initial=0.0))
+    states = power_near(np.abs(responses).max(axis=(0, 2), initial=0.0))
     whole = np.abs(np.hstack([system.C * states, system.D * signals]))
-    return states, 1 / _power(whole.max(axis=1, initial=0.0))[:, None]
-
-
-def _power(size: Matrix | float) -> Matrix:
-    """Return powers of two near sizes; 1 for zero."""
-    return np.exp2(np.round(np.log2(np.where(np.asarray(size) > 0, size, 1.0))))
+    return states, 1 / power_near(whole.max(axis=1, initial=0.0))[:, None]
 
 
 def _most_finite(count: int) -> Callable[[Columns, Columns], NDArray[np.bool_]]:

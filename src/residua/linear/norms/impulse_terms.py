@@ -13,7 +13,7 @@ from residua.errors import AccuracyError, ModelError
 from residua.linear.poles.spectrum import describe_modes
 from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.rank import spectral_norm
-from residua.linear.systems.balancing import state_units
+from residua.linear.systems.scaling import scaling
 from residua.linear.systems.state_space import StateSpace
 
 Matrix = NDArray[np.float64]
@@ -55,7 +55,7 @@ def stable_system(system: StateSpace, what: str = "the peak norm") -> StableSyst
             "system.discretize(dt); the bound then holds at the sample instants, for inputs that are held"
         )
     system = system.explicit()
-    T = state_units(system.A, system.B, system.C, system.D)
+    T = scaling(system.A, system.B, system.C, system.D, sampled=True).states
     A, B, C = system.A / T[:, None] * T, system.B / T[:, None], system.C * T
     poles = np.linalg.eigvals(A).astype(complex) if len(A) else np.zeros(0, complex)
     stable = is_stable_mode(poles, system.dt)

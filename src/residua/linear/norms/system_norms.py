@@ -13,7 +13,7 @@ from residua.errors import AccuracyError, ModelError
 from residua.linear.poles.spectrum import describe_modes
 from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.rank import spectral_norm
-from residua.linear.systems.balancing import balance_system, power_of_two
+from residua.linear.systems.scaling import power_near, scaling
 
 Matrix = NDArray[np.float64]
 _EPS = float(np.finfo(float).eps)
@@ -99,17 +99,16 @@ def _stable_system(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike | None
     C = arrays.matrix(C, "C", (None, n))
     shape = (C.shape[0], B.shape[1])
     D = np.zeros(shape) if D is None else arrays.matrix(D, "D", shape)
-    s = balance_system(A, B, C, D)
-    poles = np.linalg.eigvals(s.A).astype(complex) if n else np.zeros(0, complex)
+    # only the units of states may change: norms depend on those of inputs and outputs
+    T = scaling(A, B, C, D, sampled=dt > 0).states
+    A, B, C = A / T[:, None] * T, B / T[:, None], C * T
+    poles = np.linalg.eigvals(A).astype(complex) if n else np.zeros(0, complex)
     stable = is_stable_mode(poles, dt)
     if not stable.all():
         raise ModelError(f"the norm is infinite: the system has the unstable pole {describe_modes(poles[~stable][:1])}")
-    # Only the units of states may change: norms depend on those of inputs and outputs.
-    T = s.states[:, None]
-    B, C = B / T, C * T.T
     size_B, size_C = float(np.linalg.norm(B)), float(np.linalg.norm(C))
-    even = float(power_of_two(np.sqrt(np.array(size_B / size_C)))) if size_B and size_C else 1.0
-    return _System(s.A, B / even, C * even, D, dt, poles)
+    even = float(power_near(np.sqrt(size_B / size_C))) if size_B and size_C else 1.0
+    return _System(A, B / even, C * even, D, dt, poles)
 
 
 def _first_frequencies(system: _System) -> list[float]:

@@ -17,7 +17,7 @@ from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.observability import detectability, observability_form
 from residua.linear.subspaces.parts import part_of_each
 from residua.linear.subspaces.rank import decide_rank, without_rounded_gains
-from residua.linear.systems.balancing import balance_system, power_of_two
+from residua.linear.systems.scaling import power_near, scaling
 from residua.tolerances import RESIDUE
 
 Matrix = NDArray[np.float64]
@@ -125,13 +125,13 @@ def filter_riccati(
     if n == 0:
         return RiccatiSolution(np.zeros((0, 0)), np.zeros((0, p)), R, np.zeros(0, complex), 0.0)
     _check_solvable(A, C, Q, R, S, dt)
-    scaled = balance_system(A, np.zeros((n, 0)), C, np.zeros((p, 0)))
+    T = scaling(A, np.zeros((n, 0)), C, np.zeros((p, 0)), sampled=dt > 0).states
     # Outputs in units of their noise: R becomes a correlation matrix, however C is scaled.
-    Y = 1 / power_of_two(np.sqrt(np.diag(R)))
-    T, to_T, to_Y = scaled.states, 1 / scaled.states[:, None], Y[:, None]
-    A, C, S = scaled.A, to_Y * C * T, to_T * S * Y
+    Y = 1 / power_near(np.sqrt(np.diag(R)))
+    to_T, to_Y = 1 / T[:, None], Y[:, None]
+    A, C, S = to_T * A * T, to_Y * C * T, to_T * S * Y
     # The size of the state follows from the noise; common units keep P near one.
-    unit = float(power_of_two(np.sqrt(np.array(np.trace(to_T * Q * to_T.T))))) or 1.0
+    unit = float(power_near(np.sqrt(np.trace(to_T * Q * to_T.T)))) or 1.0
     terms = (A, C * unit, to_T * Q * to_T.T / unit**2, to_Y * R * Y, S / unit)
     T = T[:, None] * unit
     Y = to_Y

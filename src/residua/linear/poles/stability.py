@@ -7,15 +7,11 @@ import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
 from residua.linear.poles.assignment import least_cost_columns
-from residua.linear.poles.matrix_poles import is_rounding_of_zero
 from residua.linear.poles.zero_structure import rounding_of, scatter_of, without_zero_eigenvalues
 from residua.linear.subspaces.parts import connected_parts, strong_parts
 from residua.tolerances import TINY
 
 _EPS = float(np.finfo(float).eps)
-#: A mode of more than this fraction of the size of its matrix is not zero: a triple zero is scattered by about
-#: as much, and in units that are far apart every mode looks like one of a higher multiplicity.
-_NEAR_ZERO = 1e-5
 #: What a hidden mode must be inside the stability region by: a slower one does not die out in any time that counts.
 _INSIDE = 1e-10
 
@@ -113,9 +109,9 @@ def modes_with_uncertainty(
     moved = n * _EPS * float(np.linalg.norm(A)) + perturbation
     # A defective mode has cosine 0; the floor gives it the sqrt(eps) that a double mode moves by.
     size = float(np.linalg.norm(A))
-    zero = is_rounding_of_zero(modes, cosine, size) & (np.abs(modes) <= _NEAR_ZERO * size)
-    zero[_modes_at_zero(A, modes, size, perturbation)] = True
-    return np.where(zero, 0.0, modes).astype(complex), moved / np.maximum(cosine, np.sqrt(_EPS))
+    modes = modes.astype(complex)
+    modes[_modes_at_zero(A, modes, size, perturbation)] = 0.0
+    return modes, moved / np.maximum(cosine, np.sqrt(_EPS))
 
 
 def hidden_modes(

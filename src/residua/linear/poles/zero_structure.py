@@ -16,14 +16,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.linear.subspaces.rank import decide_rank, row_and_null_basis
+from residua.linear.subspaces.rank import row_and_null_basis
 
 Matrix = NDArray[np.float64]
-
-#: What the levels may take together, as a multiple of the cube of the size: each is a singular value decomposition.
-_WORK = 3e7
-#: So many levels are looked at however large a matrix is.
-_LEAST = 3
 
 
 def rounding_of(count: int) -> float:
@@ -36,7 +31,7 @@ def scatter_of(multiplicity: int, count: int, size: float, rounding: float = 0.0
     return size * (rounding_of(count) + rounding) ** (1 / multiplicity) if multiplicity else 0.0
 
 
-def without_zero_eigenvalues(A: Matrix, E: Matrix | None, size: float) -> tuple[Matrix, Matrix | None, int, bool]:
+def without_zero_eigenvalues(A: Matrix, E: Matrix | None, size: float) -> tuple[Matrix, Matrix | None, int]:
     """Take the eigenvalues at zero out of ``A``, or of the pencil ``A - sE``, by orthogonal steps.
 
     Parameters
@@ -54,20 +49,16 @@ def without_zero_eigenvalues(A: Matrix, E: Matrix | None, size: float) -> tuple[
         What is left, with the other eigenvalues.
     count : int
         How many were taken out.
-    regular : bool
-        Whether what is left is known to have none: of a large matrix only the first levels are looked at.
     """
     n = len(A)
     rounding = rounding_of(n)
-    if decide_rank(A, rtol=rounding, scale=size).rank == n:
-        return A, E, 0, True
-    for _ in range(max(_LEAST, int(_WORK / n**3))):
+    while len(A):
         kept, null, decision = row_and_null_basis(A, rtol=rounding, scale=size)
         if decision.rank == len(A):
-            return A, E, n - len(A), True
+            break
         if E is None:
             A = kept.T @ A @ kept
         else:  # the rows that the null vectors reach through E go with them
             left = np.linalg.qr(E @ null, mode="complete")[0][:, null.shape[1] :]
             A, E = left.T @ A @ kept, left.T @ E @ kept
-    return A, E, n - len(A), not len(A)
+    return A, E, n - len(A)

@@ -10,10 +10,8 @@ from numpy.typing import NDArray
 
 from residua.linear.polynomials.polynomial_matrix import PolynomialMatrix
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, decide_rank, left_null_basis
+from residua.linear.systems.scaling import even_units
 from residua.tolerances import RESIDUE, above_rounding
-
-#: Sweeps over rows and columns.
-_SWEEPS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,16 +123,9 @@ def _null_vectors(
 def _balanced(P: PolynomialMatrix, variable: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the coefficients with rows and columns of one size, without zero columns, and the factors of the rows."""
     C = P.scaled(variable).coefficients
-    rows, columns = np.ones(C.shape[1]), np.ones(C.shape[2])
-    for _ in range(_SWEEPS):  # powers of two that even out the norms of rows, then of columns
-        rows /= _power(np.linalg.norm(C * rows[:, None] * columns, axis=(0, 2)))
-        columns /= _power(np.linalg.norm(C * rows[:, None] * columns, axis=(0, 1)))
+    rows, columns = even_units(np.sqrt((C**2).sum(axis=0)))
     C = C * rows[:, None] * columns
     return C[:, :, np.any(C != 0, axis=(0, 1))], rows
-
-
-def _power(sizes: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.exp2(np.round(np.log2(np.where(sizes > 0, sizes, 1.0))))
 
 
 def _toeplitz(C: NDArray[np.float64], degree: int) -> NDArray[np.float64]:

@@ -13,12 +13,10 @@ from residua.errors import AccuracyError, ModelError
 from residua.linear.poles.matrix_poles import explicit_poles
 from residua.linear.poles.zero_structure import scatter_of, without_zero_eigenvalues
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, null_basis, range_basis
-from residua.linear.systems.array_cache import cached_by_entries
-from residua.linear.systems.balancing import evened, power_of_two, without_rounding
-from residua.linear.systems.units import pencil_units, pencil_without_residue
+from residua.linear.systems.scaling import scaling
+from residua.tolerances import without_rounding
 
 Matrix = NDArray[np.float64]
-_SWEEPS, _ROUNDS = 6, 3
 #: A rank decision with less than this between what it kept and what it dropped is none.
 _GAP = 1e3
 #: Points at which the determinant is tried: a regular pencil is singular at finitely many only.
@@ -29,8 +27,7 @@ _POINTS = np.array([0.31, 1.0, 3.7, 0.9, 1.3]) * np.exp(1j * np.array([0.4, 1.1,
 class ScaledPencil:
     """A pencil in comparable units: ``A = r A0 c``, ``E = r E0 c unit``, for ``s / unit`` in place of ``s``.
 
-    All factors are powers of two, so that scaling rounds nothing. Further rows and columns of a bordered pencil
-    ``[A0 B0; C0 D0]`` are scaled along, and are part of ``A``; those of ``E`` are zero there.
+    All factors are powers of two, so that scaling rounds nothing.
     """
 
     A: Matrix
@@ -40,56 +37,12 @@ class ScaledPencil:
     unit: float
 
 
-def scaled_pencil(A: NDArray, E: NDArray, *, unit: float | None = None) -> ScaledPencil:
-    """Scale rows, columns and the unit of ``s`` of a pencil of any shape; ``unit=1`` leaves ``s`` alone.
-
-    ``A`` is scaled first, by itself: an ``E`` in a unit of ``s`` that is far off, such as an identity, would hide the
-    units of the states. Then both are, in turn with the unit. Weak couplings stay weak, see `unit_free_pencil`.
-    """
-    A, E = np.asarray(A, dtype=float), np.asarray(E, dtype=float)
-    u = pencil_units(A, E)
-    a, e = pencil_without_residue(A, E, u)
-    # Parts that only E connects have no units beside one another in A alone: what all entries say comes first.
-    a, e = u.rows[:, None] * a * u.columns, u.rows[:, None] * e * u.columns
-    rows, columns = np.ones(A.shape[0]), np.ones(A.shape[1])
-    if A.size:
-        silent = np.logical_or.outer(~np.any(a, axis=1), ~np.any(a, axis=0))
-        rows, columns = evened(a + np.where(silent, e, 0.0), sweeps=_SWEEPS)
-    factor = 1.0 if unit is None else unit
-    for _ in range(_ROUNDS if A.size and e.any() else 0):
-        if unit is None:
-            factor = _unit_of_s(rows[:, None] * a * columns, rows[:, None] * e * columns)
-        rows, columns = evened(a + factor * e, rows, columns, sweeps=_SWEEPS)
-    rows, columns = rows * u.rows, columns * u.columns
-    return ScaledPencil(rows[:, None] * A * columns, factor * rows[:, None] * E * columns, rows, columns, factor)
-
-
-def unit_free_pencil(A: NDArray, E: NDArray) -> ScaledPencil:
-    """Scale a pencil to what is the same in whatever units it was written: ranks and index must not depend on them.
-
-    First the logarithms of all entries are brought as near to zero as can be, in least squares. Norms of rows,
-    columns and of ``E`` are evened out from there, in a few sweeps: most sparse pencils have no scaling that gives all
-    rows and columns one norm, and endless sweeps run away. A weak coupling counts as one in other units.
-
-    References
-    ----------
-    A. R. Curtis and J. K. Reid, On the automatic scaling of matrices for Gaussian elimination, J. Inst. Maths.
-    Applics. 10 (1972) 118-124.
-    """
-    A, E = np.asarray(A, dtype=float), np.asarray(E, dtype=float)
-    u = pencil_units(A, E)
-    a, e = pencil_without_residue(A, E, u)
-    rows, columns, factor = u.rows, u.columns, u.unit
-    for _ in range(_ROUNDS if A.size and e.any() else 0):
-        factor = _unit_of_s(rows[:, None] * a * columns, rows[:, None] * e * columns)
-        rows, columns = evened(a + factor * e, rows, columns, sweeps=_SWEEPS)
-    return ScaledPencil(rows[:, None] * A * columns, factor * rows[:, None] * E * columns, rows, columns, factor)
-
-
-def _unit_of_s(A: NDArray, E: NDArray) -> float:
-    """Return the unit of ``s`` in which ``E`` is as large as ``A``."""
-    a, e = float(np.linalg.norm(A)), float(np.linalg.norm(E))
-    return float(power_of_two(np.array(a / e))) if a and e else 1.0
+def balanced_pencil(A: NDArray, E: NDArray) -> ScaledPencil:
+    """Return a square pencil in balanced units, in which ranks and the index do not depend on those of a user."""
+    n = len(A)
+    units = scaling(A, np.zeros((n, 0)), np.zeros((0, n)), np.zeros((0, 0)), E, sampled=False)
+    rows, columns, unit = units.equations / units.rate, units.states, units.rate
+    return ScaledPencil(rows[:, None] * A * columns, unit * rows[:, None] * E * columns, rows, columns, unit)
 
 
 def checked_pencil(A: ArrayLike, E: ArrayLike | None) -> tuple[Matrix, Matrix]:
@@ -150,7 +103,7 @@ def is_regular(A: ArrayLike, E: ArrayLike | None = None, *, rtol: float = DEFAUL
     False
     """
     A, E = checked_pencil(A, E)
-    return pencil_decision(unit_free_pencil(A, E), rtol).rank == len(A)
+    return pencil_decision(balanced_pencil(A, E), rtol).rank == len(A)
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,7 +199,7 @@ def weierstrass_form(
     """
     A, E = checked_pencil(A, E)
     n = len(A)
-    p = unit_free_pencil(A, E)
+    p = balanced_pencil(A, E)
     regular = pencil_decision(p, rtol)
     if regular.rank < n:
         raise ModelError(
@@ -271,10 +224,9 @@ def weierstrass_form(
     return _assembled(p, V, W, levels, tolerance, decisions)
 
 
-@cached_by_entries
 def finite_poles(A: NDArray, E: NDArray) -> NDArray[np.complex128]:
     """Return the finite poles of a regular pencil: all eigenvalues where ``E`` is invertible, else those of ``A1``."""
-    p = unit_free_pencil(A, E)
+    p = balanced_pencil(A, E)
     values = np.linalg.svd(p.E, compute_uv=False) if p.E.size else np.ones(1)
     if values[-1] > DEFAULT_RTOL * values[0]:
         return p.unit * _generalised_eigenvalues(p.A, p.E, float(values[-1]))
@@ -285,7 +237,7 @@ def _generalised_eigenvalues(A: Matrix, E: Matrix, smallest: float) -> NDArray[n
     """Return the eigenvalues of ``A - sE`` with the smallest singular value of ``E``; those at 0 are not scattered."""
     found = np.asarray(scipy.linalg.eigvals(A, E), dtype=complex).reshape(-1)
     size = float(np.linalg.norm(A))
-    rest, under, count, _ = without_zero_eigenvalues(A, E, size)
+    rest, under, count = without_zero_eigenvalues(A, E, size)
     if not count or np.count_nonzero(np.abs(found) <= scatter_of(count, len(A), size / smallest)) < count:
         return found
     return np.concatenate([np.zeros(count, dtype=complex), scipy.linalg.eigvals(rest, under).reshape(-1)])

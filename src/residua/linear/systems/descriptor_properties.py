@@ -12,7 +12,8 @@ from residua.errors import AccuracyError, ModelError
 from residua.linear.poles.spectrum import describe_modes
 from residua.linear.poles.zeros import invariant_zeros, pencil_rank_at
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, decide_rank, equilibrated
-from residua.linear.systems.descriptor import checked_pencil, scaled_pencil, weierstrass_form
+from residua.linear.systems.descriptor import balanced_pencil, checked_pencil, weierstrass_form
+from residua.linear.systems.scaling import scaling
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,9 +172,10 @@ def _property(
 
 def _scaled(A: NDArray, E: NDArray, C: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray]:
     """Return ``[E; C]``, ``E``, ``C`` and ``A`` with rows and columns in comparable units."""
-    n = len(A)
-    p = scaled_pencil(np.vstack([A, C]), np.vstack([E, np.zeros_like(C)]))
-    E_s, C_s, A_s = p.E[:n], p.A[n:], p.A[:n]
+    n, p = len(A), len(C)
+    units = scaling(A, np.zeros((n, 0)), C, np.zeros((p, 0)), E, sampled=False)
+    R, X = units.equations[:, None], units.states
+    E_s, C_s, A_s = R * E * X, units.outputs[:, None] * C * X, R * A * X / units.rate
     return equilibrated(np.vstack([E_s, C_s])), E_s, C_s, A_s
 
 
@@ -186,7 +188,7 @@ def _hidden_modes(A: NDArray, E: NDArray, C: NDArray, poles: NDArray, rtol: floa
     hidden = zeros.zeros
     if hidden.size:
         # Poles at zero have no size; the unit of s in which A and E are comparable stands in.
-        size = np.abs(poles).max(initial=scaled_pencil(A, E).unit)
+        size = np.abs(poles).max(initial=balanced_pencil(A, E).unit)
         off = np.abs(hidden[:, None] - poles).min(axis=1, initial=np.inf)
         if not np.all(off <= 1e-3 * float(size)):
             raise AccuracyError(

@@ -125,6 +125,18 @@ def balanced_system(system: StateSpace) -> tuple[StateSpace, Scaling]:
     return system.replaced(A=R * system.A * X, B=R * system.B * U, C=Y * system.C * X, D=D, E=E), units
 
 
+def even_units(M: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the factors of rows and of columns with which the entries of a matrix are nearest to one."""
+    rows, columns = M.shape
+    static = scaling(np.zeros((0, 0)), np.zeros((0, columns)), np.zeros((rows, 0)), M, sampled=True)
+    return static.outputs, static.inputs
+
+
+def power_near(size: float | NDArray) -> NDArray[np.float64]:
+    """Return powers of two near sizes; 1 for zero."""
+    return np.exp2(np.round(np.log2(np.where(np.greater(size, 0), size, 1.0))))
+
+
 def _least_squares(
     rows: int, columns: int, i: NDArray, j: NDArray, t: NDArray, logs: NDArray, weight: NDArray
 ) -> tuple[NDArray, NDArray, float]:

@@ -16,8 +16,7 @@ from residua.arrays import frozen
 from residua.errors import ModelError
 from residua.linear.poles.matrix_poles import explicit_poles
 from residua.linear.systems.descriptor import finite_poles
-from residua.linear.systems.resolvent import independent_parts, solutions
-from residua.linear.systems.units import matrix_units
+from residua.linear.systems.scaling import scaling
 from residua.tolerances import BALANCED_STABLE
 
 
@@ -203,18 +202,25 @@ class StateSpace:
     def evaluate(self, points: ArrayLike) -> NDArray[np.complex128]:
         """Evaluate ``C (s E - A)^-1 B + D`` at complex points; returns shape ``(k, p, m)``."""
         points = np.atleast_1d(np.asarray(points, dtype=complex))
-        if self.n_states == 0 or self.n_inputs == 0:
-            return np.broadcast_to(self.D, (len(points), *self.D.shape)).astype(complex)
         values = np.broadcast_to(self.D, (len(points), *self.D.shape)).astype(complex)
-        for part in independent_parts(self.A, self.E):
-            rows = np.flatnonzero(self.C[:, part].any(axis=1))
-            E = None if self.E is None else self.E[np.ix_(part, part)]
-            A, B, C = self.A[np.ix_(part, part)], self.B[part], self.C[np.ix_(rows, part)]
-            if len(rows) < self.n_inputs:  # from the side that has fewer solutions
-                values[:, rows] += solutions(A, E, points, B[:, :0], C)[1] @ B
-            else:
-                X = solutions(A, E, points, B)[0]
-                values[:, rows] += X if _are_states(C) else C @ X
+        if not self.n_states or not values.size:
+            return values
+        # elimination depends on the units of the states, and small responses would be lost in bad ones
+        E: Any = np.eye(self.n_states)
+        if self.E is None:
+            A, T = scipy.linalg.matrix_balance(self.A)
+            B, C = np.linalg.solve(T, self.B), self.C @ T
+        else:
+            units = scaling(self.A, self.B, self.C, self.D, self.E, sampled=self.is_discrete)
+            R, X = units.equations[:, None], units.states
+            A, B, C, E = R * self.A * X, R * self.B, self.C * X, R * self.E * X
+        step = max(1, _AT_ONCE // self.n_states**2)
+        for k in range(0, len(points), step):
+            try:
+                X = np.linalg.solve(points[k : k + step, None, None] * E - A, B)
+            except np.linalg.LinAlgError as error:
+                raise ModelError(f"the system has a pole at one of the points asked for: {error}") from error
+            values[k : k + step] += C @ X
         return values
 
     def dc_gain(self) -> NDArray[np.float64]:
@@ -232,11 +238,6 @@ class StateSpace:
         fields: list[Any] = [changes.get(name, own[name]) for name in _FIELDS]
         new._fill(*fields, of=self)
         return new
-
-    def with_poles_of(self, other: StateSpace) -> StateSpace:
-        """Return this system, which is another one in other units, powers of two, with the poles that it has."""
-        self.__dict__["_poles"] = other._poles
-        return self
 
     def select(
         self, *, outputs: Iterable[str | int] | None = None, inputs: Iterable[str | int] | None = None
@@ -307,15 +308,16 @@ class StateSpace:
         """Return the system with ``E`` divided out; raises when ``E`` is singular or nearly so, in whatever units."""
         if self.E is None:
             return self
-        rows, columns = matrix_units(self.E)
-        E = rows[:, None] * self.E * columns
+        units = scaling(self.A, self.B, self.C, self.D, self.E, sampled=self.is_discrete)
+        rows, columns = units.equations[:, None], units.states
+        E = rows * self.E * columns
         condition = np.linalg.cond(E) if self.n_states else 1.0
         if not condition < 1e12:
             raise ModelError(
                 f"E is singular to working precision (condition {condition:.2g}): "
                 "this step needs a plant without algebraic equations"
             )
-        whole = columns[:, None] * np.linalg.solve(E, rows[:, None] * np.hstack([self.A, self.B]))
+        whole = columns[:, None] * np.linalg.solve(E, rows * np.hstack([self.A, self.B]))
         return self.replaced(A=whole[:, : self.n_states], B=whole[:, self.n_states :], E=None)
 
     def discretize(self, dt: float, *, hold: str | Iterable[str] = "zero") -> StateSpace:
@@ -368,8 +370,8 @@ class StateSpace:
         )
 
 
-#: States from which a product takes longer than to see that it is none.
-_LARGE = 32
+#: Complex numbers in the matrices that are solved with together.
+_AT_ONCE = 4_000_000
 _FIELDS = dict.fromkeys(("A", "B", "C", "D", "E", "dt", "inputs", "outputs", "states"))
 #: The fields of no other system: nothing that a user passes is one of them.
 _NOTHING = dict.fromkeys(_FIELDS, object())
@@ -387,12 +389,6 @@ def stack_systems(systems: list[StateSpace]) -> StateSpace:
         inputs=first.inputs,
         outputs=[f"{name}, filter {k}" for k, s in enumerate(systems, 1) for name in s.outputs],
     )
-
-
-def _are_states(C: NDArray) -> bool:
-    """Tell whether outputs are all the states of a large system, in order: a product with them would take a while."""
-    n = len(C)
-    return n >= _LARGE and C.shape == (n, n) and np.count_nonzero(C) == n and bool((C.diagonal() == 1.0).all())
 
 
 def square(value: ArrayLike, name: str) -> NDArray[np.float64]:

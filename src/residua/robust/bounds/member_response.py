@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.linear.poles.spectrum import spectral_radius
-from residua.linear.systems.balancing import power_of_two, state_units
+from residua.linear.systems.scaling import power_near, scaling
 from residua.robust.sets.uncertain_system import UncertainSystem
 from residua.tolerances import RESPONSE_ROUNDING
 
@@ -122,6 +122,12 @@ def member_response(system: UncertainSystem, *, constant: bool) -> MemberRespons
     )
 
 
+def balanced_states(system: UncertainSystem) -> NDArray[np.float64]:
+    """Return balanced units of the states of a system with its uncertain channels."""
+    B, C = np.hstack([system.Bw, system.Bp]), np.vstack([system.Cz, system.Cq])
+    return scaling(system.A, B, C, np.zeros((len(C), B.shape[1])), sampled=system.dt > 0).states
+
+
 def reached_units(system: UncertainSystem) -> NDArray[np.float64]:
     r"""Return units in which what reaches the states is about one.
 
@@ -130,7 +136,7 @@ def reached_units(system: UncertainSystem) -> NDArray[np.float64]:
     above its spectral radius, no row of ``M`` sums to more than ``c``. Balanced units alone may take the rounding of an
     entry that ought to be zero for a coupling, and scale a state that nothing drives without end.
     """
-    units = state_units(system.A, np.hstack([system.Bw, system.Bp]), np.vstack([system.Cz, system.Cq]))
+    units = balanced_states(system)
     own, one, z = list(system.channels), np.eye(len(units)), float(system.dt > 0)
     middle, widest = (system.low + system.high) / 2, np.maximum(np.abs(system.low), np.abs(system.high))
     for _ in range(_SWEEPS if len(units) else 0):
@@ -146,7 +152,7 @@ def reached_units(system: UncertainSystem) -> NDArray[np.float64]:
         rows = np.stack([(reached / np.where(effect > 0, effect, 1.0)).sum(axis=1), np.ones(len(one))], axis=1)
         beyond = 1.5 * float(spectral_radius(M)) or 1.0
         x = np.abs(np.linalg.solve(one - M / beyond, rows))
-        units = units * power_of_two(np.where(x[:, 0] > 0, x[:, 0], x[:, 1]))
+        units = units * power_near(np.where(x[:, 0] > 0, x[:, 0], x[:, 1]))
     return units if np.isfinite(units).all() and (units > 0).all() else np.ones_like(units)
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from residua.errors import AccuracyError
 from residua.linear.norms.peak_norm import peak_norm
-from residua.linear.systems.balancing import state_units
+from residua.robust.bounds.member_response import balanced_states
 from residua.robust.sets.uncertain_system import MOST_CORNERS, UncertainSystem
 from residua.robust.sets.visited_members import REMEDY, check_modes, corner_points
 
@@ -77,7 +77,7 @@ def _attained(system: UncertainSystem, values: NDArray[np.float64]) -> float:
 def _visit(system: UncertainSystem, points: Matrix) -> tuple[NDArray[np.float64], float]:
     """Return an output that some unit input attains, for every member, and the largest spectral radius."""
     p, m = system.Dzw.shape
-    T = state_units(system.A, np.hstack([system.Bw, system.Bp]), np.vstack([system.Cz, system.Cq]))
+    T = balanced_states(system)
     own = list(system.channels)
     A0, Bp, Cq = system.A / T[:, None] * T, system.Bp / T[:, None], system.Cq * T
     Bw, Cz = system.Bw / T[:, None], system.Cz * T

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from residua import arrays
 from residua.arrays import matrix
 from residua.errors import ModelError
-from residua.linear.systems.balancing import evened
+from residua.linear.systems.scaling import even_units
 from residua.robust.sets.uncertain_system import bounds
 
 MATRICES = ("A", "B", "C", "D", "Bd", "Dd", "Bf", "Df")
@@ -116,7 +116,7 @@ def factored(M: ArrayLike, rtol: float = 1e-12) -> tuple[NDArray[np.float64], ND
     M = matrix(M, "M", (None, None))
     if not np.any(M):
         return np.zeros((M.shape[0], 0)), np.zeros((0, M.shape[1]))
-    rows, columns = evened(M)
+    rows, columns = even_units(M)
     U, s, Vh = np.linalg.svd(rows[:, None] * M * columns, full_matrices=False)
     rank = int(np.count_nonzero(s > rtol * s[0]))
     half = np.sqrt(s[:rank])
