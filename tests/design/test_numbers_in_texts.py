@@ -10,11 +10,11 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scaled_plants import with_rates_times
 
 import residua as rs
 from residua.errors import ResiduaError
 from residua.plant import Plant
+from scaled_plants import with_rates_times
 
 D = rs.design
 A = np.array([[-1, 0.5, 0], [0.3, -2, 0.4], [0, 0.2, -3]])

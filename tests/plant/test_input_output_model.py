@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.signal
-from scaled_plants import with_rates_times
 
 import residua as rs
 from effort import rounds
@@ -17,6 +16,7 @@ from residua.linear import StateSpace
 from residua.linear.polynomials.polynomial_matrix import PolynomialMatrix
 from residua.plant.input_output_conversion import input_output_from_plant
 from residua.plant.input_output_model import InputOutputModel
+from scaled_plants import with_rates_times
 
 ROLES = ("control", "disturbance", "fault")
 H2 = [[1, -0.9, 0.2], [1, -1.4, 0.45]]
