@@ -5,14 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.linalg
-from numpy.testing import assert_allclose, assert_array_equal
 
 from residua.design.core.signatures import _dimension
 from residua.linear import invariant_zeros
 from residua.linear.poles.matrix_poles import explicit_poles
 from residua.linear.polynomials.polynomial_basis import basis_on_poles
 from residua.linear.subspaces.parts import row_parts
-from residua.linear.subspaces.rank import without_slight_mixing
 from residua.robust.parity.best_ratios import best_ratios
 
 
@@ -104,23 +102,3 @@ def test_invariant_zeros_at_the_origin_are_a_cluster_there() -> None:
 )
 def test_a_faint_direction_counts_where_rounding_is_much_fainter(sizes: list[float], count: int) -> None:
     assert _dimension(np.array(sizes), 1e-6) == count
-
-
-@pytest.mark.parametrize("turn", [3e-12, -1e-13, 0.0])
-def test_a_slight_turn_of_a_basis_is_taken_back(turn: float) -> None:
-    basis = np.array([[0.6, 0.0], [0.0, 0.8], [0.8, 0.0], [0.0, 0.6]])
-    turned = basis @ np.array([[1.0, turn], [0.0, 1.0]])
-    again = without_slight_mixing(turned)
-    assert_array_equal(again == 0, basis == 0)
-    assert_allclose(again, basis, rtol=0, atol=1e-16)
-
-
-def test_a_small_reading_stays_where_nothing_takes_it_away() -> None:
-    alone = np.array([[1e-12, 0.0], [1.0, 0.0], [0.0, 1.0]])
-    assert without_slight_mixing(alone) is not alone
-    assert_array_equal(without_slight_mixing(alone), alone)
-    # what would take it away reads something else that the vector leaves out
-    exchanged = np.array([[1e-12, 0.6], [1.0, 0.0], [0.0, 0.8]])
-    assert_array_equal(without_slight_mixing(exchanged), exchanged)
-    large = np.array([[0.28, 0.96], [0.96, -0.28]])
-    assert without_slight_mixing(large) is large

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import AccuracyError
-from residua.linear.poles.assignment import least_cost_columns
 from residua.linear.poles.stability import modes_with_uncertainty
 from residua.words import counted
 
@@ -69,6 +68,8 @@ def match_poles(wanted: Poles, achieved: Poles) -> NDArray[np.intp]:
     AccuracyError
         If a pole is not finite: nothing is nearest to it.
     """
+    from scipy.optimize import linear_sum_assignment  # slow to import
+
     for poles in (wanted, achieved):
         if not np.all(np.isfinite(poles)):
             raise AccuracyError(
@@ -79,7 +80,7 @@ def match_poles(wanted: Poles, achieved: Poles) -> NDArray[np.intp]:
     # Relative, or a fast pole that is off a little would outweigh a slow one that is off altogether.
     scale = np.abs(wanted)[:, None] + 1e-3 * np.abs(wanted).max(initial=0.0) + np.finfo(float).tiny
     with np.errstate(over="ignore"):
-        return least_cost_columns(np.minimum(distance / scale, _FARTHEST))
+        return np.asarray(linear_sum_assignment(np.minimum(distance / scale, _FARTHEST))[1], dtype=np.intp)
 
 
 def pole_clusters(poles: Poles, nearness: float = 1e-3) -> list[NDArray[np.intp]]:

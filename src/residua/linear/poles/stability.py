@@ -6,7 +6,6 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
-from residua.linear.poles.assignment import least_cost_columns
 from residua.linear.poles.zero_structure import rounding_of, scatter_of, without_zero_eigenvalues
 from residua.linear.subspaces.parts import connected_parts, strong_parts
 from residua.tolerances import TINY
@@ -141,10 +140,12 @@ def hidden_modes(
     parts = strong_parts(A)
     if not modes.size or len(parts) == 1 or moved.max() <= np.sqrt(_EPS) * float(np.linalg.norm(A)):
         return modes, moved
+    from scipy.optimize import linear_sum_assignment  # slow to import
+
     apart = [modes_with_uncertainty(A[np.ix_(part, part)]) for part in parts]
     poles, own = (np.concatenate(both) for both in zip(*apart, strict=True))
     distance = np.abs(modes[:, None] - poles)
-    chosen = least_cost_columns(distance)
+    chosen = np.asarray(linear_sum_assignment(distance)[1])
     # a pole of another part that is as near may be the one, or one from which rounding has scattered this mode
     left = np.setdiff1d(np.arange(poles.size), chosen)
     size = float(np.linalg.norm(block))

@@ -58,10 +58,6 @@ class PolynomialBasis:
             out[j + 1] = self.imaginary[j] ** 2 / self.sizes[j]
         return out
 
-    def pairs_kept(self, degree: int) -> bool:
-        """Tell whether the element of a degree is a product of whole pairs."""
-        return degree == 0 or not self.imaginary[degree - 1]
-
     def values(self, points: ArrayLike, degree: int) -> NDArray[np.complex128]:
         """Return the elements up to a degree at some points, shape (points, degree + 1)."""
         z = np.asarray(points, dtype=np.complex128).ravel()

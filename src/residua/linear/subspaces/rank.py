@@ -182,35 +182,6 @@ def left_null_basis(
     return without_noise(U[:, decision.rank :]), decision
 
 
-def without_slight_mixing(basis: NDArray) -> NDArray:
-    """Return a basis, as columns, of the same space, turned by less than 1e-10 where that leaves zeros in its vectors.
-
-    Any rotation of the basis of a null space is as right, and a factorisation may end a hair away from one in which a
-    vector leaves a row out: what is a combination of outputs would then read one more by 1e-12 for nothing. The vectors
-    are orthogonal only to the turn after it: for combinations of signals, not for coordinates of states.
-    """
-    if basis.shape[1] < 2 or not _slight(basis).any():
-        return basis
-    basis = basis.copy()
-    for j in np.flatnonzero(_slight(basis).any(axis=0)):
-        for i in np.flatnonzero(_slight(basis[:, j])):
-            others = np.abs(basis[i])
-            others[j] = 0.0
-            k = int(others.argmax())
-            if abs(basis[i, j]) >= RANK * others[k]:
-                continue
-            turned = without_noise(basis[:, j] - basis[i, j] / basis[i, k] * basis[:, k])
-            turned[i] = 0.0
-            if np.count_nonzero(_slight(turned)) < np.count_nonzero(_slight(basis[:, j])):
-                basis[:, j] = turned
-    return basis
-
-
-def _slight(basis: NDArray) -> NDArray[np.bool_]:
-    """Tell which entries of unit vectors are not zero and yet so small that a rank would not count them."""
-    return (basis != 0) & (np.abs(basis) < RANK)
-
-
 def without_noise(basis: NDArray) -> NDArray:
     """Return an orthonormal basis with exact zeros where its vectors, known to rounding of their length, have none."""
     return np.where(np.abs(basis) > RESIDUE, basis, 0.0)

@@ -2,30 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from residua.linear.subspaces.observability import staircase
-from residua.linear.subspaces.rank import DEFAULT_RTOL, range_basis, spectral_norm
 from residua.linear.systems.state_space import StateSpace
-
-
-def reachable_basis(A: NDArray, B: NDArray, *, rtol: float = DEFAULT_RTOL) -> NDArray:
-    """Return an orthonormal basis of the smallest ``A``-invariant subspace that contains the range of ``B``.
-
-    New directions are sought in the part of ``A V`` that is orthogonal to what is there already, with
-    tolerances relative to the norms of ``A`` and ``B``, so that a power of ``A`` is never formed.
-    """
-    V, _ = range_basis(B, rtol=rtol)
-    fresh = V
-    scale = max(spectral_norm(A), np.finfo(float).tiny)
-    while fresh.shape[1] and V.shape[1] < A.shape[0]:
-        candidate = A @ fresh
-        for _ in range(2):  # twice is enough to stay orthogonal
-            candidate = candidate - V @ (V.T @ candidate)
-        fresh, _ = range_basis(candidate, rtol=rtol, scale=scale)
-        V = np.hstack([V, fresh])
-    return V
 
 
 def without_unobservable(system: StateSpace) -> StateSpace:
