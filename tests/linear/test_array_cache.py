@@ -19,7 +19,7 @@ import residua as rs
 from residua.design import ResidualGenerator
 from residua.errors import DesignError
 from residua.linear import StateSpace
-from residua.linear.poles.matrix_poles import explicit_poles
+from residua.linear.poles.matrix_poles import _kept_poles, explicit_poles
 from residua.linear.systems import array_cache
 from residua.linear.systems.array_cache import UnkeyedError, cached_by_contents, cached_by_entries, contents, forget
 from residua.linear.systems.balancing import balance_system
@@ -103,6 +103,7 @@ def test_kept_results_are_those_of_the_function_itself(seed):
         (balance_system, (A, B, C, D)),
         (pencil_units, (A, np.diag([1.0, 1.0, 0.0, 0.0]))),
         (matrix_units, (D,)),
+        (_kept_poles, (A,)),
     ):
         again, plain = (cached(*matrices), cached(*matrices)), cached.__wrapped__(*matrices)
         assert again[0] is again[1]

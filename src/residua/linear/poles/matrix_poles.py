@@ -6,35 +6,61 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from residua.linear.poles.zero_structure import rounding_of
+from residua.linear.poles.zero_structure import rounding_of, scatter_of, without_zero_eigenvalues
 from residua.linear.subspaces.parts import strong_parts
-from residua.linear.systems.scaling import scaling
-
-#: A pole of more than this fraction of the size of its matrix is not zero: a triple zero is scattered by about as much.
-_NEAR_ZERO = 1e-5
+from residua.linear.systems.array_cache import cached_by_entries
+from residua.linear.systems.units import state_units_and_rate
 
 
 def explicit_poles(A: NDArray) -> NDArray[np.complex128]:
-    """Return the eigenvalues of a matrix; those that may be nothing but rounding of zero are zero.
+    """Return the eigenvalues of a matrix; those that may be nothing but rounding of zero are zero."""
+    return _kept_poles(A).copy()  # which results of designs hold
 
-    Those of parts without couplings both ways are computed by themselves: nothing scatters them.
+
+@cached_by_entries
+def _kept_poles(A: NDArray) -> NDArray[np.complex128]:
+    parts = strong_parts(A)
+    if len(parts) == 1:
+        return _poles_of_part(A)
+    # parts have been asked for by themselves, or those of another matrix are the same
+    of_parts = (_poles_of_part(A[np.ix_(i, i)]) if len(i) == 1 else _kept_poles(A[np.ix_(i, i)]) for i in parts)
+    return np.concatenate([np.zeros(0, dtype=complex), *of_parts])
+
+
+def _poles_of_part(A: NDArray[np.float64]) -> NDArray[np.complex128]:
+    if len(A) == 1:
+        return A[0].astype(complex)
+    T, rate = state_units_and_rate(A)  # so that poles come out the same in whatever units, that of time too
+    return np.asarray(rate * _poles_in_own_units(A / rate / T[:, None] * T), dtype=complex)
+
+
+@cached_by_entries
+def _poles_in_own_units(A: NDArray[np.float64]) -> NDArray[np.complex128]:
+    balanced = scipy.linalg.matrix_balance(A)[0]
+    size = float(np.linalg.norm(balanced))
+    rest, _, count, regular = without_zero_eigenvalues(balanced, None, size)
+    return _poles(balanced, rest, count, size) if regular else _poles_of_large(balanced, size)
+
+
+def _poles(A: NDArray[np.float64], rest: NDArray[np.float64], count: int, size: float) -> NDArray[np.complex128]:
+    """Return the eigenvalues of a matrix, of which ranks count some at zero and leave the rest.
+
+    Ranks alone are no proof: far from normal, a matrix with poles of size one may be near to a singular one.
     """
-    parts = [A[np.ix_(part, part)] for part in strong_parts(A)]
-    poles = (part[0].astype(complex) if len(part) == 1 else _poles_of_part(part) for part in parts)
-    return np.concatenate([np.zeros(0, dtype=complex), *poles])
+    poles = np.linalg.eigvals(A).astype(complex)
+    near = np.abs(poles) <= scatter_of(count, len(A), size)
+    if np.count_nonzero(near) == count:
+        return np.where(near, 0.0, poles)
+    if np.count_nonzero(near) < count:
+        return poles
+    return np.concatenate([np.zeros(count, dtype=complex), np.linalg.eigvals(rest)])
 
 
-def _poles_of_part(A: NDArray) -> NDArray[np.complex128]:
-    n = len(A)
-    units = scaling(A, np.zeros((n, 0)), np.zeros((0, n)), np.zeros((0, 0)), sampled=False)
-    balanced = A / units.states[:, None] * units.states / units.rate
-    poles, size = np.linalg.eigvals(balanced).astype(complex), float(np.linalg.norm(balanced))
-    if np.abs(poles).min() <= _NEAR_ZERO * size:
-        poles, left, right = scipy.linalg.eig(balanced, left=True, right=True)
-        overlap = np.abs(np.sum(left.conj() * right, axis=0))
-        zero = is_rounding_of_zero(poles, overlap, size) & (np.abs(poles) <= _NEAR_ZERO * size)
-        poles = np.where(zero, 0.0, poles)
-    return np.asarray(units.rate * poles, dtype=complex)
+def _poles_of_large(A: NDArray[np.float64], size: float) -> NDArray[np.complex128]:
+    """Return the eigenvalues of a matrix that may have more at zero than were counted."""
+    poles, left, right = scipy.linalg.eig(A, left=True, right=True)
+    overlap = np.abs(np.sum(left.conj() * right, axis=0))
+    return np.where(is_rounding_of_zero(poles, overlap, size), 0.0, poles).astype(complex)
 
 
 def is_rounding_of_zero(values: NDArray, overlap: NDArray, size: float) -> NDArray[np.bool_]:
