@@ -504,7 +504,7 @@ def test_what_the_inputs_do_not_reach_stays_zero_beside_copies_of_modes() -> Non
 
 
 @trips("plant.input_output_realization:_smallest_part")
-@pytest.mark.parametrize("seed", [3, 5])
+@pytest.mark.parametrize("seed", [3, 5, 7])
 def test_unclear_order_is_refused(seed: int) -> None:
     """Twelve modes sampled so fast that powers of ``z`` hardly tell them apart: few digits of the response are left."""
     rng = np.random.default_rng([12, seed])
