@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 import residua as rs
 from residua.design.parity.relation_model import relation_model
 from residua.design.parity.relations import ParityRelations, relations_of
-from residua.design.parity.shortest import relation_space
+from residua.design.parity.shortest import shortest_space
 from residua.errors import AccuracyError, DesignError
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 
@@ -121,10 +121,9 @@ def textbook(plant: rs.Plant) -> Made:
 def relation(plant: rs.Plant) -> ParityRelations:
     """Return the shortest relation, before it is given any poles."""
     model = relation_model(plant)
-    equations = model.equations(["ignored"])
-    assert equations.orders is not None
-    space = relation_space(equations, equations.orders[0], plant.balanced.faults)
-    return relations_of(plant, [space.best([plant.faults.index("seen")])])
+    seen = [plant.faults.index("seen")]
+    space = shortest_space(model, model.equations(["ignored"]), seen)
+    return relations_of(plant, [space.best(seen)])
 
 
 def moving_average(plant: rs.Plant) -> Made:

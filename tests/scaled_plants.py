@@ -97,3 +97,8 @@ def numbers(seed: int) -> Numbers:
         Dd, Df = whole(p, q), whole(p, s)
     dt = 0.0 if kind == "integrators" else float(rng.choice([0.0, 0.125]))
     return Numbers(A / 4 if dt else A, whole(n, m), whole(n, q), whole(n, s), C, Dd, Df, dt)
+
+
+def with_rates_times(plant: rs.Plant, factor: float) -> rs.Plant:
+    """Return a continuous plant in another unit of time, in which its rates are so many times as large."""
+    return plant._with(**{name: factor * getattr(plant, name) for name in ("A", "B", "Bd", "Bf", "Bw")})

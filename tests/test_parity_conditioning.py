@@ -81,17 +81,25 @@ def test_a_moving_average_that_loses_more_than_ten_digits_is_refused_and_one_tha
     assert not any("cancel" in note for note in short.evidence.notes)
 
 
+@pytest.mark.parametrize("n", [10, 12])
+def test_a_moving_average_that_leaks_as_much_as_faults_leave_is_refused_though_asked_for(
+    benchmark_module: ModuleType, n: int
+) -> None:
+    outcome = benchmark_module.measure("moving average", benchmark_module.near_one(n, 0), 0)
+    assert "of what a fault does" in outcome.reason
+    assert "choose poles near those of the plant" in outcome.reason
+    assert benchmark_module.measure("poles at one rate", benchmark_module.near_one(n, 0), 0).slow < 1e-9
+
+
 def test_the_published_conclusions() -> None:
-    for n in (20, 25, 30):
-        assert int(published("near one", n, "poles at one rate")["refused"]) >= 9
-    for n in (2, 4, 6, 8, 10, 12):
+    for n in (2, 4, 6, 8, 10, 12, 15, 20, 25):
         assert published("near one", n, "poles at one rate")["refused"] == "0"
-        assert worst_of(published("near one", n, "poles at one rate")) < 3e-7
+        assert worst_of(published("near one", n, "poles at one rate")) < (1e-8 if n <= 15 else 3e-4)
+    assert int(published("near one", 30, "poles at one rate")["refused"]) <= 2
     for n in (2, 4):
         assert published("near one", n, "moving average")["order found"] == "10"
-    for n in (10, 12, 15, 20, 25, 30):  # made where it is asked for, as useless as the textbook's, and it is said
-        assert worst_of(published("near one", n, "moving average")) > 1
-        assert float(published("near one", n, "moving average")["digits lost"]) > 16
+    for n in (10, 12, 15, 20, 25, 30):  # known inputs would leave as much as faults do
+        assert published("near one", n, "moving average")["refused"] == "10"
     for n in (2, 4, 6, 8, 10, 12, 15, 20, 25, 30):
         assert worst_of(published("near one", n, "slow observer")) < 1e-9
         assert worst_of(published("spread", n, "moving average")) < 1e-10

@@ -227,15 +227,22 @@ WRONG = [
         id="coefficients of a relation",
     ),
     pytest.param(
-        "design.parity.relations:digits_lost",
-        lambda lost: 17.0,
+        "design.parity.relations:left_of_faults",
+        lambda left: replace(left, digits=17.0),
         lambda: D.parity_relations(gertler(), insensitive_to="p1"),
-        marks=trips("design.parity.relations:_with_digits"),
+        marks=trips("design.parity.relations:_with_digits:1"),
         id="digits of a relation",
     ),
     pytest.param(
-        "design.parity.relations:digits_lost",
-        lambda lost: 17.0,
+        "design.parity.relations:left_of_faults",
+        lambda left: replace(left, digits=8.0, leak=1e-3),
+        lambda: D.parity_relations(gertler(), insensitive_to="p1"),
+        marks=trips("design.parity.relations:_with_digits:2"),
+        id="leak of a relation beside its faults",
+    ),
+    pytest.param(
+        "design.parity.relations:left_of_faults",
+        lambda left: replace(left, digits=17.0),
         directional,
         marks=trips("design.parity.directional_parity:directional_parity"),
         id="digits of directional relations",
@@ -349,7 +356,7 @@ def test_directional_relations_that_miss_their_directions_are_refused(
         check_directions(made, wanted)
 
 
-@trips("design.parity.shortest:made_of_shortest")
+@trips("design.parity.shortest:shortest_space")
 def test_a_relation_that_exists_and_is_not_found_is_no_missing_one(monkeypatch: pytest.MonkeyPatch) -> None:
     D.structured_parity(gertler(), {"r1": ["p2"]})
     changed(

@@ -279,7 +279,7 @@ def test_the_grid_of_frequencies_is_that_of_the_poles_in_any_units_of_the_states
     T = 2.0 ** np.array([20, 0, -20])[:, None]
     A = np.array([[-1.0, 2, 1], [3, -5, 1], [1, 1, -9]])
     plain, scaled = (rs.StateSpace(M, np.ones((3, 1)), np.ones((1, 3))) for M in (A, T * A / T.T))
-    np.testing.assert_allclose(frequency_grid(plain), frequency_grid(scaled), rtol=1e-6)
+    np.testing.assert_allclose(frequency_grid(plain), frequency_grid(scaled), rtol=1e-12)
 
 
 def test_a_plant_that_integrates_and_has_no_inputs_has_residuals() -> None:

@@ -10,12 +10,11 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from residua.plant.comparable_units import with_rates_times
 
 import residua as rs
 from residua.errors import ResiduaError
 from residua.plant import Plant
-from residua.words import as_given, rates_in
+from scaled_plants import with_rates_times
 
 D = rs.design
 A = np.array([[-1, 0.5, 0], [0.3, -2, 0.4], [0, 0.2, -3]])
@@ -133,17 +132,6 @@ def test_errors_say_the_modes_that_the_plant_has() -> None:
     assert "the mode 1024;" in _error(_hidden(1), lambda p, t: D.detection_filter(p), 2.0**10)
     assert "got -1000" in _error(_seen(), lambda p, t: D.detection_filter(p, margin=-1000), 1000.0)
     assert "the pole 3000 is" in _error(_all_seen(), lambda p, t: D.detection_filter(p, poles=[3000] * 3), 1000.0)
-
-
-def test_an_option_is_said_as_it_was_given() -> None:
-    given = {"margin": [-4.0, (2.0, "a")], "none": None, "not": True, "object": len}
-    assert as_given(given) is given
-    with rates_in(512.0):
-        assert as_given(-1000 / 512) == -1000
-        assert as_given(3.0 * 512, -1) == 3.0
-        assert as_given({"f": [1.0, ("a", True, None, len)]}) == {"f": [512.0, ["a", True, None, len]]}
-        assert as_given(np.array([1.0, 2.0])) == [512.0, 1024.0]
-        assert repr(as_given(np.float64(-1.0))) == "-512.0"
 
 
 DESIGNS: dict[str, tuple[Callable[[], Plant], Callable[[Plant], Any]]] = {

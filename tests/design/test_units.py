@@ -11,7 +11,6 @@ import residua as rs
 from generated import random_plant
 from residua.design.core.decoupling import Decoupled
 from residua.design.core.generator import make_generator
-from residua.design.core.signatures import Signature
 from residua.errors import AccuracyError, DesignError, SettingError
 
 
@@ -201,16 +200,3 @@ def test_evidence_is_the_same_in_units_of_powers_of_two(seed: int) -> None:
         for fault in plant.faults:  # what spans them, in other units of the residuals
             one, two = first.subspaces[fault], second.subspaces[fault]
             assert one.shape == two.shape
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_a_basis_in_other_units_of_the_residuals_keeps_every_row(seed: int) -> None:
-    """Residuals of an observer have the units of its outputs: rows of 2^-20 beside such of 2^20 are digits, too."""
-    rng = np.random.default_rng(seed)
-    m = int(rng.integers(2, 14))
-    k, units = int(rng.integers(1, m + 1)), 2.0 ** rng.integers(-20, 20, m)
-    spanning = np.linalg.qr(rng.standard_normal((m, k)))[0]
-    basis = Signature(spanning, np.ones(m, dtype=bool)).basis(units)
-    np.testing.assert_allclose(basis.T @ basis, np.eye(k), atol=1e-14)
-    again = np.linalg.qr(basis / units[:, None])[0]
-    assert np.linalg.norm(spanning - again @ (again.T @ spanning)) < 1e-8

@@ -19,8 +19,8 @@ def test_residue_of_zeros_moves_no_unit(seed: int) -> None:
     alone = scaling(A, B, C, D, sampled=False)
     residue = 10.0 ** rng.uniform(-32, -21, (n, n)) * (rng.random((n, n)) < 0.5)
     X = np.exp2(rng.integers(-20, 21, n).astype(float))
-    with_rest = (A + np.where(A == 0, residue, 0.0)) / X[:, None] * X
-    with_residue = scaling(with_rest, B / X[:, None], C * X, D, sampled=False)
+    whole = (A + np.where(A == 0, residue, 0.0)) / X[:, None] * X
+    with_residue = scaling(whole, B / X[:, None], C * X, D, sampled=False)
     balanced = with_residue.equations[:, None] * (A / X[:, None] * X) * with_residue.states / with_residue.rate
     expected = alone.equations[:, None] * A * alone.states / alone.rate
     assert np.abs(balanced).max() < 4

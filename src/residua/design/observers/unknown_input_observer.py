@@ -297,7 +297,8 @@ def error_pair(
     W, G, E = _without_disturbed_outputs(B, D, rank, Y)
     A, C = model.A - G @ model.C, W @ model.C
     q = E.shape[1]
-    P = cleared(np.linalg.pinv(C @ E))
+    P = np.linalg.pinv(C @ E)
+    P = cleared(P + (np.eye(q) - P @ C @ E) @ P)
     H, N = E @ P, without_rounding(np.linalg.svd(P @ C)[2][q:].T) if q else np.eye(n)
     plain = H0 is None or not np.any(H0)
     if H0 is not None and not plain:

@@ -69,30 +69,52 @@ class Relation:
         return self.p @ model.derivative + self.q[:, m:] @ model.algebra, self.q[:, :m]
 
 
-def digits_lost(rows: Sequence[Relation], generator: ResidualGenerator) -> float | None:
-    """Return how many digits of the data cancel in the residuals of faults that are seen, or ``None`` without faults.
+@dataclass(frozen=True)
+class LeftOfFaults:
+    """What cancels in a filter beside the residual that a fault leaves, of the faults that are seen the faintest.
+
+    Attributes
+    ----------
+    digits : float
+        Digits of the data that cancel.
+    leak : float
+        What the other inputs leave, over what the fault does, both balanced.
+    """
+
+    digits: float
+    leak: float
+
+
+def left_of_faults(rows: Sequence[Relation], generator: ResidualGenerator) -> LeftOfFaults | None:
+    """Return what rounding hides of the residuals of faults that are seen, or ``None`` without faults.
 
     In a filter on the poles of the rows' bases the terms are :math:`q_j N_j / N_k y`. What is left of them of the
     response to a fault, at frequencies below the rate of the plant (the median), is what rounding in data and
-    arithmetic is relative to; of the faults that a residual sees, the one of which least is left counts. A sampled
-    plant that integrates answers to ever slower faults by ever more: frequencies begin at periods of 6,000 samples.
+    arithmetic is relative to. A sampled plant that integrates answers to ever slower faults by ever more: frequencies
+    begin at periods of 6,000 samples. Leaks in the evidence are relative to the largest response to the outputs.
     """
     plant = generator.plant
-    model = plant.balanced
+    model, known = plant.balanced, len(plant.inputs) + len(plant.disturbances)
+    if not plant.faults:
+        return None
     w = frequency_grid(generator.system, plant.system(()))
     w = w[w >= _SLOWEST / plant.dt] if plant.is_discrete else w
-    w = w[w <= max(plant_rate(plant), w[len(w) // 4])]
     points = np.exp(1j * w * plant.dt) if plant.is_discrete else 1j * w / model.units.rate
-    faults = model.units.inputs[len(plant.inputs) + len(plant.disturbances) :]
-    output = np.abs(plant.system("fault").frequency_response(w)) * faults * model.units.outputs[:, None]
-    worst = 1.0
+    slow, leak = w <= max(plant_rate(plant), w[len(w) // 4]), max(generator.evidence.decoupling.values(), default=0.0)
+    roles = plant.system(("control", "disturbance", "fault")).frequency_response(w)
+    output = np.abs(roles) * model.units.inputs * model.units.outputs[:, None]
+    worst, leaked = 1.0, 0.0
     for i, row in enumerate(rows):
-        N = row.basis.values(points, row.order)
-        response = np.abs(N @ (row.p @ model.faults[0] + row.q @ model.faults[1]))
-        terms = np.einsum("wj,jm,wmf->wf", np.abs(N), np.abs(row.q[:, : plant.n_outputs]), output)
-        share = np.median(response / np.where(terms > 0, terms, 1.0), axis=0)[generator.structure[i]]
+        N = row.basis.values(points, row.order) / row.basis.values(points, row.order)[:, -1:]
+        q = row.q[:, : plant.n_outputs]
+        response = np.abs(N @ (row.p @ model.faults[0] + row.q @ model.faults[1]))[slow][:, generator.structure[i]]
+        terms = np.einsum("wj,jm,wmf->wf", np.abs(N), np.abs(q), output)[slow][:, known:][:, generator.structure[i]]
+        share = np.median(response / np.where(terms > 0, terms, 1.0), axis=0)
         worst = min(worst, float(share.min(initial=1.0)))
-    return float(-np.log10(max(worst, TINY))) if plant.faults else None
+        read = np.einsum("wm,wmu->wu", np.abs(N @ q), output[:, :, :known]).max(initial=0.0)
+        faintest = float(np.median(response, axis=0).min(initial=np.inf))
+        leaked = max(leaked, leak * float(read) / max(faintest, TINY))
+    return LeftOfFaults(float(-np.log10(max(worst, TINY))), leaked)
 
 
 def plant_rate(plant: Plant) -> float:

@@ -17,16 +17,18 @@ from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.design.core.signals import signal_names
 from residua.design.parity.directions import Directions, check_directions
 from residua.design.parity.realization import realize_relation
-from residua.design.parity.relation import Relation, default_poles, digits_lost, filter_basis
+from residua.design.parity.relation import Relation, default_poles, filter_basis, left_of_faults
 from residua.errors import AccuracyError, DesignError, SettingError
 from residua.linear import PolynomialMatrix, StateSpace, is_stable_mode
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.plant import Plant
 from residua.shown import Shown
-from residua.tolerances import RESPONSE_ROUNDING, above_rounding
+from residua.tolerances import LEAK, RESPONSE_ROUNDING, above_rounding
 from residua.words import counted
 
 Matrix = NDArray[np.float64]
+#: What known inputs leave of a residual, beside the fault that moves it least; less is noted from ``LEAK`` on.
+_FAINTEST = 1e-4
 #: Coefficients of which nothing is left of the others, in any unit.
 _HUGE = 1e50
 #: Of several relations those of which the newest sample counts for less are nearly of a lower order.
@@ -237,18 +239,25 @@ class ParityRelations(Shown):
         return system, state_map, None if plant.E is None else static_map
 
     def _with_digits(self, made: ResidualGenerator, rows: Sequence[Relation], *, asked: bool) -> ResidualGenerator:
-        """Return a filter with the digits that cancel in its evidence; a moving average of too many only if asked."""
-        lost = digits_lost(rows, made)
-        if lost is None:
+        """Return a filter with the digits that cancel in its evidence, or raise where they hide the faults."""
+        left = left_of_faults(rows, made)
+        if left is None:
             return made
         order = max(self.orders)
-        if lost > _TOO_MANY and not asked and self.plant.is_discrete:
+        if left.digits > _TOO_MANY and not asked and self.plant.is_discrete:
             raise AccuracyError(
-                f"as a moving average of order {order}, {_cancelling(lost)}; or ask for it all the same, with poles of "
-                f"zero, {order} of them"
+                f"as a moving average of order {order}, {_cancelling(left.digits)}; or ask for it all the same, with "
+                f"poles of zero, {order} of them"
             )
-        remarks = (_cancelling(lost),) if lost > _MANY else ()
-        return replace(made, evidence=made.evidence.extended(conditions={_LOST: lost}, notes=remarks))
+        if left.digits > _MANY and not left.leak <= _FAINTEST:
+            raise AccuracyError(
+                f"with these poles known inputs and disturbances leave {left.leak:.2g} > {_FAINTEST:.0e} of what a "
+                f"fault does: {_cancelling(left.digits)}, or decoupled_residual"
+            )
+        remarks = (_cancelling(left.digits),) if left.digits > _MANY else ()
+        if left.digits > _MANY and left.leak > LEAK:
+            remarks += (f"known inputs and disturbances leave {left.leak:.1g} of what the faintest fault does",)
+        return replace(made, evidence=made.evidence.extended(conditions={_LOST: left.digits}, notes=remarks))
 
     def stacked_with(self, others: Sequence[ParityRelations], names: Sequence[str]) -> ParityRelations:
         """Return these and further relations of the same plant as one set, with new names."""

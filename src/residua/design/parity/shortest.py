@@ -119,6 +119,20 @@ def relation_space(
     return RelationSpace(equations, p, q, basis, decision, p @ faults[0] + q @ faults[1])
 
 
+def shortest_space(model: RelationModel, equations: PairRelations, seen: Sequence[int] = ()) -> RelationSpace:
+    """Return the relations of the smallest order that answer to some faults."""
+    assert equations.orders is not None
+    (shortest, longest), faults = equations.orders, model.balanced.faults
+    spaces = (relation_space(equations, order, faults) for order in range(shortest, longest + 1))
+    space = next((one for one in spaces if one.seen[list(seen)].all()), None)
+    if space is None:
+        raise AccuracyError(
+            f"relations that answer exist, but none of an order up to {longest} is found to working precision: "
+            "structured_bank needs no polynomials"
+        )
+    return space
+
+
 def made_of_shortest(
     model: RelationModel,
     equations: PairRelations,
@@ -131,19 +145,11 @@ def made_of_shortest(
     Where rounding hides them in the filter, of a smaller one, of relations that double precision hardly tells from
     exact ones: a window in which singular values fade has many of these.
     """
-    assert equations.orders is not None
-    (shortest, longest), faults = equations.orders, model.balanced.faults
-    spaces = (relation_space(equations, order, faults) for order in range(shortest, longest + 1))
-    space = next((one for one in spaces if one.seen[list(seen)].all()), None)
-    if space is None:
-        raise AccuracyError(
-            f"relations that answer exist, but none of an order up to {longest} is found to working precision: "
-            "structured_bank needs no polynomials"
-        )
+    faults, space = model.balanced.faults, shortest_space(model, equations, seen)
     try:
         return with_rank(make(space), space)
     except AccuracyError as error:
-        for order in range(shortest):
+        for order in range(space.order):
             near = relation_space(
                 equations, order, faults, filter_basis(model.plant, default_poles(model.plant, order))
             )

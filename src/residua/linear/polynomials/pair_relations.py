@@ -13,6 +13,7 @@ from residua.linear.polynomials.polynomial_basis import PolynomialBasis, basis_o
 from residua.linear.subspaces.parts import part_numbers
 from residua.linear.subspaces.quotient import Quotient, quotient
 from residua.linear.subspaces.rank import RankDecision
+from residua.progress import check_time
 from residua.tolerances import BALANCED_RANK, DESIGN_ROUNDING, RESIDUE, TINY, above_rounding
 
 Matrix = NDArray[np.float64]
@@ -193,6 +194,7 @@ def _null_rows(F: Matrix, G: Matrix, basis: PolynomialBasis, order: int, count: 
     before, now = np.zeros((2, 0, len(F)))
     steps = []
     for j in range(k, -1, -1):
+        check_time()
         before, now, entering = (np.vstack([part, new]) for part, new in ((before, 0 * G), (now, 0 * G), (0 * now, G)))
         left = _next(now, before, entering, F, basis, j)
         if not j:
