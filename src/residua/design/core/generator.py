@@ -22,7 +22,7 @@ from residua.design.core.signatures import responses_of_filter, responses_of_for
 from residua.design.core.state_map import state_map_of
 from residua.errors import AccuracyError
 from residua.linear import RankDecision, StateSpace, decide_rank
-from residua.linear.systems.scaling import balanced_system
+from residua.linear.systems.state_space import balanced_system
 from residua.plant import Plant
 from residua.progress import check_time
 from residua.tolerances import POLYNOMIAL_LEAKAGE

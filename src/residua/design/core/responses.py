@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from residua.errors import AccuracyError
 from residua.linear import StateSpace
-from residua.linear.systems.scaling import balanced_system
+from residua.linear.systems.state_space import balanced_system
 from residua.tolerances import IDENTITY, TINY
 
 #: Windows of more samples are summed by doubling: what they cost grows with the logarithm of their length.

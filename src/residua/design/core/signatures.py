@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from residua.design.core.balanced_filter import BalancedFilter, Resolvent, extended_sum
 from residua.design.core.internal_form import frequency_grid
 from residua.linear import StateSpace
-from residua.linear.systems.scaling import balanced_system
+from residua.linear.systems.state_space import balanced_system
 from residua.tolerances import DESIGN_ROUNDING, LEAKAGE, TINY, above_rounding
 
 Matrix = NDArray[np.float64]

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from residua.linear.subspaces.parts import part_of_each
-
-if TYPE_CHECKING:
-    from residua.linear.systems.state_space import StateSpace
 
 #: Entries this far below the largest both of their row and of their column count as none when the units are chosen:
 #: what a linearisation leaves of zeros would move all units far away.
@@ -114,15 +110,6 @@ def scaling(A: NDArray, B: NDArray, C: NDArray, D: NDArray, E: NDArray | None = 
     exact_rate, _, heights = _levels(A, B, C, D, np.exp2(row), np.exp2(column), sampled)
     exact = np.exp2(row[:n]), np.exp2(column[:n]), np.exp2(row[n:]) / heights, exact_rate
     return Scaling(R[:n], X[:n], X[n:] * inputs, R[n:] * outputs, float(rate), exact)
-
-
-def balanced_system(system: StateSpace) -> tuple[StateSpace, Scaling]:
-    """Return a system in balanced units of its states, inputs and outputs, in its own unit of time, and these."""
-    units = scaling(system.A, system.B, system.C, system.D, system.E, sampled=system.is_discrete)
-    R, X, U, Y = units.equations[:, None], units.states, units.inputs, units.outputs[:, None]
-    E = None if system.E is None else R * system.E * X
-    D = Y * system.D * U
-    return system.replaced(A=R * system.A * X, B=R * system.B * U, C=Y * system.C * X, D=D, E=E), units
 
 
 def even_units(M: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
