@@ -57,8 +57,8 @@ class PlantPencil:
         e = units.equations / units.rate
         B, C, D = e[:, None] * plant.Bd * d, C[outputs], Y[:, None] * plant.Dd[outputs] * d
         # not rounded to powers of two: the smallest gains are to be the same in all units
-        equations, states, outputs, own = scaling(A, B, C, D, E, sampled=plant.is_discrete).exact
-        rows = np.concatenate([equations / own, outputs])
+        equations, states, heights, own = scaling(A, B, C, D, E, sampled=plant.is_discrete).exact
+        rows = np.concatenate([equations / own, heights])
         inputs = np.abs(rows[:, None] * np.vstack([B, D])).max(axis=0, initial=0.0)
         columns = np.concatenate([states, 1 / np.where(inputs > 0, inputs, 1.0)])
         R, S = rows[:, None] * np.block([[A, B], [C, D]]) * columns, np.zeros((len(rows), len(columns)))
