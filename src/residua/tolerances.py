@@ -58,9 +58,6 @@ LEAK = 1e-6
 #: What must not reach a residual reaches it by less, relative to the terms that cancel there.
 LEAKAGE = 1e-7
 
-#: The same for filters of polynomials, in which up to ten digits of sixteen may cancel.
-POLYNOMIAL_LEAKAGE = 1e-6
-
 #: Poles are where they were asked for to this, relative to their size.
 POLE = 1e-6
 

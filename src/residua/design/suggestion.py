@@ -26,7 +26,7 @@ from residua.plant.assumed_noise import MEASUREMENT, PROCESS, lasting_gains, sen
 from residua.progress import TimeUsedUpError, check_time, time_limit
 from residua.robust.sets.uncertain_plant import UncertainPlant
 from residua.shown import Bar, Shown, notes, table
-from residua.tolerances import POLYNOMIAL_LEAKAGE
+from residua.tolerances import LEAK
 from residua.words import counted, listing
 
 WANTS = ("name", "size", "state")
@@ -411,7 +411,7 @@ def _told(entry: Entry, made: Any, plant: Plant, want: str) -> Entry:
     if generator is not None:
         if plant.disturbances:
             leaks = reached_inputs(generator.system, generator.plant)[len(plant.inputs) :]
-            reached = tuple(np.array(plant.disturbances)[leaks > POLYNOMIAL_LEAKAGE].tolist())
+            reached = tuple(np.array(plant.disturbances)[leaks > LEAK].tolist())
             entry = replace(entry, reached_by=reached)
         if plant.noises and plant.faults and want != "state":
             try:

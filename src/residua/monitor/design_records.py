@@ -31,7 +31,7 @@ from residua.records import (
     texts_in,
     whole_in,
 )
-from residua.tolerances import POLYNOMIAL_LEAKAGE
+from residua.tolerances import LEAK
 
 #: Of so many frequencies of the design one is looked at when it is loaded.
 _EVERY = 12
@@ -206,7 +206,7 @@ def _check_leaks(generator: ResidualGenerator, where: str) -> None:
         gains = {name: float(part.max()) for name, part in parts.items() if part.size}
     for name, gain in gains.items():
         known = max(promised.get(name, np.inf), cost.get(name, 0.0))
-        if not gain <= max(2 * POLYNOMIAL_LEAKAGE, 1.01 * known):  # twice, for other rounding than where it was made
+        if not gain <= max(2 * LEAK, 1.01 * known):  # twice, for other rounding than where it was made
             raise FileFormatError(
                 f"{where}: the {name} inputs reach the residual, by {gain:.2g} of the terms that should cancel"
             )

@@ -14,7 +14,6 @@ from residua.errors import ModelError
 from residua.linear import StateSpace
 from residua.linear.systems.state_space import stack_systems
 from residua.plant.channels import ROLES
-from residua.tolerances import POLYNOMIAL_LEAKAGE
 
 _ALIKE = ("inputs", "outputs", "faults", "disturbances", "dt")
 _EQUAL = ("A", "E", "C", *(matrix + role for role in ROLES.values() for matrix in "BD"))
@@ -71,4 +70,4 @@ def _decouples(bank: ResidualGenerator, sampled: dict[str, float]) -> Promise:
     """Return what both promise: designs that were sampled are as good as their evidence says."""
     if sampled:
         return Approximate(next(iter(sampled)))
-    return Decoupled(disturbances="disturbance" in bank.evidence.decoupling, limit=POLYNOMIAL_LEAKAGE)
+    return Decoupled(disturbances="disturbance" in bank.evidence.decoupling)

@@ -39,14 +39,11 @@ class Decoupled:
         The faults that are decoupled as if they were disturbances.
     apart : bool
         Whether the evidence has the disturbances by themselves too where faults are ignored with them.
-    limit : float
-        Of each leak, relative to the terms that have to cancel.
     """
 
     disturbances: bool = True
     faults: tuple[str, ...] = ()
     apart: bool = False
-    limit: float = LEAK
 
     def leaks(self, f: BalancedFilter | None, system: StateSpace, plant: Plant) -> Leaks:
         """Return the leaks of a filter with a state map, and how far its identities are missed; or raise."""
@@ -72,10 +69,10 @@ class Decoupled:
 
     def _accepted(self, leaks: dict[str, float]) -> dict[str, float]:
         for name, gain in leaks.items():
-            if not gain <= self.limit:
+            if not gain <= LEAK:
                 what = f"the {name} inputs" if name != IGNORED else f"{', '.join(self.faults)}, which it should ignore"
                 raise AccuracyError(
-                    f"the residual answers to {what} (by {gain:.2g} > {self.limit:.0e} of the terms that should "
+                    f"the residual answers to {what} (by {gain:.2g} > {LEAK:.0e} of the terms that should "
                     "cancel): the plant is too badly conditioned for this design; ask for other poles, or use "
                     "decoupled_residual"
                 )

@@ -25,7 +25,7 @@ from residua.linear import RankDecision, StateSpace, decide_rank
 from residua.linear.systems.state_space import balanced_system
 from residua.plant import Plant
 from residua.progress import check_time
-from residua.tolerances import POLYNOMIAL_LEAKAGE
+from residua.tolerances import LEAK
 
 if TYPE_CHECKING:
     from residua.design.observers.observer import Observer
@@ -222,7 +222,7 @@ class ResidualGenerator:
             return self._internal_form
         plant = self.plant if plant is None else plant
         leaks = [self.evidence.decoupling.get(name, 0.0) for name in ("control", *of_sampling({"control": 0.0}))]
-        if own and self.known_form is not None and max(leaks) < POLYNOMIAL_LEAKAGE:
+        if own and self.known_form is not None and max(leaks) < LEAK:
             return with_silent_inputs(self.known_form, plant.inputs)
         maps = (self.state_map, self.static_map) if own else (None, None)
         return internal_form(self.system, plant, *maps, with_controls=controls)
