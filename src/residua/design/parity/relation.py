@@ -71,18 +71,21 @@ class Relation:
 
 @dataclass(frozen=True)
 class LeftOfFaults:
-    """What cancels in a filter beside the residual that a fault leaves, of the faults that are seen the faintest.
+    """What cancels in a filter beside the residual that a fault leaves.
 
     Attributes
     ----------
     digits : float
-        Digits of the data that cancel.
+        Digits of the data that cancel, of the faults that are seen the faintest.
     leak : float
-        What the other inputs leave, over what the fault does, both balanced.
+        What the other inputs leave, over what that fault does, both balanced.
+    least : float
+        The same for the fault that is seen best; of the residuals the worst.
     """
 
     digits: float
     leak: float
+    least: float
 
 
 def left_of_faults(rows: Sequence[Relation], generator: ResidualGenerator) -> LeftOfFaults | None:
@@ -103,7 +106,7 @@ def left_of_faults(rows: Sequence[Relation], generator: ResidualGenerator) -> Le
     slow, leak = w <= max(plant_rate(plant), w[len(w) // 4]), max(generator.evidence.decoupling.values(), default=0.0)
     roles = plant.system(("control", "disturbance", "fault")).frequency_response(w)
     output = np.abs(roles) * model.units.inputs * model.units.outputs[:, None]
-    worst, leaked = 1.0, 0.0
+    worst, leaked, least = 1.0, 0.0, 0.0
     for i, row in enumerate(rows):
         N = row.basis.values(points, row.order) / row.basis.values(points, row.order)[:, -1:]
         q = row.q[:, : plant.n_outputs]
@@ -112,9 +115,10 @@ def left_of_faults(rows: Sequence[Relation], generator: ResidualGenerator) -> Le
         share = np.median(response / np.where(terms > 0, terms, 1.0), axis=0)
         worst = min(worst, float(share.min(initial=1.0)))
         read = np.einsum("wm,wmu->wu", np.abs(N @ q), output[:, :, :known]).max(initial=0.0)
-        faintest = float(np.median(response, axis=0).min(initial=np.inf))
-        leaked = max(leaked, leak * float(read) / max(faintest, TINY))
-    return LeftOfFaults(float(-np.log10(max(worst, TINY))), leaked)
+        seen = np.median(response, axis=0)
+        leaked = max(leaked, leak * float(read) / max(float(seen.min(initial=np.inf)), TINY))
+        least = max(least, leak * float(read) / max(float(seen.max()), TINY)) if seen.size else least
+    return LeftOfFaults(float(-np.log10(max(worst, TINY))), leaked, least)
 
 
 def plant_rate(plant: Plant) -> float:

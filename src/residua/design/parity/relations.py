@@ -249,9 +249,9 @@ class ParityRelations(Shown):
                 f"as a moving average of order {order}, {_cancelling(left.digits)}; or ask for it all the same, with "
                 f"poles of zero, {order} of them"
             )
-        if left.digits > _MANY and not left.leak <= _FAINTEST:
+        if left.digits > _MANY and not left.least <= _FAINTEST:
             raise AccuracyError(
-                f"with these poles known inputs and disturbances leave {left.leak:.2g} > {_FAINTEST:.0e} of what a "
+                f"with these poles known inputs and disturbances leave {left.least:.2g} > {_FAINTEST:.0e} of what any "
                 f"fault does: {_cancelling(left.digits)}, or decoupled_residual"
             )
         remarks = (_cancelling(left.digits),) if left.digits > _MANY else ()
