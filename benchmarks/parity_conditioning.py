@@ -143,7 +143,7 @@ def with_plant_poles(plant: rs.Plant) -> Made:
     made = relation(plant)
     k = made.orders[0]
     nodes = PolynomialBasis.on(np.linalg.eigvals(plant.A))
-    k -= not nodes.pairs_kept(k)
+    k -= bool(k and nodes.imaginary[k - 1])  # no half of a pair
     real, imaginary = nodes.real[:k], nodes.imaginary[:k].copy()
     second = np.flatnonzero(imaginary) + 1
     imaginary[second] = -imaginary[second - 1]

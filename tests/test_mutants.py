@@ -22,7 +22,7 @@ CENTRAL = (
     "design.parity.directions:check_directions",
     "design.observers.observer_gain:place",
     "design.detection_filters.directional_gain:gain_evidence",
-    "design.core.internal_form:_accepted",
+    "design.core.decoupling:_accept",
 )
 
 

@@ -13,7 +13,7 @@ import residua as rs
 from bank_examples import hand_made_bank, recording, sampled_plant, static_estimator, with_gaps
 from residua.decide import Directional, NormThreshold, Structured
 from residua.decide.sizes import estimates_of, fault_unit
-from residua.design.core.internal_form import leakage
+from residua.design.core.leak import reached
 from residua.errors import ModelError, SettingError
 from residua.monitor.estimating import with_estimator
 
@@ -197,5 +197,5 @@ def test_a_sampled_estimator_beside_a_bank_says_how_far_inputs_reach_both(hold: 
     bank = exact.discretize(dt) if sampled else exact
     estimator = rs.design.fault_estimator(p, faults=["collective actuator"]).generator.discretize(dt, hold_outputs=hold)
     both = with_estimator(bank, estimator)
-    for name, gain in leakage(both.system, both.plant).items():
+    for name, gain in reached(both.system, both.plant, both.state_map, both.static_map).items():
         assert gain == both.evidence.decoupling[f"{name}, sampled"] > 1e-7

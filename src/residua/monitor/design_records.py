@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from residua.arrays import frozen
 from residua.design import Evidence, Member, Observer, ResidualGenerator
 from residua.design.core.decoupling import IGNORED
-from residua.design.core.leak import leak, leakage
+from residua.design.core.leak import reached
 from residua.errors import FileFormatError
 from residua.linear import RankDecision, StateSpace
 from residua.number_kinds import ANY as REPORT, COMPLEX, ENTRY, NOT_NEGATIVE, STEP
@@ -33,8 +33,6 @@ from residua.records import (
 )
 from residua.tolerances import LEAK
 
-#: Of so many frequencies of the design one is looked at when it is loaded.
-_EVERY = 12
 _SYSTEM_ENTRIES = ("A", "B", "C", "D", "dt", "inputs", "outputs", "states")
 _PLANT_ARRAYS = ("A", "B", "C", "D", "Bd", "Dd", "Bf", "Df", "Bw", "Dw")
 _PLANT_TEXTS = ("name", "description")
@@ -198,12 +196,7 @@ def _check_leaks(generator: ResidualGenerator, where: str) -> None:
     promised.setdefault("disturbance", promised.get(IGNORED, np.inf))
     cost = generator.evidence.cost_of_sampling
     system, plant = generator.system, generator.plant
-    if generator.state_map is None:
-        gains = leakage(system, plant)
-    else:
-        found, n_u = leak(system, plant, generator.state_map, generator.static_map).gains, len(plant.inputs)
-        parts = {"control": found[:, :n_u], "disturbance": found[:, n_u:]}
-        gains = {name: float(part.max()) for name, part in parts.items() if part.size}
+    gains = reached(system, plant, generator.state_map, generator.static_map)
     for name, gain in gains.items():
         known = max(promised.get(name, np.inf), cost.get(name, 0.0))
         if not gain <= max(2 * LEAK, 1.01 * known):  # twice, for other rounding than where it was made

@@ -9,7 +9,7 @@ from residua.design.banks.bank import maps_of
 from residua.design.core.decoupling import Approximate, Decoupled, Promise
 from residua.design.core.evidence import of_sampling
 from residua.design.core.generator import make_generator
-from residua.design.core.leak import leakage
+from residua.design.core.leak import reached
 from residua.errors import ModelError
 from residua.linear import StateSpace
 from residua.linear.systems.state_space import stack_systems
@@ -45,13 +45,13 @@ def with_estimator(bank: ResidualGenerator, estimator: ResidualGenerator) -> Res
         )
     system = stack_systems([bank.system, estimator.system])
     names = [*bank.residuals, *estimator.residuals]
-    sampled = _sampled_leaks(bank, estimator, system)
+    promise, cost = _promise(bank, estimator, system)
     return make_generator(
         system.replaced(outputs=names),
         one,
         f"{bank.method}, with {estimator.method}",
-        bank.evidence.extended(decoupling=sampled, notes=(f"beside it, tested by no member: {estimator.method}",)),
-        decouples=_decouples(bank, sampled),
+        bank.evidence.extended(decoupling=cost, notes=(f"beside it, tested by no member: {estimator.method}",)),
+        decouples=promise,
         **maps_of([bank, estimator], names),
         members=bank.members,
         codes=bank.codes,
@@ -59,15 +59,11 @@ def with_estimator(bank: ResidualGenerator, estimator: ResidualGenerator) -> Res
     )
 
 
-def _sampled_leaks(bank: ResidualGenerator, estimator: ResidualGenerator, system: StateSpace) -> dict[str, float]:
-    """Return how far inputs reach the two together, where either was sampled."""
-    if not any(part.evidence.cost_of_sampling for part in (bank, estimator)):
-        return {}
-    return of_sampling(leakage(system, bank.plant))
-
-
-def _decouples(bank: ResidualGenerator, sampled: dict[str, float]) -> Promise:
-    """Return what both promise: designs that were sampled are as good as their evidence says."""
-    if sampled:
-        return Approximate(next(iter(sampled)))
-    return Decoupled(disturbances="disturbance" in bank.evidence.decoupling)
+def _promise(
+    bank: ResidualGenerator, estimator: ResidualGenerator, system: StateSpace
+) -> tuple[Promise, dict[str, float]]:
+    """Return what both promise, and what sampling cost: designs that were sampled are as good as that says."""
+    if bank.state_map is not None and estimator.state_map is not None:
+        return Decoupled(disturbances="disturbance" in bank.evidence.decoupling), {}
+    cost = of_sampling(reached(system, bank.plant, None))
+    return Approximate(next(iter(cost), "")), cost

@@ -6,7 +6,7 @@ import numpy as np
 
 from residua.design import ResidualGenerator
 from residua.design.core.balanced_filter import BalancedFilter
-from residua.design.core.leak import leakage
+from residua.design.core.leak import reached
 from residua.design.core.signatures import outside_subspaces, responses_of_filter
 from residua.errors import AccuracyError
 from residua.linear import simulate_descriptor
@@ -61,7 +61,7 @@ def check_residual_generator(
     if decoupled is None:
         decoupled = "disturbance" in generator.evidence.decoupling
     allowed = {"control": 0.0, "disturbance": 0.0} | generator.evidence.cost_of_sampling
-    for name, gain in leakage(generator.system, plant).items():
+    for name, gain in reached(generator.system, plant, generator.state_map, generator.static_map).items():
         if (name == "control" or decoupled) and gain > tolerance + 1.01 * allowed[name]:
             raise AccuracyError(f"answers to the {name} inputs: relative gain {gain:.2g}")
     if generator.state_map is not None:
@@ -73,7 +73,7 @@ def check_residual_generator(
 def _check_subspaces(generator: ResidualGenerator, tolerance: float) -> None:
     assert generator.state_map is not None
     f = BalancedFilter.of(generator.system, generator.plant, generator.state_map, generator.static_map)
-    points = np.sqrt(f.points[1:] * f.points[:-1])  # between those of the design
+    points = f.points[1:] * np.sqrt(f.points[:-1] / f.points[1:])  # between those of the design
     found = responses_of_filter(f, points)
     allowed = tolerance + 2 * generator.evidence.conditions.get("response off the signatures", 0.0)
     for name, outside in outside_subspaces(found, dict(generator.subspaces), generator.faults).items():

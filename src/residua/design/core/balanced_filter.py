@@ -121,7 +121,7 @@ class BalancedFilter:
         plant, own = (np.abs(_rates(one.poles, sampled)) for one in (self.of_plant, self.of_filter))
         plant = plant[plant > _INTEGRATES]
         every = np.concatenate([plant, own])
-        every = every[np.isfinite(every) & (every > 0)] if len(every) else np.ones(1)
+        every = every[np.isfinite(every) & (every > 0)]
         every = every if len(every) else np.ones(1)
         ends = every.min() / _BEYOND, every.max() * _BEYOND
         if sampled:

@@ -10,7 +10,7 @@ import numpy as np
 
 from residua.design.core.balanced_filter import BalancedFilter
 from residua.design.core.evidence import measured_from
-from residua.design.core.leak import leak_of
+from residua.design.core.leak import largest_defect, leak_of
 from residua.errors import AccuracyError
 from residua.linear import StateSpace
 from residua.plant import Plant
@@ -59,11 +59,7 @@ class Decoupled:
         if self.faults:
             gains |= {IGNORED: found.gains[:, n_u:]}
         leaks = self._accepted({name: float(part.max()) for name, part in gains.items() if part.size})
-        if not found.defects <= LEAK:
-            raise AccuracyError(
-                "the states of the filter are no function of those of the plant: its equations miss by "
-                f"{found.defects:.2g} > {LEAK:.0e}; check its state_map, or ask for slower poles"
-            )
+        _accept(found.defects)
         conditions = measured_from(np.array([found.slowest]), plant.dt) if leaks else {}
         return Leaks(leaks, {"identities": found.defects} | conditions)
 
@@ -86,15 +82,15 @@ class Approximate:
     Attributes
     ----------
     entry : str
-        The entry of ``decoupling`` or ``conditions`` that holds this number.
+        The entry of ``decoupling`` or ``conditions`` that holds this number; empty where no input can reach it.
     """
 
     entry: str
 
     def leaks(self, f: BalancedFilter | None, system: StateSpace, plant: Plant) -> Leaks:
-        """Return nothing: the evidence has the number that the design is judged by."""
-        del f, system, plant
-        return Leaks({}, {})
+        """Return nothing but how far the identities of a filter with a state map are missed; or raise."""
+        del system, plant
+        return _identities(f, {})
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,12 +113,27 @@ class MeasuredBefore:
 
     def leaks(self, f: BalancedFilter | None, system: StateSpace, plant: Plant) -> Leaks:
         """Return what was measured, after checking that filter and signals are those that it was measured of."""
-        del f
         one, other = ([np.frexp(getattr(s, name))[0] for name in "ABCD"] for s in (system, self.system))
         signals = [sorted((*p.inputs, *p.disturbances, *p.faults)) for p in (plant, self.plant)]
         if signals[0] != signals[1] or not all(np.array_equal(a, b) for a, b in zip(one, other, strict=True)):
             raise TypeError("this is not the filter whose leaks were measured")
-        return Leaks(dict(self.measured), {})
+        return _identities(f, self.measured)
+
+
+def _identities(f: BalancedFilter | None, leaks: Mapping[str, float]) -> Leaks:
+    """Return leaks with how far the identities of a filter are missed, or raise."""
+    missed = {} if f is None else {"identities": _accept(largest_defect(f))}
+    return Leaks(dict(leaks), missed)
+
+
+def _accept(defects: float) -> float:
+    """Return how far the identities of a filter are missed, or raise where that is too far."""
+    if not defects <= LEAK:
+        raise AccuracyError(
+            "the states of the filter are no function of those of the plant: its equations miss by "
+            f"{defects:.2g} > {LEAK:.0e}; check its state_map, or ask for slower poles"
+        )
+    return defects
 
 
 #: What a design says of the controls and disturbances of its plant.

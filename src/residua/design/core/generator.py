@@ -14,7 +14,7 @@ from residua.design.core.balanced_filter import BalancedFilter
 from residua.design.core.decoupling import Approximate, Decoupled, Promise
 from residua.design.core.evidence import Evidence, format_pole, of_sampling
 from residua.design.core.internal_form import frequency_grid, internal_form, with_silent_inputs
-from residua.design.core.leak import leakage
+from residua.design.core.leak import reached
 from residua.design.core.responses import covariance_of_sums, steady_responses
 from residua.design.core.sampled_form import refuse_growth, sampled_form
 from residua.design.core.signals import discretized_filter, run_signals, sampled_filter
@@ -291,7 +291,7 @@ class ResidualGenerator:
         known = None
         if self.state_map is not None and plant.n_states == self.plant.n_states:
             known = sampled_form(self.system, self.state_map, self.plant, system, plant, hold_outputs)
-        cost = of_sampling(leakage(system, plant))
+        cost = of_sampling(reached(system, plant, None))
         note = (
             f"sampled at {system.dt:g} s: inputs held, outputs {hold_outputs} between samples; "
             "the gains marked 'sampled' are what that costs"
@@ -462,7 +462,8 @@ def make_generator(
         raise AccuracyError(f"the filter is not stable: poles {', '.join(map(format_pole, system.poles()))}")
     if state_map is None and isinstance(decouples, Decoupled):
         system, state_map, static_map = state_map_of(system, plant)
-    if isinstance(decouples, Approximate) and decouples.entry not in {**evidence.conditions, **evidence.decoupling}:
+    said = {"", *evidence.conditions, *evidence.decoupling}
+    if isinstance(decouples, Approximate) and decouples.entry not in said:
         raise TypeError(f"an approximate design must say how far inputs reach its residual: no {decouples.entry!r}")
     f = None if state_map is None else BalancedFilter.of(system, plant, state_map, static_map)
     leaks = decouples.leaks(f, system, plant)

@@ -108,24 +108,38 @@ def leak_of(f: BalancedFilter, Bd: Matrix, Dd: Matrix, of_estimate: bool = False
     largest = np.full(shape, max(1.0, terms.max(initial=0.0))) if of_estimate else np.outer(taken, read)
     terms = np.maximum(terms, _LEAST_TERM * np.maximum(largest, terms.max(axis=0, keepdims=True, initial=0.0)))
     gains = peak / np.where(terms > 0, terms, np.where(peak > 0, peak, 1.0))
+    return Leak(gains, _largest_read(f, dA, dC), f.slowest)
+
+
+def largest_defect(f: BalancedFilter) -> float:
+    """Return the largest entry of the defects of what is read, in double precision."""
+    return _largest_read(f, f.F @ f.T @ f.E + f.Gy @ f.C - f.T @ f.A, f.L @ f.T @ f.E + f.Jy @ f.C + f.V @ f.A)
+
+
+def _largest_read(f: BalancedFilter, dA: Matrix, dC: Matrix) -> float:
     # a row of which rounding is all there is was scaled up to one: it counts by how far others read it
     used = np.minimum(np.abs(np.vstack([f.L, f.F - np.diag(np.diag(f.F))])).max(axis=0, initial=0.0), 1.0)
-    defects = max((float(np.abs(M).max(initial=0.0)) for M in (used[:, None] * dA, dC)), default=0.0)
-    return Leak(gains, defects, f.slowest)
+    return max((float(np.abs(M).max(initial=0.0)) for M in (used[:, None] * dA, dC)), default=0.0)
 
 
-def leakage(system: StateSpace, plant: Plant) -> dict[str, float]:
-    """Return how far controls and disturbances reach a filter without a state map, such as a sampled design.
+def reached(
+    system: StateSpace, plant: Plant, state_map: Matrix | None, static_map: Matrix | None = None
+) -> dict[str, float]:
+    """Return how far ``"control"`` and ``"disturbance"``, as far as the plant has any, reach a filter at most.
 
-    The largest of `reached_inputs` for ``"control"`` and ``"disturbance"``, as far as the plant has any.
+    From its defects where it has a state map, else from its response.
     """
-    gains, n_u = reached_inputs(system, plant), len(plant.inputs)
+    if state_map is None:
+        gains = reached_inputs(system, plant)
+    else:
+        gains = leak(system, plant, state_map, static_map).gains.max(axis=0, initial=0.0)
+    n_u = len(plant.inputs)
     groups = {"control": gains[:n_u], "disturbance": gains[n_u:]}
     return {name: float(part.max()) for name, part in groups.items() if len(part)}
 
 
 def reached_inputs(system: StateSpace, plant: Plant) -> Matrix:
-    """Return how far each control, then each disturbance, reaches a filter.
+    """Return how far each control, then each disturbance, reaches a filter without a state map, such as a sampled one.
 
     Of each input and residual the peak of the response over the peak of the sum of the sizes of its terms; of the
     residuals the largest. The response is the sum of what goes through

@@ -10,7 +10,7 @@ import numpy as np
 import scipy.linalg
 
 from residua.arrays import index_of
-from residua.design.banks.bank import measured_of_members
+from residua.design.banks.bank import maps_of, measured_of_members
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import Member, ResidualGenerator, make_generator
 from residua.design.core.method import method
@@ -257,7 +257,7 @@ def _stacked(parts: list[ResidualGenerator], groups: list[list[FaultEvent]], ide
         first.method,
         evidence,
         decouples=measured_of_members(system, parts),
-        state_map=np.vstack([part.state_map for part in parts if part.state_map is not None]),
+        **maps_of(parts, system.outputs),
         observer=first.observer,
         members=tuple(members),
     )
