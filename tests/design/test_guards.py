@@ -216,7 +216,7 @@ WRONG = [
         "design.parity.relations:realize_relation",
         lambda part: replace(part, state_map=off(part.state_map)),
         lambda: D.parity_relations(gertler(), insensitive_to="p1"),
-        marks=trips("design.core.decoupling:leaks"),
+        marks=trips("design.core.decoupling:_accept"),
         id="state map of a relation",
     ),
     pytest.param(
@@ -420,7 +420,7 @@ def test_a_fault_that_is_not_ignored_is_named() -> None:
         )
 
 
-@trips("design.core.decoupling:leaks")
+@trips("design.core.decoupling:_accept")
 def test_the_state_map_of_another_filter_is_refused() -> None:
     good = D.unknown_input_observer(engine()).residual_generator()
     with pytest.raises(AccuracyError, match="check its state_map"):

@@ -201,9 +201,14 @@ def test_damage_is_refused_wherever_it_is() -> None:
         with pytest.raises(FileFormatError):
             rs.Diagnosis.from_json(text[:at])
         other = "7" if text[at] != "7" else "3"
-        if text[at] not in " \n":
+        damaged = text[:at] + other + text[at + 1 :]
+        try:
+            same = json.loads(damaged) == json.loads(text)  # the 17th digit of a number may be another
+        except ValueError:
+            same = False
+        if text[at] not in " \n" and not same:
             with pytest.raises(FileFormatError):
-                rs.Diagnosis.from_json(text[:at] + other + text[at + 1 :])
+                rs.Diagnosis.from_json(damaged)
 
 
 def test_an_edited_text_says_so() -> None:

@@ -22,7 +22,6 @@ from residua.design.core.signatures import responses_of_filter, responses_of_for
 from residua.design.core.state_map import state_map_of
 from residua.errors import AccuracyError
 from residua.linear import RankDecision, StateSpace, decide_rank
-from residua.linear.systems.state_space import balanced_system
 from residua.plant import Plant
 from residua.progress import check_time
 from residua.tolerances import LEAK
@@ -157,7 +156,7 @@ class ResidualGenerator:
         form = self._internal_form
         skip = range(len(self.faults), len(self.faults) + len(self.plant.disturbances))
         columns = [i for i in range(form.n_inputs) if i not in skip]
-        return _rank_of_rows(balanced_system(form.select(inputs=columns))[0], frequency_grid(form)).rank
+        return _rank_of_rows(form.select(inputs=columns), frequency_grid(form)).rank
 
     @cached_property
     def structure(self) -> NDArray[np.bool_]:

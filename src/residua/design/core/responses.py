@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
 
 from residua.errors import AccuracyError
 from residua.linear import StateSpace
-from residua.linear.systems.state_space import balanced_system
 from residua.tolerances import IDENTITY, TINY
 
 #: Windows of more samples are summed by doubling: what they cost grows with the logarithm of their length.
@@ -21,14 +21,22 @@ def steady_responses(form: StateSpace) -> NDArray[np.float64]:
 
     Rounding is judged by the terms of the same response: each residual and each fault has its own units.
     """
-    system, units = balanced_system(form)
-    A, B, C, D = system.A, system.B, system.C, system.D
-    X = np.linalg.solve((np.eye(len(A)) if form.is_discrete else 0.0) - A, B)
+    A, B, C = with_even_states(form)
+    D = form.D
+    M = (np.eye(len(A)) if form.is_discrete else 0.0) - A
+    inverse = np.linalg.inv(M)
+    X = inverse @ B
     gain, terms = C @ X + D, np.abs(C) @ np.abs(X) + np.abs(D)
-    heights = np.abs(C).max(axis=1, initial=0.0)
-    anywhere = heights[:, None] * np.abs(X).max(axis=0, initial=0.0)  # a state may be mere rounding
-    gain = np.where(np.abs(gain) > 1e-10 * terms + 1e-13 * anywhere, gain, 0.0)
-    return gain / units.outputs[:, None] / units.inputs
+    rounding = np.abs(C) @ (np.abs(inverse) @ (np.abs(M) @ np.abs(X) + np.abs(B)))  # a state may be mere rounding
+    return np.where(np.abs(gain) > 1e-10 * terms + 1e-15 * rounding, gain, 0.0)
+
+
+def with_even_states(form: StateSpace) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return ``A``, ``B``, ``C`` with states in units in which rows and columns of ``A`` are as large."""
+    if not form.n_states:
+        return form.A, form.B, form.C
+    A, (T, _) = scipy.linalg.matrix_balance(form.A, permute=False, separate=True)
+    return A, form.B / T[:, None], form.C * T
 
 
 def state_covariance(A: NDArray, Q: NDArray) -> NDArray[np.float64]:

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from residua.design.core.balanced_filter import BalancedFilter, Resolvent, extended_sum
 from residua.design.core.internal_form import frequency_grid
+from residua.design.core.responses import with_even_states
 from residua.linear import StateSpace
-from residua.linear.systems.state_space import balanced_system
+from residua.linear.systems.scaling import power_near
 from residua.tolerances import DESIGN_ROUNDING, LEAKAGE, TINY, above_rounding
 
 Matrix = NDArray[np.float64]
@@ -77,14 +78,16 @@ def responses_of_filter(f: BalancedFilter, points: NDArray[np.complex128] | None
 
 def responses_of_form(form: StateSpace, faults: int) -> FaultResponses:
     """Return the responses to the first inputs of an internal form, the faults."""
-    system, units = balanced_system(form.select(inputs=range(faults)))
-    w = frequency_grid(form)
+    form = form.select(inputs=range(faults))
+    (A, B, C), w = with_even_states(form), frequency_grid(form)
     points = np.asarray(np.exp(1j * w * form.dt) if form.is_discrete else 1j * w, dtype=np.complex128)
-    x = Resolvent.of(system.A, None)(system.B, points)
-    values, terms = system.C @ x + system.D, np.abs(system.C) @ np.abs(x) + np.abs(system.D)
+    x = Resolvent.of(A, None)(B, points)
+    values, terms = C @ x + form.D, np.abs(C) @ np.abs(x) + np.abs(form.D)
     reached = np.any(np.abs(values) > DESIGN_ROUNDING * terms, axis=0)
-    matrices = system.A, system.B, system.C, system.D
-    return FaultResponses(matrices, np.where(reached, values, 0.0), terms, units.outputs)
+    heights = 1 / power_near(terms.max(axis=(0, 2), initial=0.0))
+    Y = heights[:, None]
+    values, terms = Y * np.where(reached, values, 0.0), Y * terms
+    return FaultResponses((A, B, Y * C, Y * form.D), values, terms, heights)
 
 
 def _product(*products: tuple[Matrix, Matrix]) -> Matrix:
