@@ -235,7 +235,7 @@ WRONG = [
     ),
     pytest.param(
         "design.parity.relations:left_of_faults",
-        lambda left: replace(left, digits=8.0, leak=1e-3),
+        lambda left: replace(left, digits=8.0, least=0.2),
         lambda: D.parity_relations(gertler(), insensitive_to="p1"),
         marks=trips("design.parity.relations:_with_digits:2"),
         id="leak of a relation beside its faults",

@@ -23,7 +23,7 @@ from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import make_generator
 from residua.design.core.internal_form import frequency_grid
-from residua.design.core.leak import leak, leakage
+from residua.design.core.leak import leak, reached
 from residua.errors import AccuracyError, ResiduaError
 from residua.testing import check_residual_generator
 from scaled_plants import KINDS, numbers
@@ -161,7 +161,7 @@ def hidden_leak() -> tuple[rs.design.ResidualGenerator, rs.StateSpace]:
 def test_a_leak_in_a_small_unit_is_not_hidden_by_outputs_in_large_ones() -> None:
     made, changed = hidden_leak()
     assert made.evidence.decoupling["disturbance"] < 1e-12
-    found = leakage(changed, made.plant)["disturbance"]
+    found = reached(changed, made.plant, None)["disturbance"]
     assert 0.01 < found < 0.2
     with pytest.raises(AccuracyError, match="relative gain"):
         check_residual_generator(replace(made, system=changed), decoupled=True)

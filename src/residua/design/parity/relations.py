@@ -27,8 +27,8 @@ from residua.tolerances import LEAK, RESPONSE_ROUNDING, above_rounding
 from residua.words import counted
 
 Matrix = NDArray[np.float64]
-#: What known inputs leave of a residual, beside the fault that moves it least; less is noted from ``LEAK`` on.
-_FAINTEST = 1e-4
+#: What known inputs leave of a residual, beside the fault that moves it most. Of the faintest it is noted from ``LEAK``.
+_HIDDEN = 0.1
 #: Coefficients of which nothing is left of the others, in any unit.
 _HUGE = 1e50
 #: Of several relations those of which the newest sample counts for less are nearly of a lower order.
@@ -249,9 +249,9 @@ class ParityRelations(Shown):
                 f"as a moving average of order {order}, {_cancelling(left.digits)}; or ask for it all the same, with "
                 f"poles of zero, {order} of them"
             )
-        if left.digits > _MANY and not left.least <= _FAINTEST:
+        if left.digits > _MANY and not left.least <= _HIDDEN:
             raise AccuracyError(
-                f"with these poles known inputs and disturbances leave {left.least:.2g} > {_FAINTEST:.0e} of what any "
+                f"with these poles known inputs and disturbances leave {left.least:.2g} > {_HIDDEN:g} of what any "
                 f"fault does: {_cancelling(left.digits)}, or decoupled_residual"
             )
         remarks = (_cancelling(left.digits),) if left.digits > _MANY else ()

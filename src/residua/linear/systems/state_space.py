@@ -16,7 +16,7 @@ from residua.arrays import frozen
 from residua.errors import ModelError
 from residua.linear.poles.matrix_poles import explicit_poles
 from residua.linear.systems.descriptor import finite_poles
-from residua.linear.systems.scaling import Scaling, scaling
+from residua.linear.systems.scaling import scaling
 from residua.tolerances import BALANCED_STABLE
 
 
@@ -375,15 +375,6 @@ _AT_ONCE = 4_000_000
 _FIELDS = dict.fromkeys(("A", "B", "C", "D", "E", "dt", "inputs", "outputs", "states"))
 #: The fields of no other system: nothing that a user passes is one of them.
 _NOTHING = dict.fromkeys(_FIELDS, object())
-
-
-def balanced_system(system: StateSpace) -> tuple[StateSpace, Scaling]:
-    """Return a system in balanced units of its states, inputs and outputs, in its own unit of time, and these."""
-    units = scaling(system.A, system.B, system.C, system.D, system.E, sampled=system.is_discrete)
-    R, X, U, Y = units.equations[:, None], units.states, units.inputs, units.outputs[:, None]
-    E = None if system.E is None else R * system.E * X
-    D = Y * system.D * U
-    return system.replaced(A=R * system.A * X, B=R * system.B * U, C=Y * system.C * X, D=D, E=E), units
 
 
 def stack_systems(systems: list[StateSpace]) -> StateSpace:
