@@ -78,3 +78,24 @@ def test_faults_that_one_filter_keeps_apart_are_tried_once(monkeypatch: pytest.M
     monkeypatch.setattr(directional_gain, "obstacle", counted)
     rs.design.detection_filter(_plant())
     assert asked == [2]
+
+
+def test_a_fault_far_from_the_outputs_is_marked_where_it_answers() -> None:
+    """Its response falls by powers of frequency, and what rounding leaves of another residual by fewer."""
+    n = 6
+    A = np.diag(np.ones(n - 1), 1) + np.diag(np.ones(n - 1), -1)
+    A -= np.diag(A.sum(1) + np.linspace(1, 1.5, n))
+    plant = rs.Plant(A, np.eye(n)[:, [2, 5]], np.eye(n)[[2, 0, 1]]).with_actuator_faults()
+    assert rs.design.detection_filter(plant).structure.tolist() == [[True, True], [False, False], [False, False]]
+
+
+def test_an_input_that_no_output_sees_leaks_nothing() -> None:
+    A, B, C = [[-1, 1, 0], [0, -2, 0], [0, 0, -3]], [[1, 0], [0, 0], [0, 1]], [[1, 0, 0], [0, 1, 0]]
+    plant = rs.Plant(A, B, C).with_disturbances([[1], [1], [1]]).with_actuator_faults()
+    assert rs.design.parity_relations(plant).structure.tolist() == [[True, False]]
+
+
+def test_what_is_not_seen_does_not_hide_a_lasting_response() -> None:
+    plant = rs.Plant([[-1, 0, 0], [1, -2, 0], [0, 0, -3]], [[1], [0], [0.5]], [[0, 0, 1]]).with_actuator_faults()
+    made = rs.design.kalman_filter(plant.with_noise(process=1, measurement=1))
+    np.testing.assert_allclose(made.steady_directions["u1 actuator"], [0.5 / np.sqrt(10)], rtol=1e-6)

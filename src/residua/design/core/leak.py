@@ -107,6 +107,8 @@ def leak_of(f: BalancedFilter, Bd: Matrix, Dd: Matrix, of_estimate: bool = False
         read = np.maximum(read, P.max(axis=(0, 1), initial=0.0))
     largest = np.full(shape, max(1.0, terms.max(initial=0.0))) if of_estimate else np.outer(taken, read)
     terms = np.maximum(terms, _LEAST_TERM * np.maximum(largest, terms.max(axis=0, keepdims=True, initial=0.0)))
+    # an input that reaches no output has terms of rounding alone
+    terms = np.maximum(terms, _NO_TERM * largest.max(axis=1, keepdims=True, initial=0.0))
     gains = peak / np.where(terms > 0, terms, np.where(peak > 0, peak, 1.0))
     return Leak(gains, _largest_read(f, dA, dC), f.slowest)
 

@@ -27,7 +27,7 @@ from residua.tolerances import LEAK, RESPONSE_ROUNDING, above_rounding
 from residua.words import counted
 
 Matrix = NDArray[np.float64]
-#: What known inputs leave of a residual, beside the fault that moves it most. Of the faintest it is noted from ``LEAK``.
+#: What known inputs leave of a residual, beside the fault that moves it most.
 _HIDDEN = 0.1
 #: Coefficients of which nothing is left of the others, in any unit.
 _HUGE = 1e50

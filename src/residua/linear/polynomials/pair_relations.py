@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -171,7 +172,7 @@ class PairRelations:
 
 def _by_parts(q: Matrix, parts: NDArray[np.int_]) -> Matrix:
     """Return combinations of rows that read the outputs of one part each."""
-    flat = q.reshape(len(q), -1)
+    flat = q.reshape(len(q), math.prod(q.shape[1:]))
     out, reads = [], np.tile(parts, q.shape[1])
     for part in np.unique(parts):
         # what reads nothing else, of the rows that are left
