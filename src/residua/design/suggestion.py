@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.analysis.diagnosability import Diagnosability, diagnosability
-from residua.analysis.output_free_form import is_singular
 from residua.design.banks.bank import Bank
 from residua.design.banks.matched_filters import MatchedFilters
 from residua.design.catalogue import methods
@@ -24,6 +23,7 @@ from residua.design.ranking import FIRST, UNSEEN, Entry, by_faults, by_state, fe
 from residua.errors import AccuracyError, DesignError, ModelError, SettingError
 from residua.plant import Identification, InputOutputModel, Plant
 from residua.plant.assumed_noise import MEASUREMENT, PROCESS, lasting_gains, sensible_step
+from residua.plant.balanced import is_singular
 from residua.progress import TimeUsedUpError, check_time, time_limit
 from residua.robust.sets.uncertain_plant import UncertainPlant
 from residua.shown import Bar, Shown, notes, table

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from residua.errors import ModelError
 from residua.linear.subspaces.quotient import Quotient, explicit, observable_split, quotient
-from residua.linear.systems.scaling import Scaling, scaling
+from residua.linear.subspaces.rank import decide_rank
+from residua.linear.systems.scaling import Scaling, even_units, scaling
 from residua.tolerances import BALANCED_RANK, BALANCED_STABLE, ROUNDING
 
 if TYPE_CHECKING:
@@ -120,6 +121,14 @@ def balanced(plant: Plant) -> BalancedPlant:
     parts = zip(np.split(B, widths, axis=1), np.split(D, widths, axis=1), strict=True)
     unseen, controls, disturbances, faults = parts
     return BalancedPlant(plant, units, A, C, unseen, controls, disturbances, faults, derivative, back, algebra)
+
+
+def is_singular(plant: Plant) -> bool:
+    """Tell whether ``E`` of a plant is singular."""
+    if plant.E is None:
+        return False
+    rows, columns = even_units(plant.E)
+    return decide_rank(rows[:, None] * plant.E * columns, rtol=1e-12).rank < plant.n_states
 
 
 def is_inside(modes: NDArray[np.complex128], sampled: bool) -> NDArray[np.bool_]:

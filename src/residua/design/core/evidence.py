@@ -54,7 +54,8 @@ class Evidence(Shown):
         How far each group of inputs that must not be seen (``"control"``, ``"disturbance"``) reaches the residual: the
         peak over frequency of the response, over the peak of the sum of the sizes of the terms that have to cancel.
         1e-16 is exact, 1 no decoupling; no unit is in it. The response is that to the defects, what the identities of
-        the filter miss in extended precision, from a thirtieth of the slowest rate of plant and filter on.
+        the filter miss in extended precision, from a thirtieth of the slowest rate of plant and filter on. For sampled
+        designs (``"control, sampled"``) it is the response itself.
     ranks : mapping of str to RankDecision
         Every rank decision with the singular values on both sides of its gap. It is made, and they are, in the
         balanced units of the plant.

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from residua.analysis.output_free_form import is_singular
 from residua.design.core.method import Need
 from residua.plant import Plant
+from residua.plant.balanced import is_singular
 
 if TYPE_CHECKING:
     from residua.analysis.diagnosability import Diagnosability

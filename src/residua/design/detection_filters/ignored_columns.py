@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua import arrays
-from residua.analysis.output_free_form import is_singular
 from residua.design.detection_filters.directional_gain import unstable
 from residua.design.observers.unknown_input_observer import ErrorPair, error_pair
 from residua.errors import DesignError
 from residua.linear.poles.spectrum import describe_modes
 from residua.linear.subspaces.rank import RankDecision, decide_rank
 from residua.plant import Plant
+from residua.plant.balanced import is_singular
 from residua.tolerances import BALANCED_RANK, above_rounding
 
 Matrix = NDArray[np.float64]

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from residua import arrays
-from residua.analysis.output_free_form import is_singular
 from residua.design.core.evidence import Evidence
 from residua.design.core.method import method
 from residua.design.observers.observer import Observer, balanced_observer, with_checked_estimate
@@ -18,7 +17,7 @@ from residua.linear.poles.observer_gain import observer_gain
 from residua.linear.poles.spectrum import describe_modes
 from residua.linear.subspaces.quotient import observable_split
 from residua.plant import Plant
-from residua.plant.balanced import undetectable
+from residua.plant.balanced import is_singular, undetectable
 
 
 @method(

@@ -6,12 +6,12 @@ from collections.abc import Iterable, Sequence
 
 from numpy.typing import ArrayLike
 
-from residua.analysis.output_free_form import is_singular
 from residua.design.core.method import method
 from residua.design.observers.observer import Observer
 from residua.design.observers.reduced_order import reduced_observer
 from residua.errors import DesignError
 from residua.plant import Plant
+from residua.plant.balanced import is_singular
 
 
 @method(
