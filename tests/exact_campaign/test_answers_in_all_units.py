@@ -309,11 +309,10 @@ def test_a_zero_at_the_boundary_is_not_stable_by_rounding() -> None:
             rs.design.unknown_input_observer(p)
 
 
-@pytest.mark.parametrize("A", [np.zeros((2, 2)), np.diag([-1.0, -3.0])], ids=["no rate", "rates"])
 @pytest.mark.parametrize("zeros", [0, 1])
-def test_how_far_identities_are_missed_does_not_depend_on_the_unit_of_time(A: np.ndarray, zeros: int) -> None:
+def test_how_far_identities_are_missed_does_not_depend_on_the_unit_of_time(zeros: int) -> None:
     """A row of the state map that is zero had the size of terms with a rate in them, in the unit of the caller."""
-    T, off = np.vstack([np.eye(2), np.zeros((zeros, 2))]), 1e-9
+    A, T, off = np.diag([-1.0, -3.0]), np.vstack([np.eye(2), np.zeros((zeros, 2))]), 1e-9
     K = np.vstack([np.diag([2.0, 5.0]), np.zeros((zeros, 2))])
     F = np.pad(A - K[:2], ((0, zeros), (0, zeros))) - np.diag([0.0] * 2 + [4.0] * zeros)
     found = []

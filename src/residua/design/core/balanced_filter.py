@@ -131,12 +131,6 @@ class BalancedFilter:
         return np.asarray(np.exp(1j * w) if sampled else 1j * w, dtype=complex)
 
     @property
-    def slowest_rate(self) -> float:
-        """The slowest rate of plant and filter that is no integrator's, per sample or in units of the plant's rate."""
-        s = self.points[0]
-        return _BEYOND * float(np.angle(s) if self.plant.is_discrete else s.imag)
-
-    @property
     def slowest(self) -> float:
         """The lowest frequency, in rad/s."""
         s = self.points[0]

@@ -27,8 +27,11 @@ def steady_responses(form: StateSpace) -> NDArray[np.float64]:
     inverse = np.linalg.inv(M)
     X = inverse @ B
     gain, terms = C @ X + D, np.abs(C) @ np.abs(X) + np.abs(D)
-    rounding = np.abs(C) @ (np.abs(inverse) @ (np.abs(M) @ np.abs(X) + np.abs(B)))  # a state may be mere rounding
-    return np.where(np.abs(gain) > 1e-10 * terms + 1e-15 * rounding, gain, 0.0)
+    rounding = np.abs(C) @ (np.abs(inverse) @ (np.abs(M) @ (np.abs(inverse) @ np.abs(B))))  # of the inverse itself
+    sizes = np.maximum(np.abs(B).max(axis=0, initial=0.0), np.abs(D).max(axis=0, initial=0.0))
+    own = np.abs(gain) / np.where(sizes > 0, sizes, 1.0)
+    left = own > 1e-15 * own.max(axis=1, keepdims=True, initial=0.0)  # a direct term may be rounding of its row
+    return np.where(left & (np.abs(gain) > 1e-10 * terms + 1e-13 * rounding), gain, 0.0)
 
 
 def with_even_states(form: StateSpace) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:

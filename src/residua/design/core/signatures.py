@@ -73,13 +73,9 @@ def responses_of_filter(f: BalancedFilter, points: NDArray[np.complex128] | None
     driven = Q @ P + _ELSEWHERE * Q.max(axis=2, initial=0.0)[:, :, None] * P.max(axis=1, initial=0.0)[:, None, :]
     values, terms = D - L @ x, np.abs(D) + np.abs(L) @ np.abs(x) + driven
     # far above all rates a response falls by powers of frequency, and what rounding leaves of another by fewer
-    peak = terms[np.abs(_angles(points, f.plant.is_discrete)) >= f.slowest_rate].max(axis=0, initial=0.0)
-    reached = np.any(np.abs(values) > DESIGN_ROUNDING * np.maximum(terms, _LEAST_ANSWER * peak), axis=0)
+    level = _LEAST_ANSWER * np.median(terms, axis=0)
+    reached = np.any(np.abs(values) > DESIGN_ROUNDING * np.maximum(terms, level), axis=0)
     return FaultResponses((f.F, B, -L, D), np.where(reached, values, 0.0), driven, f.heights)
-
-
-def _angles(points: NDArray[np.complex128], sampled: bool) -> Matrix:
-    return np.angle(points) if sampled else points.imag
 
 
 def responses_of_form(form: StateSpace, faults: int) -> FaultResponses:
