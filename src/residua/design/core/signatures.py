@@ -88,7 +88,7 @@ def responses_of_form(form: StateSpace, faults: int) -> FaultResponses:
     reached = np.any(np.abs(values) > DESIGN_ROUNDING * terms, axis=0)
     heights = 1 / power_near(terms.max(axis=(0, 2), initial=0.0))
     Y = heights[:, None]
-    values, terms = Y * np.where(reached, values, 0.0), Y * terms
+    values, terms = np.where(reached, Y * values, complex(0.0)), Y * terms
     return FaultResponses((A, B, Y * C, Y * form.D), values, terms, heights)
 
 
