@@ -8,7 +8,7 @@ It writes ``docs/data/parity_conditioning.csv`` (one row per family of plants an
 ``docs/data/parity_conditioning_all.csv`` (one row per method besides, with the numbers that the other sums up).
 
 All data are exact to rounding, so that a residual without a fault shows nothing but the rounding that the filter makes
-of it. The *leak* is the size (rms) of that residual over the change of the residual that a step fault leaves once it$
+of it. The *leak* is the size (rms) of that residual over the change of the residual that a step fault leaves once it
 has settled; the fault is as large as it must be to change some output by as much as the input moves it.
 """
 
@@ -150,6 +150,11 @@ def with_plant_poles(plant: rs.Plant) -> Made:
     return _of(made.with_poles(np.concatenate([real + 1j * imaginary, np.zeros(made.orders[0] - k)])))
 
 
+def without_options(plant: rs.Plant) -> Made:
+    """The shortest relation with the poles that it has when none are asked for."""
+    return _of(relation(plant).with_poles())
+
+
 def observer(plant: rs.Plant) -> Made:
     """The geometric residual that ignores the same."""
     return _of(rs.design.structured_bank(plant, [ROW]).generator)
@@ -165,6 +170,7 @@ METHODS: dict[str, Callable[[rs.Plant], Made]] = {
     "moving average": moving_average,
     "poles at one rate": with_poles,
     "poles of the plant": with_plant_poles,
+    "without options": without_options,
     "observer": observer,
     "slow observer": slow_observer,
 }
@@ -268,7 +274,8 @@ def summary(family: str, n: int, known: int, outcomes: dict[str, list[Outcome]])
 
 HEADER = [
     *("plants", "n", "order", "textbook", "relation, moving average", "relation, poles at one rate"),
-    *("relation, poles of the plant", "observer", "observer, slow", "digits lost", "order found"),
+    *("relation, poles of the plant", "relation, without options", "observer", "observer, slow"),
+    *("digits lost", "order found"),
     *("relation (s)", "observer (s)"),
 ]
 ALL_HEADER = [

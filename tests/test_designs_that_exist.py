@@ -65,12 +65,8 @@ def test_tables_are_those_of_all_rows(tmp_path: Path) -> None:
         assert path.read_text(encoding="utf-8") == (DATA / path.name).read_text(encoding="utf-8"), path.name
 
 
-#: What is refused, or takes too long, though the filter of a textbook works.
-OPEN = {
-    ("BD01_3_03", "reduced_order_observer"),
-    ("BD01_3_04", "parity_relations"),
-    ("BD01_4_02", "parity_relations"),
-}
+#: Of larger plants nothing is promised: one has 421 states, with rates that span eleven decades.
+LARGEST = 300
 
 
 def test_little_is_refused_where_the_textbook_works() -> None:
@@ -78,11 +74,11 @@ def test_little_is_refused_where_the_textbook_works() -> None:
     assert len({row["plant"] for row in rows}) > 100
     assert len(rows) == 11 * len({row["plant"] for row in rows})
     assert [row for row in rows if row["outcome"] == "crash"] == []
-    missing = {
-        (row["plant"], row["design"]) for row in rows if row["textbook"] == "works" and row["outcome"] not in MADE
-    }
-    assert missing <= OPEN
-    assert sum(row["outcome"] == "refused" for row in rows) <= 0.015 * len(rows)  # the goal is 0.005
+    rows = [row for row in rows if row["states"] <= LARGEST]
+    assert len({row["plant"] for row in rows}) > 100
+    assert [row for row in rows if row["textbook"] == "works" and row["outcome"] not in MADE] == []
+    assert [row for row in rows if row["outcome"] == "too long"] == []
+    assert sum(row["outcome"] == "refused" for row in rows) <= 0.005 * len(rows)
 
 
 @pytest.mark.parametrize(("parity", "most"), [(True, 0.11), (False, 0.03)])
@@ -91,24 +87,28 @@ def test_near_is_rare(parity: bool, most: float) -> None:
     assert sum(row["outcome"] == "near" for row in rows) <= most * len(rows)
 
 
-def test_few_designs_to_100_states_take_longer_than_a_second() -> None:
-    """Banks of several filters, and relations; measured on a busy machine."""
+def test_only_banks_to_100_states_take_longer_than_a_second() -> None:
+    """Of three or four filters; measured on a busy machine."""
     slow = [row for row in published() if row["states"] <= table.STATES and float(row["ms"]) > 1000]
-    assert {row["design"] for row in slow} <= {"sensor_fault_bank", "structured_bank", "parity_relations"}
-    assert len(slow) <= 12
-    assert max(float(row["ms"]) for row in slow) < 12_000
+    assert {row["design"] for row in slow} <= {"sensor_fault_bank", "structured_bank"}
+    assert len(slow) <= 4
+    assert max(float(row["ms"]) for row in slow) < 6000
 
 
 def test_a_filter_of_the_textbook_that_leaks_does_not_work(monkeypatch: pytest.MonkeyPatch) -> None:
     plant = table.with_roles(rs.Plant(*table.tanks(5)))
     assert textbook_filters.verdict("unknown_input_observer", plant) == "works"
-    (system, of, T), *_ = textbook_filters.unknown_input_observer(plant)
+    (system, of, T, estimate), *_ = textbook_filters.unknown_input_observer(plant)
+    assert estimate is not None
     for off, said in ((1e-4, "leaks"), (1e-9, "works")):
         moved = rs.StateSpace(system.A, system.B * (1 + off), system.C, system.D)
-        monkeypatch.setitem(textbook_filters.FILTERS, "unknown_input_observer", lambda _, x=moved: [(x, of, T)])
-        assert textbook_filters.verdict("unknown_input_observer", plant) == said
+        read = rs.StateSpace(estimate.A, estimate.B * (1 + off), estimate.C, estimate.D)
+        for pair in ((moved, estimate), (system, read)):
+            made = [(pair[0], of, T, pair[1])]
+            monkeypatch.setitem(textbook_filters.FILTERS, "unknown_input_observer", lambda _, x=made: x)
+            assert textbook_filters.verdict("unknown_input_observer", plant) == said
     unstable = rs.StateSpace(system.A + 10 * np.eye(5), system.B, system.C, system.D)
-    monkeypatch.setitem(textbook_filters.FILTERS, "unknown_input_observer", lambda _: [(unstable, of, T)])
+    monkeypatch.setitem(textbook_filters.FILTERS, "unknown_input_observer", lambda _: [(unstable, of, T, estimate)])
     assert textbook_filters.verdict("unknown_input_observer", plant) == "none"
     blind = plant.without_faults(plant.faults[1:]).with_disturbances({"same": plant.Bf[:, 0]})
     assert textbook_filters.verdict("decoupled_residual", blind) == "none"

@@ -1,8 +1,9 @@
 """Filters as a textbook writes them, in the units of the plant and without a precaution: do they work where ours do?
 
-Each takes a plant and returns its filters, from ``[u, y]`` to residuals, each with the plant that it is of and its
-state map ``T``; or it raises :class:`NoFilterError` where the textbook has none. :func:`verdict` says whether all of
-them are stable, keep known inputs below 1e-6 of the terms that cancel, and answer to a fault.
+Each takes a plant and returns its filters, from ``[u, y]`` to residuals, each with the plant that it is of, its state
+map ``T`` and its estimate of the state, ``M z + H (y - D u)``; or it raises :class:`NoFilterError` where the textbook
+has none. :func:`verdict` says whether all of them are stable, keep known inputs below 1e-6 of the terms that cancel,
+and answer to a fault, or estimate the state to 1e-6.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import residua as rs
 from residua.errors import ResiduaError
 
 Matrix = NDArray[np.float64]
-Filter = tuple[rs.StateSpace, rs.Plant, Matrix]
+Filter = tuple[rs.StateSpace, rs.Plant, Matrix, rs.StateSpace | None]
 #: The longest window of parity relations.
 _LONGEST = 20
 #: Poles of a stable filter are farther inside than this, relative to the fastest.
@@ -39,14 +40,17 @@ def verdict(name: str, plant: rs.Plant) -> str:
         return ""
     try:
         made = FILTERS[name](plant.explicit())
-        for system, of, _ in made:
+        for system, of, *_ in made:
             poles = np.linalg.eigvals(system.A)
             inside = 1 - np.abs(poles) if of.is_discrete else -poles.real / (np.abs(poles).max(initial=0.0) or 1.0)
             if not (inside > _STABLE).all():
                 raise NoFilterError("not stable")
-        if name in _RESIDUALS and not any(_answers(system, of) for system, of, _ in made):
+        if name in _RESIDUALS and not any(_answers(system, of) for system, of, *_ in made):
             raise NoFilterError("blind")
-        gains = [leak(system, of, T).gains.max(initial=0.0) for system, of, T in made]
+        gains = [leak(system, of, T).gains.max(initial=0.0) for system, of, T, _ in made]
+        for _, of, T, estimate in made if name in _ESTIMATES else ():
+            assert estimate is not None
+            gains.append(leak(estimate, of, T, estimate=np.eye(of.n_states)).gains.max(initial=0.0))
     except (NoFilterError, np.linalg.LinAlgError, ValueError, ResiduaError):
         return "none"
     return "works" if max(gains, default=0.0) <= LEAK else "leaks"
@@ -70,18 +74,19 @@ def _gain(A: Matrix, C: Matrix, plant: rs.Plant, weight: float = 1.0) -> Matrix:
     return np.linalg.solve(R, C @ scipy.linalg.solve_continuous_are(A.T, C.T, Q, R)).T
 
 
-def _observer(plant: rs.Plant, T: Matrix, F: Matrix, K: Matrix, H: Matrix) -> Filter:
-    """Return ``z' = F z + T B u + K (y - D u)``, ``r = (y - D u) - C (z + H (y - D u))``."""
+def _observer(plant: rs.Plant, T: Matrix, F: Matrix, K: Matrix, M: Matrix, H: Matrix) -> Filter:
+    """Return ``z' = F z + T B u + K (y - D u)``, ``x = M z + H (y - D u)``, ``r = (y - D u) - C x``."""
     through = np.eye(plant.n_outputs) - plant.C @ H
     B, D = np.hstack([T @ plant.B - K @ plant.D, K]), np.hstack([-through @ plant.D, through])
-    return rs.StateSpace(F, B, -plant.C, D, dt=plant.dt), plant, T
+    residual = rs.StateSpace(F, B, -plant.C @ M, D, dt=plant.dt)
+    return residual, plant, T, rs.StateSpace(F, B, M, np.hstack([-H @ plant.D, H]), dt=plant.dt)
 
 
 def kalman_filter(plant: rs.Plant) -> list[Filter]:
     """``K = P C' R^-1`` for noise of variance .01 in every state and output."""
     n, p = plant.n_states, plant.n_outputs
     K = _gain(plant.A, plant.C, plant, 1e-2)
-    return [_observer(plant, np.eye(n), plant.A - K @ plant.C, K, np.zeros((n, p)))]
+    return [_observer(plant, np.eye(n), plant.A - K @ plant.C, K, np.eye(n), np.zeros((n, p)))]
 
 
 def reduced_order_observer(plant: rs.Plant) -> list[Filter]:
@@ -95,9 +100,7 @@ def reduced_order_observer(plant: rs.Plant) -> list[Filter]:
     F, T = A[1:, 1:] - L @ A[:1, 1:], np.hstack([-L, np.eye(n - 1)]) @ np.linalg.inv(V)
     first = np.eye(1, p)
     K = (F @ L + A[1:, :1] - L @ A[:1, :1]) @ first
-    through = np.eye(p) - plant.C @ V @ np.vstack([np.eye(1), L]) @ first
-    D = np.hstack([np.zeros((p, len(plant.inputs))), through])
-    return [(rs.StateSpace(F, np.hstack([T @ plant.B, K]), -plant.C @ V[:, 1:], D, dt=plant.dt), plant, T)]
+    return [_observer(plant, T, F, K, V[:, 1:], V @ np.vstack([np.eye(1), L]) @ first)]
 
 
 def unknown_input_observer(plant: rs.Plant) -> list[Filter]:
@@ -105,7 +108,7 @@ def unknown_input_observer(plant: rs.Plant) -> list[Filter]:
     H, T = _decoupling(plant)
     K1 = _gain(T @ plant.A, plant.C, plant)
     F = T @ plant.A - K1 @ plant.C
-    return [_observer(plant, T, F, K1 + F @ H, H)]
+    return [_observer(plant, T, F, K1 + F @ H, np.eye(len(F)), H)]
 
 
 def _decoupling(plant: rs.Plant) -> tuple[Matrix, Matrix]:
@@ -138,7 +141,7 @@ def parity_relations(plant: rs.Plant) -> list[Filter]:
         K = -w[:s] + np.outer(k, w[s])
         B = np.hstack([T @ plant.B - rate * K @ plant.D, rate * K])
         system = rs.StateSpace(rate * F, B, -np.eye(1, s, s - 1), [[*-w[s] @ plant.D, *w[s]]], dt=plant.dt)
-        return [(system, plant, T)]
+        return [(system, plant, T, None)]
     raise NoFilterError("no window")
 
 
@@ -146,7 +149,7 @@ def detection_filter(plant: rs.Plant) -> list[Filter]:
     """One fault ``b`` with ``C b`` not zero: ``K C b = A b + b``, the rest by a gain through what ``C b`` leaves."""
     n, p = plant.n_states, plant.n_outputs
     K = _directional(plant, np.eye(n))
-    return [_observer(plant, np.eye(n), plant.A - K @ plant.C, K, np.zeros((n, p)))]
+    return [_observer(plant, np.eye(n), plant.A - K @ plant.C, K, np.eye(n), np.zeros((n, p)))]
 
 
 def robust_detection_filter(plant: rs.Plant) -> list[Filter]:
@@ -154,7 +157,7 @@ def robust_detection_filter(plant: rs.Plant) -> list[Filter]:
     H, T = _decoupling(plant)
     K1 = _directional(plant, T)
     F = T @ plant.A - K1 @ plant.C
-    return [_observer(plant, T, F, K1 + F @ H, H)]
+    return [_observer(plant, T, F, K1 + F @ H, np.eye(len(F)), H)]
 
 
 def _directional(plant: rs.Plant, T: Matrix) -> Matrix:
@@ -210,5 +213,7 @@ FILTERS: dict[str, Callable[[rs.Plant], list[Filter]]] = {
     "sensor_fault_bank": sensor_fault_bank,
     "structured_bank": structured_bank,
 }
+#: Designs that estimate the state.
+_ESTIMATES = ("luenberger_observer", "reduced_order_observer", "unknown_input_observer")
 #: Designs that are residuals, which have to answer to a fault.
 _RESIDUALS = ("decoupled_residual", "parity_relations", "detection_filter", "robust_detection_filter")

@@ -10,6 +10,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from residua.linear import StateSpace
+from residua.linear.subspaces.parts import Indices, connected_parts
 from residua.linear.systems.scaling import power_near
 from residua.plant import Plant
 
@@ -138,12 +139,44 @@ class BalancedFilter:
 
     def read(self, points: NDArray[np.complex128]) -> Matrix:
         """Return the sizes of the responses of the filter to the outputs of the plant, shape (points, r, outputs)."""
-        return np.abs(self.L @ self.of_filter(self.Gy, points) + self.Jy)
+        Q = np.tile(self.Jy.astype(complex), (len(points), 1, 1))
+        for states, part in self.of_filter.parts:
+            rows = np.any(self.L[:, states], axis=1)
+            Q[:, rows] += self.L[np.ix_(rows, states)] @ part(self.Gy[states], points)
+        return np.abs(Q)
 
 
 @dataclass(frozen=True, eq=False)
 class Resolvent:
-    """``(s E - A)^-1``, from a Schur form: ``A = Q upper Z'``, ``E = Q lower Z'``."""
+    """``(s E - A)^-1``, in parts that nothing connects, such as filters side by side."""
+
+    parts: list[tuple[Indices, SchurForm]]
+
+    @classmethod
+    def of(cls, A: Matrix, E: Matrix | None) -> Resolvent:
+        """Return that of a matrix or a pencil."""
+        if E is not None:
+            return cls([(np.arange(len(A)), SchurForm(*scipy.linalg.qz(A, E, output="complex")))] if len(A) else [])
+        return cls([(states, SchurForm.of(A[np.ix_(states, states)])) for states in connected_parts(A != 0)])
+
+    @property
+    def poles(self) -> NDArray[np.complex128]:
+        """The finite eigenvalues."""
+        return np.concatenate([np.zeros(0, dtype=complex), *(part.poles for _, part in self.parts)])
+
+    def __call__(self, B: NDArray, s: NDArray[np.complex128]) -> NDArray[np.complex128]:
+        """Return ``(s E - A)^-1 B`` at points, shape (points, n, inputs); ``B`` may be one for each point."""
+        if len(self.parts) == 1:
+            return self.parts[0][1](B, s)
+        x = np.zeros((len(s), *B.shape[-2:]), dtype=complex)
+        for states, part in self.parts:
+            x[:, states] = part(B[..., states, :], s)
+        return x
+
+
+@dataclass(frozen=True, eq=False)
+class SchurForm:
+    """A matrix or a pencil of which no part stands alone: ``A = Q upper Z'``, ``E = Q lower Z'``."""
 
     upper: NDArray[np.complex128]
     lower: NDArray[np.complex128]
@@ -151,15 +184,10 @@ class Resolvent:
     Z: NDArray[np.complex128]
 
     @classmethod
-    def of(cls, A: Matrix, E: Matrix | None) -> Resolvent:
-        """Return that of a matrix or a pencil."""
-        if not len(A):
-            none = np.zeros((0, 0), dtype=complex)
-            return cls(none, none, none, none)
-        if E is None:
-            upper, Z = scipy.linalg.schur(A, output="complex")
-            return cls(upper, np.eye(len(A), dtype=complex), Z, Z)
-        return cls(*scipy.linalg.qz(A, E, output="complex"))
+    def of(cls, A: Matrix) -> SchurForm:
+        """Return that of a matrix."""
+        upper, Z = scipy.linalg.schur(A, output="complex")
+        return cls(upper, np.eye(len(A), dtype=complex), Z, Z)
 
     @property
     def poles(self) -> NDArray[np.complex128]:
@@ -169,7 +197,7 @@ class Resolvent:
         return a[finite] / b[finite]
 
     def __call__(self, B: NDArray, s: NDArray[np.complex128]) -> NDArray[np.complex128]:
-        """Return ``(s E - A)^-1 B`` at points, shape (points, n, inputs); ``B`` may be one for each point."""
+        """Return ``(s E - A)^-1 B`` at points."""
         right = self.Q.conj().T @ B
         n, m = right.shape[-2:]
         x = np.array(np.broadcast_to(right, (len(s), n, m)).transpose(1, 0, 2), dtype=complex, order="C")

@@ -237,6 +237,7 @@ def block_gain(
             poles=share,
             margin=margin,
             rate=rate,
+            faint=True,
         )
         for (F, G), split, read, share in zip(blocks.pairs, splits, blocks.reads, shares, strict=True)
     ]

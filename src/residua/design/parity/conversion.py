@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.design.core.generator import ResidualGenerator
-from residua.design.parity.relation import Relation
+from residua.design.parity.relation import Relation, filter_basis
 from residua.design.parity.relation_model import RelationModel
 from residua.design.parity.relations import ParityRelations, relations_of
 from residua.errors import AccuracyError, DesignError
@@ -74,7 +74,7 @@ def _row(generator: ResidualGenerator, i: int) -> RowFraction:
     poles = units.rate * np.linalg.eigvals(of_filter.pair[0]).astype(np.complex128)
     if generator.relations is not None:
         return RowFraction(generator.relations.rows[i], none, poles)
-    basis = of_filter.basis(len(poles))
+    basis = filter_basis(plant, poles)
     (a,), (d,), _ = of_filter.rows(len(poles), basis)
     q = a @ (N / size) + d @ D / height
     if not np.any(q):
@@ -86,6 +86,9 @@ def _row(generator: ResidualGenerator, i: int) -> RowFraction:
     both, zeros, _ = without_common_factor(np.hstack([equations.completed(q, basis)[0], q]), basis)
     q = both[:, len(model.A) :]
     p, missed = equations.completed(q, basis)
+    nearest = equations.moved(p, q, basis, basis)[1]
+    if np.abs(nearest - q).max() <= LEAKAGE * np.abs(q).max():
+        q, (p, missed) = min((q, (p, missed)), (nearest, equations.completed(nearest, basis)), key=lambda x: x[1][1])
     if not missed <= LEAKAGE:
         why = "too ill-conditioned"
         if generator.state_map is None:

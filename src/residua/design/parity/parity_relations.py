@@ -66,7 +66,8 @@ def parity_relations(
         The outputs that relations may read; all when omitted. See :func:`parity_orders` for the smallest orders.
     poles : sequence of complex, or mapping of str to sequence, optional
         See :meth:`ParityRelations.with_poles`. When omitted the residuals are the moving averages themselves, and in
-        continuous time all poles lie at the rate of the plant.
+        continuous time all poles lie at the rate of the plant; those of a gain by least squares where more than six
+        digits cancel so.
 
     Returns
     -------
@@ -78,7 +79,7 @@ def parity_relations(
     DesignError
         If there is no such relation (of that order).
     AccuracyError
-        If the coefficients miss the states: relations of high order lose digits, which ``decoupled_residual`` does not.
+        If the coefficients miss the states, or known inputs reach the residual.
 
     See Also
     --------

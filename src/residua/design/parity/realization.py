@@ -7,7 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.design.observers.observer_gain import default_weights
+from residua.linear.poles.observer_gain import observer_gain
+from residua.linear.polynomials.pair_relations import PairRelations
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
+from residua.linear.subspaces.quotient import observable_split, without_rounding
+from residua.plant import Plant
 
 Matrix = NDArray[np.float64]
 
@@ -75,3 +80,70 @@ def pole_basis(poles: NDArray[np.complex128], size: float = 1.0) -> PolynomialBa
     real = np.sort(poles[poles.imag == 0].real)
     nodes = np.concatenate([real, pairs, [0.0]]).astype(np.complex128)
     return PolynomialBasis(nodes.real, np.where(nodes.imag > 0, nodes.imag, 0.0), np.full(len(nodes), size))
+
+
+def controls_of(plant: Plant) -> tuple[Matrix, Matrix]:
+    """Return ``B`` and ``D`` of the controls in balanced equations and outputs."""
+    units = plant.balanced.units
+    return units.equations[:, None] * plant.B / units.rate, units.outputs[:, None] * plant.D
+
+
+def realize_by_least_squares(p: Matrix, q: Matrix, equations: PairRelations, plant: Plant) -> Realization:
+    r"""Return one relation divided by the polynomial of the poles that a gain by least squares makes.
+
+    With ``T`` a basis of the coefficients of ``w``, of which :math:`w (zI - F) = v G`, and :math:`T F = M T + N G`, the
+    relation is the error of an observer of as many states as its order,
+
+    .. math:: \xi^+ = (M - L c) \xi + (N H + T J + L v_k H) y + \dots, \qquad r = v_k H y - c \xi, \quad
+              c T = v_k G
+
+    in coordinates that lose no digits, whatever the order.
+
+    Parameters
+    ----------
+    p : ndarray, shape (order + 1, states)
+        With :math:`p (zI - A) = q C` of the balanced plant, as coefficients in any basis.
+    q : ndarray, shape (order + 1, outputs)
+        The outputs include the algebraic equations.
+    equations : PairRelations
+        All relations of its kind.
+    plant : Plant
+
+    Returns
+    -------
+    Realization
+        Of which the newest sample of an output has coefficient one.
+    """
+    model, k, m = plant.balanced, len(q) - 1, plant.n_outputs
+    (F, G), quotient = equations.pair, equations.quotient
+    newest = q[-1] @ quotient.H.T
+    newest = newest / np.linalg.norm(newest)
+    w = p[:k] @ quotient.N.T @ equations.seen
+    T = np.eye(k) if k == len(F) else np.linalg.qr(w[::-1].T)[0].T
+    both = np.linalg.lstsq(np.vstack([T, G]).T, (T @ F).T, rcond=None)[0].T
+    M, N, c = without_rounding(both[:, :k]), both[:, k:], newest @ G @ T.T
+    P, H = T @ equations.seen.T, newest @ quotient.H
+    process, measurement = default_weights(model)
+    states = P @ quotient.N
+    gain = observer_gain(
+        M,
+        c[None],
+        observable_split(M, c[None]),
+        sampled=plant.is_discrete,
+        process=states @ process @ states.T,
+        measurement=(H @ measurement @ H)[None, None],
+        rate=model.units.rate,
+    )
+    K = without_rounding(N @ quotient.H + P @ quotient.J + gain.K * H)
+    state_map = without_rounding(states @ model.derivative - K[:, m:] @ model.algebra)
+    static_map = (H[m:] @ model.algebra)[None]
+    first = H[:m][np.abs(H[:m]) >= 0.1 * np.abs(H[:m]).max()][0]
+    B, D = controls_of(plant)
+    return Realization(
+        M - gain.K * c,
+        np.hstack([state_map @ B - K[:, :m] @ D, K[:, :m]]),
+        -c[None] / first,
+        np.hstack([-static_map @ B - H[None, :m] @ D, H[None, :m]]) / first,
+        state_map,
+        static_map / first,
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -16,7 +17,7 @@ from residua.design.core.evidence import Evidence, format_pole
 from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.design.core.signals import signal_names
 from residua.design.parity.directions import Directions, check_directions
-from residua.design.parity.realization import realize_relation
+from residua.design.parity.realization import Realization, controls_of, realize_by_least_squares, realize_relation
 from residua.design.parity.relation import Relation, default_poles, filter_basis, left_of_faults
 from residua.errors import AccuracyError, DesignError, SettingError
 from residua.linear import PolynomialMatrix, StateSpace, is_stable_mode
@@ -33,11 +34,13 @@ _HIDDEN = 0.1
 _HUGE = 1e50
 #: Of several relations those of which the newest sample counts for less are nearly of a lower order.
 _NEWEST = 1e-3
+#: What is said of a filter whose default poles are others.
+_OTHER_POLES = "with the usual poles too many digits cancel: the poles are those of a gain by least squares"
 _LOST = "digits lost to cancellation"
 #: Measurements seldom have more digits than this.
 _MANY = 6.0
-#: A moving average in which more digits cancel is made only for those who ask for its poles, all zero.
-_TOO_MANY = 10.0
+#: Digits of a sum of many terms in double precision.
+_DIGITS = 14.0
 #: Poles of the filters of parity relations: one list for all, or one for each residual by name.
 Poles = Sequence[complex] | ArrayLike | Mapping[str, Sequence[complex]]
 
@@ -160,7 +163,8 @@ class ParityRelations(Shown):
         poles : sequence of complex, or mapping of str to sequence, optional
             As many as the order, for all relations or for each by name; closed under conjugation, stable. When omitted:
             all zero in sampled time, which is the moving-average form itself; in continuous time all at the rate
-            of the plant.
+            of the plant. Where more than six digits cancel with these, those of a gain by least squares; a note of the
+            evidence says so.
         method : str
             What the design is called.
         notes : sequence of str
@@ -177,45 +181,68 @@ class ParityRelations(Shown):
             between residuals that keep directions together, which would bend them.
         AccuracyError
             If rounding of the coefficients shows in the residual: known inputs reach it by more than 1e-6 of the terms
-            that cancel. Without ``poles`` also if more than ten digits cancel in the moving average.
+            that cancel.
 
         References
         ----------
         Gertler (1991), section 3.5.
         """
-        chosen = self._poles(poles)
-        rows = self._moved([filter_basis(self.plant, one) for one in chosen])
+        if poles is not None or self.directions is not None:
+            return self._on_poles(self._poles(poles), method, notes)
+        try:
+            made = self._on_poles(self._poles(None), method, notes)
+        except AccuracyError as error:
+            with suppress(AccuracyError):
+                return self._by_least_squares(method, (*notes, _OTHER_POLES))
+            raise error
+        if made.evidence.conditions.get(_LOST, 0.0) > _MANY:
+            with suppress(AccuracyError):
+                return self._by_least_squares(method, (*notes, _OTHER_POLES))
+        return made
+
+    def _on_poles(self, poles: list[NDArray[np.complex128]], method: str, notes: Sequence[str]) -> ResidualGenerator:
+        """Return the filter with poles for each relation."""
+        bases = {one.tobytes(): filter_basis(self.plant, one) for one in {x.tobytes(): x for x in poles}.values()}
+        rows = self._moved([bases[one.tobytes()] for one in poles])
         rows = [row.times(1 / float(np.prod(row.basis.sizes[: row.order]))) for row in rows]  # monic again
-        system, state_map, static_map = self._filter(rows)
+        controls = controls_of(self.plant)
+        parts = [realize_relation(*row.in_equations(self.plant), controls, row.basis) for row in rows]
+        made = self._generator(parts, method, notes, np.concatenate([np.zeros(0, dtype=np.complex128), *poles]))
+        if self.directions is not None:
+            off = check_directions(made, self.directions)
+            made = replace(made, evidence=made.evidence.extended(conditions={"response off the directions": off}))
+        return self._with_digits(made, rows)
+
+    def _by_least_squares(self, method: str, notes: Sequence[str]) -> ResidualGenerator:
+        """Return the filter of which each relation has the poles of a gain by least squares."""
+        parts = [realize_by_least_squares(row.p, row.q, row.equations, self.plant) for row in self.rows]
+        return self._generator(parts, method, notes, np.zeros(0, dtype=np.complex128))
+
+    def _generator(
+        self, parts: Sequence[Realization], method: str, notes: Sequence[str], requested: NDArray[np.complex128]
+    ) -> ResidualGenerator:
+        system, state_map, static_map = self._side_by_side(parts)
         evidence = Evidence(
             method=method,
             poles=system.poles(),
-            requested_poles=np.concatenate([np.zeros(0, dtype=np.complex128), *chosen]),
+            requested_poles=requested,
             notes=(*self._told(), *notes),
             references=("Gertler (1991), sections 3.1, 3.2 and 3.5",),
         )
-        decouples = Decoupled(disturbances=not self._disturbed(rows))
-        made = make_generator(
+        return make_generator(
             system,
             self.plant,
             method,
             evidence,
-            decouples=decouples,
+            decouples=Decoupled(disturbances=not self._disturbed()),
             state_map=state_map,
             static_map=static_map,
             relations=self,
         )
-        if self.directions is not None:
-            off = check_directions(made, self.directions)
-            made = replace(made, evidence=made.evidence.extended(conditions={"response off the directions": off}))
-        return self._with_digits(made, rows, asked=poles is not None)
 
-    def _filter(self, rows: Sequence[Relation]) -> tuple[StateSpace, Matrix, Matrix | None]:
-        """Return the filters of rows side by side, driven by the same signals, with their maps."""
-        plant, model = self.plant, self.plant.balanced
-        units, n_u = model.units, len(plant.inputs)
-        controls = units.equations[:, None] * plant.B / units.rate, units.outputs[:, None] * plant.D
-        made = [realize_relation(*row.in_equations(plant), controls, row.basis) for row in rows]
+    def _side_by_side(self, made: Sequence[Realization]) -> tuple[StateSpace, Matrix, Matrix | None]:
+        """Return filters of relations side by side, driven by the same signals, with their maps."""
+        plant, units, n_u = self.plant, self.plant.balanced.units, len(self.plant.inputs)
         heights = self.heights[:, None]
         largest = max((float(np.abs(one.B).max(initial=0.0)) for one in made), default=0.0)
         if not largest < _HUGE:
@@ -238,20 +265,15 @@ class ParityRelations(Shown):
         static_map = heights * np.vstack([one.static_map for one in made]) * units.equations / units.rate
         return system, state_map, None if plant.E is None else static_map
 
-    def _with_digits(self, made: ResidualGenerator, rows: Sequence[Relation], *, asked: bool) -> ResidualGenerator:
+    def _with_digits(self, made: ResidualGenerator, rows: Sequence[Relation]) -> ResidualGenerator:
         """Return a filter with the digits that cancel in its evidence, or raise where they hide the faults."""
         left = left_of_faults(rows, made)
         if left is None:
             return made
-        order = max(self.orders)
-        if left.digits > _TOO_MANY and not asked and self.plant.is_discrete:
+        hidden = max(left.least, 10 ** (left.digits - _DIGITS))
+        if left.digits > _MANY and not hidden <= _HIDDEN:
             raise AccuracyError(
-                f"as a moving average of order {order}, {_cancelling(left.digits)}; or ask for it all the same, with "
-                f"poles of zero, {order} of them"
-            )
-        if left.digits > _MANY and not left.least <= _HIDDEN:
-            raise AccuracyError(
-                f"with these poles known inputs and disturbances leave {left.least:.2g} > {_HIDDEN:g} of what any "
+                f"with these poles known inputs and disturbances leave {hidden:.2g} > {_HIDDEN:g} of what any "
                 f"fault does: {_cancelling(left.digits)}, or decoupled_residual"
             )
         remarks = (_cancelling(left.digits),) if left.digits > _MANY else ()
@@ -267,7 +289,8 @@ class ParityRelations(Shown):
     def _poles(self, poles: Poles | None) -> list[NDArray[np.complex128]]:
         """Return the poles of each relation, checked."""
         if poles is None:
-            return [default_poles(self.plant, k) for k in self.orders]
+            usual = {k: default_poles(self.plant, k) for k in set(self.orders)}
+            return [usual[k] for k in self.orders]
         if isinstance(poles, Mapping):
             unknown = set(poles) - set(self.names)
             missing = [name for name, k in zip(self.names, self.orders, strict=True) if k and name not in poles]
@@ -295,10 +318,10 @@ class ParityRelations(Shown):
                     )
         return chosen
 
-    def _disturbed(self, rows: Sequence[Relation]) -> bool:
+    def _disturbed(self) -> bool:
         """Tell whether disturbances reach a relation by more than rounding."""
         B, D = self.plant.balanced.disturbances
-        return any(np.abs(row.p @ B + row.q @ D).max(initial=0.0) > 1e-8 * np.abs(row.q).max() for row in rows)
+        return any(np.abs(row.p @ B + row.q @ D).max(initial=0.0) > 1e-8 * np.abs(row.q).max() for row in self.rows)
 
     def _told(self) -> Iterator[str]:
         """Yield what was divided out silently elsewhere."""

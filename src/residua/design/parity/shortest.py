@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -11,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.design.core.generator import ResidualGenerator
-from residua.design.parity.relation import Relation, default_poles, filter_basis
+from residua.design.parity.relation import Relation
 from residua.design.parity.relation_model import RelationModel
-from residua.errors import AccuracyError, DesignError, SettingError
+from residua.errors import AccuracyError, DesignError
 from residua.linear.polynomials.pair_relations import PairRelations
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.linear.subspaces.rank import RankDecision
@@ -71,10 +70,6 @@ class RelationSpace:
         """Each relation."""
         return [self.combined(one) for one in np.eye(self.count)]
 
-    def last(self, many: int) -> RelationSpace:
-        """Return the space of the last relations."""
-        return replace(self, p=self.p[-many:], q=self.q[-many:], responses=self.responses[-many:])
-
     def combined(self, weights: Matrix) -> Relation:
         """Return a combination of the relations."""
         p, q = (np.tensordot(weights, part, 1) for part in (self.p, self.q))
@@ -107,15 +102,10 @@ def simplest_of_the_best(scores: Matrix) -> int:
     return int(np.flatnonzero(scores >= 0.2 * scores.max())[0])
 
 
-def relation_space(
-    equations: PairRelations, order: int, faults: tuple[Matrix, Matrix], near: PolynomialBasis | None = None
-) -> RelationSpace:
-    """Return all relations of at most an order, with their responses to faults, ``B`` and ``D``.
-
-    ``near``: those too that are relations by what counts in a rank, in a basis.
-    """
-    basis = equations.basis(order) if near is None else near
-    p, q, decision = equations.rows(order, basis, near=near is not None)
+def relation_space(equations: PairRelations, order: int, faults: tuple[Matrix, Matrix]) -> RelationSpace:
+    """Return all relations of at most an order, with their responses to faults, ``B`` and ``D``."""
+    basis = equations.basis(order)
+    p, q, decision = equations.rows(order, basis)
     return RelationSpace(equations, p, q, basis, decision, p @ faults[0] + q @ faults[1])
 
 
@@ -140,35 +130,15 @@ def made_of_shortest(
     *,
     seen: Sequence[int] = (),
 ) -> ResidualGenerator:
-    """Return what is made of the relations of the smallest order that answer to some faults.
-
-    Where rounding hides them in the filter, of a smaller one, of relations that double precision hardly tells from
-    exact ones: a window in which singular values fade has many of these.
-    """
-    faults, space = model.balanced.faults, shortest_space(model, equations, seen)
-    try:
-        return with_rank(make(space), space)
-    except AccuracyError as error:
-        for order in range(space.order):
-            near = relation_space(
-                equations, order, faults, filter_basis(model.plant, default_poles(model.plant, order))
-            )
-            for many in range(1, near.count + 1):  # those that miss their equations least are last
-                few = near.last(many)
-                if few.seen[list(seen)].all():
-                    with suppress(AccuracyError, SettingError):
-                        made = make(few)
-                        if made.structure.any():
-                            return with_rank(made, few)
-                    break
-        raise error
+    """Return what is made of the relations of the smallest order that answer to some faults."""
+    space = shortest_space(model, equations, seen)
+    return with_rank(make(space), space)
 
 
 def with_rank(made: ResidualGenerator, space: RelationSpace) -> ResidualGenerator:
     """Return a generator whose evidence holds the rank decisions behind its relations."""
     ranks = {**made.evidence.ranks, "states and ignored signals": space.decision}
-    near = [*space.equations.near, *([] if space.decision.is_clear else [space.decision])]
-    notes = tuple(f"near: {one}; double precision hardly decides this rank" for one in near[:1])
+    notes = tuple(f"near: {one}; double precision hardly decides this rank" for one in space.equations.near[:1])
     return replace(made, evidence=made.evidence.extended(ranks=ranks, notes=notes))
 
 

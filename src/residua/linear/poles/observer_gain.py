@@ -65,6 +65,7 @@ def observer_gain(
     margin: float | None = None,
     rate: float = 1.0,
     tolerance: float = POLE,
+    faint: bool = False,
 ) -> ObserverGain:
     """Return the gain of an observer.
 
@@ -85,6 +86,8 @@ def observer_gain(
         The unit of rates of the balanced plant in 1/s: errors say poles in 1/s.
     tolerance : float
         Of poles that were asked for.
+    faint : bool
+        Whether the noise of the outputs may be as small as what they show, where no gain is found else.
     """
     hidden = split.hidden
     O = split.seen if hidden.shape[1] else np.eye(len(A))  # noqa: E741
@@ -96,8 +99,11 @@ def observer_gain(
         return ObserverGain(cleared(O @ K), found, wanted, fixed, error)
     W = O.T @ process @ O
     S = None if cross is None else O.T @ cross
-    for part in _PARTS if margin else (0.0,):
-        K = _least_squares(F, G, W, measurement, S, sampled, part * (margin or 0.0))
+    tried = [(part, measurement) for part in (_PARTS if margin else (0.0,))]
+    if faint and G.size:  # noise as large as all outputs hides what these hardly see
+        tried.append((0.0, np.linalg.norm(G, 2) ** 2 * measurement))
+    for part, V in tried:
+        K = _least_squares(F, G, W, V, S, sampled, part * (margin or 0.0))
         if K is not None:
             found = np.asarray(np.linalg.eigvals(F - K @ G), dtype=complex)
             note = "" if part == 1.0 or not margin else f"no gain has the margin: {part:.3g} of it was taken"

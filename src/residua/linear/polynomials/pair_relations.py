@@ -101,15 +101,14 @@ class PairRelations:
             return replace(PolynomialBasis.powers(order + 1, away or 1.0), real=np.full(order + 1, center))
         return basis_on_poles(nodes, order + 1, 1.0, outward=order >= n)
 
-    def rows(self, order: int, basis: PolynomialBasis, *, near: bool = False) -> tuple[Matrix, Matrix, RankDecision]:
+    def rows(self, order: int, basis: PolynomialBasis) -> tuple[Matrix, Matrix, RankDecision]:
         """Return ``p`` and ``q`` of all rows of at most an order, shapes (count, order + 1, ...), in a basis.
 
-        Together, and as ``w`` and ``v``, they are orthonormal. ``near``: those too that miss their equations by less
-        than what counts in a rank. The decision is on the conditions that are left when ``w`` has been eliminated.
+        Together, and as ``w`` and ``v``, they are orthonormal. The decision is on the conditions that are left when
+        ``w`` has been eliminated.
         """
         w, v, s = self._null(order, basis)
-        count = len(v) if near else self.count(order)
-        w, v, kept = w[len(w) - count :], v[len(v) - count :], (order + 1) * v.shape[2] - count
+        kept = (order + 1) * v.shape[2] - len(v)
         p, q = self._rows(w, v)
         if (self.parts != self.parts[:1]).any():
             U = _by_parts(q, self.parts)
@@ -188,8 +187,8 @@ def _null_rows(F: Matrix, G: Matrix, basis: PolynomialBasis, order: int, count: 
 
     The coefficients follow from each other from the highest on, :math:`\rho_{j-1} w_{j-1} = v_j G + w_j (F - a_j I) +
     \beta_{j+1} w_{j+1}`, with every ``v_j`` free; the last equation leaves conditions on all that was free. After each
-    step the free parameters are made orthonormal in all coefficients so far, so that what grows hides nothing. What
-    misses its equations least is last; ``count`` of them at least.
+    step the free parameters are made orthonormal in all coefficients so far, so that what grows hides nothing. The
+    ``count`` rows are those that miss their equations least.
     """
     m, k = len(G), order
     before, now = np.zeros((2, 0, len(F)))
@@ -205,7 +204,6 @@ def _null_rows(F: Matrix, G: Matrix, basis: PolynomialBasis, order: int, count: 
         before, now = (scipy.linalg.solve_triangular(R, part, trans="T") for part in (now, left))
         steps.append((R, now))
     U, s, _ = np.linalg.svd(left) if left.size else (np.eye(len(left)), np.zeros(0), None)
-    count = max(count, len(U) - int(np.count_nonzero(s > BALANCED_RANK * s.max(initial=0.0))))
     chosen = U[:, len(U) - count :]
     w, v = np.zeros((count, k + 1, len(F))), np.zeros((count, k + 1, m))
     for j in range(k + 1):
