@@ -3,8 +3,9 @@
 Which tests: of each changed file, the test files that name it, as the syntax trees tell, so that no list has to be
 kept. A name counts where it is defined, through however many ``__init__`` files it is passed on. A file that no test
 names is tested by those that name the files that import it, and so on outwards until some do; a file that is not
-Python, by the files that have its name, or that of its folder, as a string. Where nothing changed, or so much that
-more than ``MOST`` test files would be taken, a fixed core runs in their place, with the changed test files.
+Python, by the files that have its name, or that of its folder, as a string. Tests that changed run first, then the
+examples of what changed, then the tests that use the fewest other files. Where no test is near, a fixed core runs.
+A verdict of tests is "inconclusive", and the exit status 2, where the time was up before all of them had run.
 
 Changed means: differs from the commit at which this branch left ``main``, committed or not.
 """
@@ -27,7 +28,7 @@ import pytest
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 SECONDS = 65  # after these no further test begins; on two cores nothing else takes long
-MOST = 40  # test files
+MOST = 40  # files whose types are checked besides those that changed
 CORE = (
     "tests/test_import.py",
     "tests/test_testing.py",
@@ -50,6 +51,8 @@ CORE = (
 CODE = ("src", "tests", "benchmarks", "docs")
 UNTIL = "RESIDUA_QUICK_UNTIL"  # seconds since the epoch, for the processes that run the tests
 TOO_LATE = "the time of make quick was up"
+INCONCLUSIVE = 2  # exit status
+_UNFINISHED = 75  # that of pytest where tests were left out and none failed
 
 
 @dataclass(frozen=True)
@@ -234,13 +237,11 @@ def choose(repository: Repository, changed: Iterable[str]) -> Choice:
     changed = sorted(path for path in changed if (repository.root / path).is_file())
     sources = {path for path in changed if path.startswith("src/") and path.endswith(".py")}
     types = sources | {user for path in sources for user in repository.users(path) if user.startswith("src/")}
+    types = types if len(types) <= len(sources) + MOST else sources
     own = {path for path in changed if is_test(path)}
     nearest = own.union(*(repository.tests_of(path) for path in changed))
     if not nearest:
         return Choice(CORE, tuple(sorted(types)), "no test file is near to them: the core")
-    if len(nearest) > MOST:
-        tests = dict.fromkeys((*sorted(own), *CORE))
-        return Choice(tuple(tests), tuple(sorted(sources)), f"{len(nearest)} test files are nearest: the core instead")
     # What changed itself first, with the examples in its docstrings; then the tests that use the fewest other files.
     others = sorted(nearest - own, key=lambda path: (len(repository.needs[path]), path))
     tests = (*sorted(own), *sorted(sources), *others)
@@ -264,7 +265,7 @@ def changed_files(root: Path, since: str | None) -> tuple[str, set[str]]:
 
 
 def run(choice: Choice, root: Path, seconds: float) -> int:
-    """Run style, types and tests; return how many of the three failed."""
+    """Run style, types and tests; return the exit status."""
     begun = time.time()
     paths = [str(root / "src"), str(root / "tests"), *filter(None, [os.environ.get("PYTHONPATH")])]
     # An empty PYTHONDONTWRITEBYTECODE is none: what is compiled is kept, for the next process and the next time.
@@ -272,18 +273,21 @@ def run(choice: Choice, root: Path, seconds: float) -> int:
     environment = os.environ | settings
     python, code = [sys.executable, "-m"], [name for name in CODE if (root / name).is_dir()]
 
-    def call(*command: str) -> bool:
-        return subprocess.run([*python, *command], cwd=root, env=environment, check=False).returncode == 0
+    def call(*command: str) -> int:
+        return subprocess.run([*python, *command], cwd=root, env=environment, check=False).returncode
 
-    style = call("ruff", "check", "-q", *code) & call("ruff", "format", "--check", "-q", *code)
+    style = call("ruff", "check", "-q", *code) or call("ruff", "format", "--check", "-q", *code)
     with ThreadPoolExecutor(1) as beside:
         checker = ("pyright", "--pythonpath", sys.executable, *choice.types)
-        types = beside.submit(lambda: not choice.types or call(*checker))  # without a name it would check everything
+        types = beside.submit(lambda: call(*checker) if choice.types else 0)  # without a name it would check everything
         tests = call("pytest", "-q", "-n", "2", "--maxfail=5", "-p", "quick", "--no-header", *choice.tests)
     outcomes = {"style": style, f"types of {len(choice.types)} files": types.result(), "tests": tests}
-    print(", ".join(f"{name}: {'good' if good else 'BAD'}" for name, good in outcomes.items()), end=", ")
+    verdicts = {0: "good", _UNFINISHED: "inconclusive"}
+    print(", ".join(f"{name}: {verdicts.get(status, 'BAD')}" for name, status in outcomes.items()), end=", ")
     print(f"in {time.time() - begun:.0f} s")
-    return sum(not good for good in outcomes.values())
+    if any(status not in verdicts for status in outcomes.values()):
+        return 1
+    return INCONCLUSIVE if tests else 0
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -293,11 +297,15 @@ def pytest_runtest_setup() -> None:
         pytest.skip(TOO_LATE)
 
 
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Say how many tests were left out."""
-    left = sum(TOO_LATE in str(report.longrepr) for report in terminalreporter.stats.get("skipped", ()))
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Say how many tests were left out, in the exit status too."""
+    reporter = session.config.pluginmanager.get_plugin("terminalreporter")
+    if reporter is None or hasattr(session.config, "workerinput"):  # a worker of several
+        return
+    left = sum(TOO_LATE in str(report.longrepr) for report in reporter.stats.get("skipped", ()))
     if left:
-        terminalreporter.write_line(f"{left} tests were not begun: {TOO_LATE}; make test runs them")
+        reporter.write_line(f"\n{left} tests were not begun: {TOO_LATE}; make test runs them")
+        session.exitstatus = session.exitstatus or _UNFINISHED
 
 
 def main() -> None:
@@ -313,7 +321,7 @@ def main() -> None:
     if options.show:
         print(*choice.tests, sep="\n")
         return
-    sys.exit(min(run(choice, REPOSITORY, options.seconds), 1))
+    sys.exit(run(choice, REPOSITORY, options.seconds))
 
 
 if __name__ == "__main__":

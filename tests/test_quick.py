@@ -68,14 +68,15 @@ def test_what_changed_comes_first_and_its_users_types_are_checked(small: quick.R
     assert choice.types == ("src/box/room/__init__.py", "src/box/room/chair.py")
 
 
-def test_the_core_runs_where_nothing_is_near_or_too_much(
+def test_the_core_runs_where_nothing_is_near_and_nothing_near_is_ever_left_out(
     small: quick.Repository, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert quick.choose(small, []).tests == quick.CORE
-    monkeypatch.setattr(quick, "MOST", 1)
-    choice = quick.choose(small, ["src/box/room/chair.py", "tests/test_seat.py"])
-    assert choice.tests == ("tests/test_seat.py", *quick.CORE)
-    assert choice.types == ("src/box/room/chair.py",)
+    monkeypatch.setattr(quick, "MOST", 0)
+    choice = quick.choose(small, ["src/box/room/chair.py", "src/box/room/bulb.py", "tests/test_seat.py"])
+    assert choice.tests[0] == "tests/test_seat.py"
+    assert {"tests/test_chair.py", "tests/lit/test_light.py"} < set(choice.tests)
+    assert choice.types == ("src/box/room/bulb.py", "src/box/room/chair.py")
 
 
 def test_changed_is_what_differs_from_where_the_branch_left_main(small: quick.Repository) -> None:
@@ -103,19 +104,36 @@ def test_changed_is_what_differs_from_where_the_branch_left_main(small: quick.Re
 
 
 def test_no_test_begins_when_the_time_is_up(small: quick.Repository) -> None:
-    def run(until: str) -> str:
+    def run(until: str) -> tuple[int, str]:
         paths = os.pathsep.join(map(str, (Path(quick.__file__).parent, small.root / "src", small.root / "tests")))
         command = [sys.executable, "-m", "pytest", "-q", "-p", "quick", "-p", "no:cacheprovider", "tests/test_seat.py"]
         environment = os.environ | {quick.UNTIL: until, "PYTHONPATH": paths}
-        return subprocess.run(
-            command, cwd=small.root, env=environment, capture_output=True, text=True, check=True
-        ).stdout
+        done = subprocess.run(command, cwd=small.root, env=environment, capture_output=True, text=True, check=False)
+        return done.returncode, done.stdout
 
-    assert "1 passed" in run("inf")
-    printed = run("0")
+    status, printed = run("inf")
+    assert status == 0
+    assert "1 passed" in printed
+    status, printed = run("0")
+    assert status == quick._UNFINISHED
     assert "1 tests were not begun" in printed
     assert "1 skipped" in printed
     assert "passed" not in printed
+
+
+@pytest.mark.parametrize(
+    ("seconds", "body", "status", "verdict"),
+    [(60, "True", 0, "good"), (-1, "True", quick.INCONCLUSIVE, "inconclusive"), (60, "False", 1, "BAD")],
+)
+def test_what_was_not_run_is_not_good(
+    small: quick.Repository, capsys: pytest.CaptureFixture, seconds: float, body: str, status: int, verdict: str
+) -> None:
+    (small.root / "tests/test_one.py").write_text(f"def test_one():\n    assert {body}\n", encoding="utf-8")
+    (small.root / "tests/quick.py").write_text(Path(quick.__file__).read_text(encoding="utf-8"), encoding="utf-8")
+    (small.root / "ruff.toml").write_text("lint.select = []\nformat.exclude = ['*']\n", encoding="utf-8")
+    choice = quick.Choice(("tests/test_one.py",), (), "")
+    assert quick.run(choice, small.root, seconds) == status
+    assert f"tests: {verdict}" in capsys.readouterr().out
 
 
 def test_every_file_of_the_package_has_tests_near_to_it() -> None:
