@@ -17,7 +17,7 @@ from residua.monitor.decision import Decision, decision_from
 from residua.monitor.fused import ALARM, DECIDED, MISSING, OUTPUTS, FusedRun, copied, decisions_of, plan_of
 from residua.monitor.running import Decisions, State, initial_state, joined_decisions, run_reference
 from residua.monitor.specification import Specification
-from residua.monitor.whole_blocks import Job
+from residua.monitor.whole_blocks import UNDER_WAY, Job
 from residua.visible import echo, listed
 
 #: Samples per piece when a recording is run: bounds memory and lets progress be shown.
@@ -49,6 +49,7 @@ class Live:
         #: What to go on from: in the hands of the kernel if there is one, else the state.
         self._run: FusedRun | None = None
         self._kept: State | None = None
+        self._is_running = False
 
     @property
     def state(self) -> State | None:
@@ -62,7 +63,7 @@ class Live:
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out the kernel, which belongs to the arrays of this very object."""
-        return {"inputs": self.inputs, "_kept": self.state, "_run": None}
+        return {"inputs": self.inputs, "_kept": self.state, "_run": None, "_is_running": False}
 
     def apart(self) -> Live:
         """Return the same with arrays of its own, which no later block changes."""
@@ -80,7 +81,13 @@ class Live:
         run = self._fused(spec, len(data))
         if run is None:
             state = initial_state(spec, len(data)) if before is None else before
-            after, decisions = run_reference(spec, state, data)
+            if self._is_running:
+                raise DataError(UNDER_WAY)
+            self._is_running = True
+            try:
+                after, decisions = run_reference(spec, state, data)
+            finally:
+                self._is_running = False
             self.state = after
             return (decisions if keep is None else _only(decisions, keep)), after
         wanted = OUTPUTS if keep is None else (*keep, *_OF_MEMBERS)

@@ -28,6 +28,12 @@ OUTPUTS = (
 RAN, STOPPED, WANTS_GAINS, NOTED = range(4)
 #: Plants of a part that are noted, and numbers of a note before the sums of a start, as in the kernel.
 _NOTES, _NOTE_HEAD = 64, 5
+#: Said where a block begins within a block.
+UNDER_WAY = (
+    "a block is under way: a test or an isolation of your own calls the monitor or the fleet that it runs in, two "
+    "threads share a fleet, or this process was forked in the middle of a block. Take what it needs before the block, "
+    "or a copy of the monitor"
+)
 
 
 class Parts:
@@ -307,11 +313,7 @@ class Worker:
         if work is None:
             return
         if work.is_under_way:
-            raise DataError(
-                "a block is under way: a test or an isolation of your own calls the monitor or the fleet that it runs "
-                "in, two threads share a fleet, or this process was forked in the middle of a block. Take what it "
-                "needs before the block, or a copy of the monitor"
-            )
+            raise DataError(UNDER_WAY)
         work.wait()  # an interruption may have come in the middle of this, too
         if work.is_begun and not work.take_back():
             if any(job.is_borrowed and not job.is_done for job in work.jobs):
@@ -323,4 +325,4 @@ class Worker:
         self.work = None
 
 
-__all__ = ["OUTPUTS", "Job", "Parts", "Work", "Worker"]
+__all__ = ["OUTPUTS", "UNDER_WAY", "Job", "Parts", "Work", "Worker"]
