@@ -18,9 +18,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))  # as a module of the f
 
 from house_tree import SOURCE, House, Module, body_lines
 
-#: Lines of code below which a module with one importer is a fragment, lines of the longest body of a function, and
-#: lines of a module up to which something may go home into it.
-FRAGMENT, SCREEN, LARGEST_MODULE = 60, 60, 700
+#: Lines of code below which a module with one importer is a fragment, lines of the longest body of a function (a screen
+#: and a half), and lines of a module up to which something may go home into it.
+FRAGMENT, SCREEN, LARGEST_MODULE = 60, 90, 700
 #: Kinds of tests and isolations, settings and what runs.
 JUDGES = frozenset(
     {
@@ -77,10 +77,22 @@ def none_of_judges(module: Module) -> Iterator[int]:
 
 
 def tolerances(module: Module) -> Iterator[float]:
-    """Yield the float literals that are tolerances."""
+    """Yield the float literals that are tolerances; the default of an option is a setting."""
+    settings = {id(value) for value in _defaults(module)}
     for node in module.nodes:
+        if id(node) in settings:
+            continue
         if isinstance(node, ast.Constant) and isinstance(node.value, float) and 0 < node.value <= TOLERANCE:
             yield node.value
+
+
+def _defaults(module: Module) -> Iterator[ast.expr | None]:
+    """Yield the defaults of parameters that are given by name, and of the fields of public classes."""
+    for node in module.nodes:
+        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)) and not node.name.startswith("_"):
+            yield from node.args.kw_defaults
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+            yield from (part.value for part in node.body if isinstance(part, ast.AnnAssign))
 
 
 def named_tolerances(module: Module) -> Iterator[tuple[str, float]]:

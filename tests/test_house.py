@@ -8,6 +8,7 @@ from __future__ import annotations
 import ast
 import re
 from collections import Counter, defaultdict
+from pathlib import Path
 
 import pytest
 
@@ -89,7 +90,7 @@ FRAGMENTS = {"monitor": 2}
 LONG_BODIES: dict[str, int] = {}
 LONG_MODULES: dict[str, int] = {}
 SPELLED = {"decide": 0, "monitor": 2}  # the columns of data frames
-TOLERANCES, DISTINCT_TOLERANCES, NAMES_WITH_SEVERAL_VALUES, WITHOUT_EVIDENCE = 366, 25, 0, 52
+TOLERANCES, DISTINCT_TOLERANCES, NAMES_WITH_SEVERAL_VALUES, WITHOUT_EVIDENCE = 301, 24, 0, 52
 
 
 @pytest.fixture(scope="module")
@@ -173,10 +174,24 @@ def test_no_fragment_with_one_importer(house: House) -> None:
         for module, user in single_importers(house, FRAGMENT)
         if module.name.rpartition(".")[2] not in own
         and module.name not in FORMATS + SUBSPACE
+        and not defines_a_kind(module)
         and len(module.text.splitlines()) + len(user.text.splitlines()) <= LARGEST_MODULE
     ]
     found = by_room([module for module, _ in kept])
     assert over(found, FRAGMENTS) == {}, [(a.name, a.code_lines, b.name) for a, b in kept]
+
+
+def defines_a_kind(module: Module) -> bool:
+    """Tell whether a module is a kind of test or of isolation: each has a file of its own."""
+    bases = {base.id for one in module.classes for base in one.bases if isinstance(base, ast.Name)}
+    return bool(bases & {"TestSettings", "ResidualTest", "IsolationSettings", "Isolation"})
+
+
+def test_a_kind_in_a_file_of_its_own_is_no_fragment_and_an_option_no_tolerance(tmp_path: Path) -> None:
+    text = "class Mine(TestSettings):\n    rate: float = 1e-3\n\n\ndef made(*, level: float = 1e-6):\n    return 1e-9\n"
+    module = Module("residua.decide.mine", tmp_path, text)
+    assert defines_a_kind(module)
+    assert list(tolerances(module)) == [1e-9]
 
 
 def test_no_mixin_with_one_heir(house: House) -> None:
