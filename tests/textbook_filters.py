@@ -94,7 +94,7 @@ def reduced_order_observer(plant: rs.Plant) -> list[Filter]:
     n, p, C1 = plant.n_states, plant.n_outputs, plant.C[[0]]
     if np.any(plant.D) or not np.any(C1) or n < 2:
         raise NoFilterError("D is not zero, or nothing is left")
-    V = np.hstack([np.linalg.pinv(C1), scipy.linalg.null_space(C1)])
+    V: Matrix = np.hstack([np.linalg.pinv(C1), scipy.linalg.null_space(C1)], dtype=np.float64)
     A: Matrix = np.asarray(np.linalg.solve(V, plant.A @ V), dtype=np.float64)
     L = _gain(A[1:, 1:], A[:1, 1:], plant)
     F, T = A[1:, 1:] - L @ A[:1, 1:], np.hstack([-L, np.eye(n - 1)]) @ np.linalg.inv(V)
