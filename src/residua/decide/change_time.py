@@ -1,4 +1,4 @@
-"""When did a signal begin to move? An interval from the likelihood over times and shapes of a change."""
+"""Interval for the time at which a signal begins to change, from the likelihood over times and shapes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _MOST_LAGS = 8
 
 @dataclass(frozen=True)
 class ChangeTime:
-    """When a change began, as numbers of samples.
+    """Time at which a change began, in samples.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class ChangeTime:
 
 
 def change_time(signal: NDArray[np.float64], quiet: int, last: int) -> ChangeTime | None:
-    r"""Return when a signal left its baseline upwards, as an interval of stated confidence (0.95).
+    r"""Return the interval of stated confidence (0.95) in which a signal left its baseline upwards.
 
     .. math:: s_t = \beta + a\, g(t - \tau) + e_t, \qquad a > 0,
 
@@ -89,7 +89,7 @@ def change_time(signal: NDArray[np.float64], quiet: int, last: int) -> ChangeTim
 
 
 def _with_enough(signal: NDArray[np.float64], quiet: int, last: int) -> ChangeTime | None:
-    """Return the change by as few samples after the last as put it beyond doubt."""
+    """Return the change from as few further samples as make it certain."""
     if quiet < LEAST_BEFORE or last >= len(signal):
         return None
     level = np.median(signal[:quiet])
@@ -167,7 +167,7 @@ def _autoregression(noise: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _triangular_factor(rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return R of QR: of the squares, which is far faster, where these keep seven digits of what is left of a row."""
+    """Return R of QR, from the Gram matrix where that keeps seven digits, which is much faster."""
     squares = rows.T @ rows
     try:
         R = np.asarray(np.linalg.cholesky(squares).T, dtype=float)
@@ -181,7 +181,7 @@ def _triangular_factor(rows: NDArray[np.float64]) -> NDArray[np.float64]:
 def _profile(
     signal: NDArray[np.float64], lags: NDArray[np.float64], shapes: NDArray[np.float64], last: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return how much of the innovations' squares a change at each time explains, and the best fit of all."""
+    """Return the share of the innovations' squares that a change at each time explains, and the best fit of all."""
     n, p = len(signal), len(lags)
     whiten = np.concatenate([[1.0], -lags])
     z = np.convolve(signal, whiten)[p:n]
@@ -205,7 +205,7 @@ def _profile(
 
 
 def _along_shapes(z: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """Return the sums of a signal times each shape, from each sample on: sums of sums, as the shapes are."""
+    """Return the sums of a signal times each shape, from each sample on, as repeated sums."""
 
     def later(sums: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.cumsum(sums[::-1])[::-1]

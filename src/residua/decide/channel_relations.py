@@ -1,4 +1,4 @@
-"""A test of channels beside the residual: each by what the others say of it, and frozen and quiet sensors."""
+"""Test of channels beside the residual: each against its prediction by the others, and frozen or quiet sensors."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ OUTSIDE = 0.5
 
 @dataclass(frozen=True, eq=False)
 class ChannelsState(Record):
-    """What the test remembers.
+    """State of the test of channels.
 
     Attributes
     ----------
@@ -96,7 +96,7 @@ class ChannelsState(Record):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ChannelRelationsTest(ResidualTest):
-    """Channels beside a residual with every number filled in: what runs.
+    """Fitted test of channels beside a residual.
 
     Attributes
     ----------
@@ -212,7 +212,7 @@ class ChannelRelationsTest(ResidualTest):
     def _means(
         self, means: NDArray[np.float64], armed: NDArray[np.bool_], left: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-        """Return the largest mean of each relation in thresholds, (plants, time, channels), and what goes on.
+        """Return the largest mean of each relation in thresholds, (plants, time, channels), and the new state.
 
         And the same without the slowest mean, which alone holds an alarm no longer than it has to.
 
@@ -263,7 +263,7 @@ class ChannelRelationsTest(ResidualTest):
         return np.where(live, ratios, np.nan), np.where(live, quick, np.nan), means, armed
 
     def _stuck(self, state: ChannelsState, y: NDArray[np.float64]) -> tuple[NDArray[Any], ...]:
-        """Return how frozen or quiet sensors are, in limits, and what goes on; a missing value changes nothing."""
+        """Return the degree to which sensors are frozen or quiet, in limits, and the new state; gaps change nothing."""
         plants, _, p = y.shape
         ratio = np.full(y.shape, np.nan)
         last, same, counted = state.last.copy(), state.same.copy(), state.counted.copy()
@@ -298,47 +298,47 @@ class ChannelRelationsTest(ResidualTest):
 
     @property
     def of_residual(self) -> ResidualTest:
-        """The bank of means of the residual."""
+        """Bank of means of the residual."""
         return self.model
 
     @property
     def reads_signals(self) -> bool:
-        """Yes."""
+        """True."""
         return True
 
     @property
     def metric(self) -> NDArray[np.float64]:
-        """That of the residual."""
+        """Metric of the residual."""
         return self.model.metric
 
     @property
     def per_deviation(self) -> NDArray[np.float64] | None:
-        """That of the residual."""
+        """Scale per standard deviation of the residual."""
         return self.model.per_deviation
 
     @property
     def per_threshold(self) -> NDArray[np.float64]:
-        """That of the residual."""
+        """Scale per threshold of the residual."""
         return self.model.per_threshold
 
     @property
     def guarded(self) -> NDArray[np.float64]:
-        """In deviations."""
+        """Weights in standard deviations."""
         return self.model.guarded
 
     @property
     def part_names(self) -> tuple[str, ...]:
-        """The model, and the channels."""
+        """Names of the parts: the model, and the channels."""
         return (MODEL, *self.channels)
 
     @property
     def part_thresholds(self) -> NDArray[np.float64]:
-        """One: statistics are in thresholds."""
+        """Ones: statistics are in thresholds."""
         return np.ones(1 + len(self.channels))
 
     @property
     def groups_of_residuals(self) -> dict[str, tuple[int, ...]]:
-        """The residuals that belong to each part."""
+        """Residual numbers of each part."""
         m = len(self.channels) - self.sensors
         every = tuple(range(len(self.center)))
         own = {c: (i - m,) if len(every) == self.sensors and i >= m else every for i, c in enumerate(self.channels)}
@@ -351,7 +351,7 @@ class ChannelRelationsTest(ResidualTest):
     def leads(
         self, residuals: NDArray[np.float64], changes: NDArray[np.float64], signals: NDArray[np.float64]
     ) -> NDArray[np.float64] | None:
-        """Return how far faults of one lead any part to its threshold, by small changes to fault-free signals."""
+        """Return the lead of each fault over the threshold of any part, by small changes to fault-free signals."""
         best = self.model.leads(residuals, changes, signals)
         assert best is not None
         spread = np.where(self.relations.spread > 0, self.relations.spread, np.inf)
@@ -372,12 +372,12 @@ class ChannelRelationsTest(ResidualTest):
         return best
 
     def outside_share(self, tested: Tested) -> float:
-        """Return in which part of the decided samples more than half of the relations are silent."""
+        """Return the fraction of decided samples in which more than half of the relations are silent."""
         silent = ~np.isfinite(tested.part_statistics[tested.usable][:, 1:][:, self.relations.moving])
         return float((silent.mean(axis=1) > OUTSIDE).mean()) if silent.size else 0.0
 
     def words(self, step: float) -> dict[str, str]:
-        """Return in words what is tested, and when an alarm begins and ends."""
+        """Describe the statistic, and the start and end of an alarm."""
         return {
             "threshold": f"1, in units of each part's own ({self.basis})",
             "test": f"{self.model.title} of the residual; and of each channel {_SAID[self.relations.form]}, by means "
@@ -389,7 +389,7 @@ class ChannelRelationsTest(ResidualTest):
     # --------------------------------------------------------------------------- files
 
     def check(self, watched: Watched) -> None:
-        """Raise where a test from a file does not fit what it is to watch."""
+        """Raise if a test from a file does not fit the watched generator."""
         self.model.check(watched)
         plant = watched.generator.plant
         q, p, r = len(plant.inputs) + len(plant.outputs), len(plant.outputs), self.relations
@@ -423,7 +423,7 @@ class ChannelRelationsTest(ResidualTest):
             raise FileFormatError("fitted.relations: drivers and outputs must be channels")
 
     def check_state(self, state: ChannelsState) -> None:
-        """Raise where a state from a file cannot be one."""
+        """Raise if a state from a file is invalid."""
         self.model.check_state(state.model)
 
 
@@ -454,7 +454,7 @@ class Raised(Record):
 
 @dataclass(frozen=True)
 class ChannelRelations(TestSettings):
-    r"""Alarm where a channel is not what the others say of it, besides what the residual of the model shows.
+    r"""Alarm where a channel deviates from its prediction by the others, or the residual from zero.
 
     A prediction from the past follows a sensor that stays wrong: its residual shows the moment in which it goes wrong
     and little of what comes after. So each channel is compared, beside the residual, with
@@ -544,7 +544,7 @@ class ChannelRelations(TestSettings):
             raise SettingError(f"raised must be factors of 1 or more by channel, got {echo(self.raised)}")
 
     def check(self, watched: Watched) -> None:
-        """Raise where members are to be tested by themselves, or a factor is for no channel."""
+        """Raise if members are to be tested separately, or if a factor is for no channel."""
         if watched.parts is not None:
             raise SettingError(
                 "ChannelRelations tests the residual as a whole: it is not for banks that are read by code"
@@ -600,7 +600,7 @@ class ChannelRelations(TestSettings):
         )
 
     def asked(self, watched: Watched, rows: int = 0) -> float:
-        """Return the fraction of fault-free samples in alarm that is aimed at: 1e-3 at the rarest without a wish."""
+        """Return the target fraction of fault-free samples in alarm: 1e-3 or more without a wish."""
         return max(rate_aimed_at(self.false_alarm_rate, rows), _RAREST if self.false_alarm_rate is None else 0.0)
 
 
@@ -658,7 +658,7 @@ def _limits(
 
 
 def _wander(series: NDArray[np.float64], time: float) -> float:
-    """Return the deviation of what wanders more slowly than the series shows, by the means of its blocks."""
+    """Return the deviation of drifts slower than the series shows, by the means of its blocks."""
     blocks = np.array_split(series, _BLOCKS)
     within = float(np.mean([block.var() for block in blocks]))
     own = 2 * time * within / (len(series) / _BLOCKS)
@@ -666,7 +666,7 @@ def _wander(series: NDArray[np.float64], time: float) -> float:
 
 
 def _standstills(y: NDArray[np.float64], recordings: Sequence[slice]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return how long each sensor may keep one value, and how little it may move; 0 where that says nothing."""
+    """Return the number of samples that each sensor may keep one value, and the least it must move; 0 if unknown."""
     frozen, quiet = np.zeros(y.shape[1], np.int64), np.zeros(y.shape[1])
     for j in range(y.shape[1]):
         longest, least = 0, np.inf

@@ -175,7 +175,7 @@ def _names(one: object, name: str) -> list[Any]:
 
 
 def _hit(found: list[frozenset[str]], conflict: tuple[str, ...], most: int | None) -> tuple[list[frozenset[str]], bool]:
-    """Return the minimal sets that hit one more conflict set, and whether any was left out for its size."""
+    """Return the minimal sets that hit one more conflict set, and a flag for any left out for its size."""
     kept = [one for one in found if not one.isdisjoint(conflict)]
     out, cut = list(kept), False
     for one in found:

@@ -1,4 +1,4 @@
-"""A threshold on the norm of the residual: of all residuals together, or of each group of them."""
+"""Threshold on the norm of the residual: of all residuals together, or of each group of them."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ class NormThreshold(NormSettings):
     # ----------------------------------------------- what the rest of a monitor asks for
 
     def check(self, watched: Watched) -> None:
-        """Raise where the groups do not have each residual just once."""
+        """Raise unless the groups have each residual exactly once."""
         if self.groups is not None:
             rows_of_groups(self.groups, watched.generator.residuals)
         if self.source != "auto" and (watched.parts is not None or self.groups is not None):
@@ -126,18 +126,18 @@ class NormThreshold(NormSettings):
 
     @property
     def remedy(self) -> str:
-        """How to get a threshold."""
+        """Remedy for a missing threshold."""
         if self.source != "auto":
             return super().remedy
         return f"{super().remedy}, give the plant noise (with_noise), or set NormThreshold(threshold=...)"
 
     @property
     def divides(self) -> bool:
-        """Whether groups are tested by themselves."""
+        """True if groups are tested separately."""
         return self.groups is not None
 
     def kept(self, watched: Watched) -> tuple[str, int, int] | None:
-        """Return the window, and how many whitened residuals are kept of each of its samples."""
+        """Return the window, and the number of whitened residuals kept for each of its samples."""
         parts = watched.parts
         columns = watched.generator.n_residuals if parts is None else sum(map(len, parts.values()))
         return f"NormThreshold(window={self.window})", self.window, columns
@@ -145,7 +145,7 @@ class NormThreshold(NormSettings):
     # --------------------------------------------------------------------------- files
 
     def to_record(self) -> dict[str, Any]:
-        """Return the settings as a record; ``groups`` are an entry if there are any, ``source`` if it is another."""
+        """Return the settings as a record, with ``groups`` if there are any, and ``source`` if not the default."""
         content = values_out(self)
         groups = content.pop("groups")
         if self.source == "auto":
@@ -166,12 +166,12 @@ class NormThreshold(NormSettings):
         return values_in(content, where, cls, known)
 
     def check_record(self, content: Mapping[str, Any], where: str) -> None:
-        """Raise where a test has another window."""
+        """Raise if a test has another window."""
         if content.get("window") != self.window:
             raise FileFormatError(f"{where}.window must be that of the test, {self.window}")
 
     def test_from_record(self, content: Any, where: str, watched: Watched) -> ResidualTest:
-        """Return what runs, from a record."""
+        """Read a test from a record."""
         cls = BankTest if watched.parts is not None else NormTest if self.groups is None else GroupTest
         if cls is GroupTest:
             watched = replace(watched, parts=rows_of_groups(self.groups, watched.generator.residuals))

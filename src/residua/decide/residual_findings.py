@@ -1,4 +1,4 @@
-"""What fault-free residuals really are: memory, tails, drift, offset, and size against the noise model."""
+"""Properties of fault-free residuals: memory, tails, drift, offset, and size against the noise model."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ class ResidualFacts:
 
 @dataclass(frozen=True)
 class Finding:
-    """Something that these residuals are and that a test should know.
+    """A property of these residuals that matters for the choice of a test.
 
     Attributes
     ----------
@@ -121,7 +121,7 @@ class Finding:
 
 @dataclass(frozen=True, repr=False)
 class ResidualReport(Shown):
-    """What fault-free residuals really are, and which test they ask for; :func:`residua.decide.residual_report`.
+    """Properties of fault-free residuals, and the test they call for; see :func:`residua.decide.residual_report`.
 
     Attributes
     ----------
@@ -154,7 +154,7 @@ class ResidualReport(Shown):
         return [dict(vars(one)) for one in self.residuals]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return all of it as plain numbers, texts, lists and dictionaries, as JSON takes them."""
+        """Return all of it as plain numbers, texts, lists and dictionaries for JSON."""
         return {
             "samples": self.samples,
             "recordings": self.recordings,
@@ -167,7 +167,7 @@ class ResidualReport(Shown):
         }
 
     def found(self, kind: str) -> Finding | None:
-        """Return the finding of a kind; ``None`` where there is none."""
+        """Return the finding of a kind; ``None`` without one."""
         return next((one for one in self.findings if one.kind == kind), None)
 
     def __str__(self) -> str:
@@ -190,7 +190,7 @@ def findings_of(
     covariance: NDArray[np.float64] | None = None,
     white: bool | None = None,
 ) -> ResidualReport:
-    """Return what fault-free residuals are.
+    """Return the properties of fault-free residuals.
 
     Parameters
     ----------
@@ -254,7 +254,7 @@ def findings_of(
 
 
 def _without(places: Sequence[Change], whole: FaultFree) -> FaultFree:
-    """Return the residuals less their means on either side of each change, and with nothing across it."""
+    """Return the residuals less their means on either side of each change, and with a gap across it."""
     if not places:
         return whole
     starts = [whole.parts[one.recording - 1].start + one.sample for one in places]
@@ -269,7 +269,7 @@ def _without(places: Sequence[Change], whole: FaultFree) -> FaultFree:
 def _facts(
     data: FaultFree, j: int, name: str, mean: float, unit: str, expected: float | None
 ) -> tuple[ResidualFacts, NDArray[np.float64]]:
-    """Return the figures of one residual, and what an autoregression of it leaves, in its own deviations."""
+    """Return the figures of one residual, and its innovations in its own deviations."""
     column = data.deviations[:, [j]]
     used = column[data.usable, 0]
     deviation, count = float(np.sqrt(np.mean(used**2))), len(used)
@@ -295,7 +295,7 @@ def _facts(
 
 
 def _left(coefficients: NDArray[np.float64], column: NDArray[np.float64], data: FaultFree) -> NDArray[np.float64]:
-    """Return what the past does not foretell of the samples whose past is known."""
+    """Return the innovations of the samples whose past is known."""
     out = []
     for part in data.parts:
         past = Past.empty(1, coefficients)
@@ -305,7 +305,7 @@ def _left(coefficients: NDArray[np.float64], column: NDArray[np.float64], data: 
 
 
 def _lags(samples: int) -> int:
-    """Return the lags that are looked at: of more, the sum of squares is no chi-squared number in so few samples."""
+    """Return the lags in use: with more, the sum of squares is not chi-squared in so few samples."""
     return min(LAGS, max(samples // _SAMPLES_PER_LAG, 1))
 
 
@@ -320,7 +320,7 @@ def _correlations(x: NDArray[np.float64], parts: Sequence[slice], lags: int) -> 
 
 
 def _moments(e: NDArray[np.float64]) -> tuple[float, float, float]:
-    """Return skewness, kurtosis, and the probability of such ones of Gaussian samples (D'Agostino and Pearson)."""
+    """Return skewness, kurtosis, and their probability for Gaussian samples (D'Agostino and Pearson)."""
     skewness, kurtosis = float(np.mean(e**3)), float(np.mean(e**4))
     if len(e) < _LEAST:
         return skewness, kurtosis, 1.0
@@ -330,7 +330,7 @@ def _moments(e: NDArray[np.float64]) -> tuple[float, float, float]:
 
 
 def _tail(size: NDArray[np.float64]) -> tuple[float, float]:
-    """Return the shape of the tail of the sizes of samples, and its deviation."""
+    """Return the shape of the tail of the sizes of samples, and its standard deviation."""
     start = float(np.quantile(size, 1 - _TAIL))
     over = size[size > start] - start
     return ParetoTail(start, over, _TAIL, float(max(len(over), 1))).shape
@@ -345,7 +345,7 @@ def _squares(data: FaultFree) -> NDArray[np.float64]:
 def _memory(
     data: FaultFree, facts: Sequence[ResidualFacts], moved: Sequence[int], white: bool | None, bursts: Sequence[Finding]
 ) -> list[Finding]:
-    """Return whether the past says anything of the present: of residuals that come in bursts by their signs alone."""
+    """Find correlation in time; by signs alone for residuals with bursts."""
     level, loud = LEVEL / 2 / max(len(moved), 1), {name for one in bursts for name in one.residuals}
     lags, found = _lags(int(data.usable.sum())), []
     for j in moved:
@@ -374,7 +374,7 @@ def _memory(
 
 
 def _bursts(left: Sequence[NDArray[np.float64]], facts: Sequence[ResidualFacts], moved: Sequence[int]) -> list[Finding]:
-    """Return whether the size of what an autoregression leaves is correlated in time: by ranks, for any tails."""
+    """Find residuals whose innovations have a size correlated in time: by ranks, for any tails."""
     from scipy.special import ndtri
 
     names = []
@@ -395,7 +395,7 @@ def _bursts(left: Sequence[NDArray[np.float64]], facts: Sequence[ResidualFacts],
 
 
 def _shape(facts: Sequence[ResidualFacts], moved: Sequence[int], samples: int) -> list[Finding]:
-    """Return the residuals whose distribution is not Gaussian."""
+    """Find the residuals whose distribution is not Gaussian."""
     odd = [facts[j] for j in moved if facts[j].normality < LEVEL / max(len(moved), 1)]
     heavy = sorted((one for one in odd if one.kurtosis > 3 + _SKEWNESS), key=lambda one: -one.kurtosis)
     light = [one for one in odd if one.kurtosis < 3 - _SKEWNESS]
@@ -422,7 +422,7 @@ def _shape(facts: Sequence[ResidualFacts], moved: Sequence[int], samples: int) -
 
 
 def _place(facts: Sequence[ResidualFacts], moved: Sequence[int], model: bool) -> list[Finding]:
-    """Return the means that are not zero, where the model of the plant says that they are."""
+    """Find means that are not zero, where the model of the plant says that they are."""
     from scipy.special import ndtri
 
     if not model:
@@ -443,7 +443,7 @@ def _place(facts: Sequence[ResidualFacts], moved: Sequence[int], model: bool) ->
 def _size(
     data: FaultFree, facts: Sequence[ResidualFacts], moved: Sequence[int], covariance: NDArray[np.float64] | None
 ) -> list[Finding]:
-    """Return the variances that are not those of the noise model."""
+    """Find variances that differ from those of the noise model."""
     from scipy.special import ndtri
 
     if covariance is None:
@@ -493,7 +493,7 @@ _REMEDIES = {
 
 
 def _advice(found: Sequence[Finding], order: int, samples: int) -> tuple[str, ...]:
-    """Return the test that suits the findings."""
+    """Recommend tests that suit the findings."""
     kinds, out = {one.kind for one in found}, []
     for kind, text in _REMEDIES.items():
         if kind in kinds:

@@ -1,4 +1,4 @@
-"""Residuals made white and Gaussian: whitened, less what their past foretells, and with heavy tails as scores."""
+"""Treatment of residuals: whitening, autoregression, and scores for heavy tails."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _ENDS, _FOLDS = 3.0, 4
 
 @dataclass(frozen=True, eq=False)
 class Treated:
-    """What makes fault-free residuals white and Gaussian.
+    """Treatment that makes fault-free residuals white and Gaussian.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Treated:
 
 
 def treated(data: FaultFree, treatment: str, harmless_offset: float, *, scores: bool = True) -> Treated:
-    """Return what makes fault-free residuals white and Gaussian.
+    """Fit the treatment that makes fault-free residuals white and Gaussian.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def treated(data: FaultFree, treatment: str, harmless_offset: float, *, scores: 
 
 
 def _floor(samples: int, harmless_offset: float) -> float:
-    """Return the part of its variance below which what is left of a direction is less than the error of its mean.
+    """Return the share of variance below which a direction's innovations are less than the error of its mean.
 
     Where decoupling makes residuals depend on each other over time, an autoregression foretells combinations of them
     exactly. What is left there of the ends of a recording, divided by its length, is all the noise they have.
@@ -118,7 +118,7 @@ def _floor(samples: int, harmless_offset: float) -> float:
 def _innovations(
     coefficients: NDArray[np.float64], q: NDArray[np.float64], usable: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
-    """Return what the past does not foretell, of the samples whose past is known."""
+    """Return the innovations of the samples whose past is known."""
     e, seen, _ = unforetold(coefficients, Past.empty(1, coefficients), q[None], usable[None])
     return e[0, seen[0]]
 

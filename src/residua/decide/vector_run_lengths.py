@@ -25,7 +25,7 @@ _MOST_IN_A_SUM = 20_000
 
 @dataclass(frozen=True)
 class LengthChain(Chain):
-    r"""The length of a vector that is drawn on by Gaussian ones.
+    r"""Length of a vector with Gaussian increments.
 
     .. math:: v_k = c\, s_{k-1} + q_k, \qquad |s_k| = g \max(|v_k| - \kappa, 0), \quad s_k \parallel v_k
 
@@ -47,7 +47,7 @@ class LengthChain(Chain):
 
     @property
     def width(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The deviation of a step."""
+        """Standard deviation of a step."""
         return self.gain
 
     def density(self, now: Values, then: Values) -> Values:
@@ -59,7 +59,7 @@ class LengthChain(Chain):
         return norm_above(level / self.gain + self.allowance, self.kept * now, self.dimension)
 
     def at_zero(self, now: Values) -> Values:
-        """Return the probability that the next vector is none."""
+        """Return the probability that the next vector is zero."""
         if not self.allowance:
             return np.zeros_like(now)
         return 1 - norm_above(self.allowance, self.kept * now, self.dimension)

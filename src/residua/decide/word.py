@@ -1,4 +1,4 @@
-"""The word of a verdict: whether a listed fault explains an alarm, and how that is said."""
+"""Word of a verdict: whether a listed fault explains an alarm, and its wording."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ RULES = (
 
 @dataclass(frozen=True)
 class Word:
-    """How well the listed faults explain an alarm.
+    """Fit of the listed faults to an alarm, as one word.
 
     Attributes
     ----------
@@ -71,17 +71,17 @@ class Word:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The faults as text, those that look the same as one."""
+        """The faults as text, indistinguishable ones as one."""
         return tuple(" or ".join(group) for group in self.faults)
 
     @property
     def fitted(self) -> bool:
-        """Whether it is by what the faults explain of the residual, with any course."""
+        """True if the word rests on a fit of the faults, with any course, to the residual."""
         return math.isfinite(self.share)
 
     @property
     def line(self) -> str:
-        """The word and what it names, without a full stop."""
+        """The word and its names, without a full stop."""
         first = self.names[0] if self.names else ""
         if self.kind == GOOD:
             return f"{first}, a good match {self.why}".rstrip()
@@ -103,7 +103,7 @@ class Word:
         return f"a poor match: {why}{nearest}{better}"
 
     def headline(self, when: str) -> str:
-        """Return the sentence that says what was found, ``when`` the alarm was raised."""
+        """Return the headline of an alarm, raised ``when``."""
         if self.kind in (GOOD, EITHER):
             return f"Fault found: {self.line}, {when}."
         if self.kind == TOO_EARLY:
@@ -112,7 +112,7 @@ class Word:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """What the word rests on."""
+        """Sentences on the basis of the word."""
         if not self.names or not self.fitted:
             return ()
         said = f"After {self.after} samples of the alarm, {self.names[0]} explains {100 * self.share:.0f} % of the "
