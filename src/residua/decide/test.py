@@ -359,7 +359,7 @@ class TestSettings(Record, ABC):
         return None
 
     def known(self, watched: Watched) -> ResidualTest | None:
-        """Return the test if its thresholds do not depend on data, to wait longer and start from rest; else ``None``."""
+        """Return the test if its thresholds do not depend on data, to wait longer, from rest; else ``None``."""
         return None
 
     @abstractmethod

@@ -1,4 +1,4 @@
-"""A monitor from fault-free recordings alone: a model, relations of channels, and a check on rows held out."""
+"""A monitor from fault-free recordings alone: a model, relations of channels, and a check on held-out rows."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ Rows = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Tried:
-    """One way of watching on the rows held out.
+    """Results of one route on the held-out rows.
 
     Attributes
     ----------
@@ -88,7 +88,7 @@ class Tried:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Learnt(Shown):
-    """A monitor that was learnt from fault-free recordings, and what its check says. Prints as a summary.
+    """A monitor learnt from fault-free recordings, and its check. Prints as a summary.
 
     Attributes
     ----------
@@ -116,7 +116,7 @@ class Learnt(Shown):
 
     @property
     def cautions(self) -> tuple[str, ...]:
-        """The reasons to doubt this monitor, which every run repeats."""
+        """Reasons to doubt this monitor, repeated by every run."""
         check = self.monitor.fit_check
         return check.cautions if check else ()
 
@@ -308,7 +308,7 @@ def _at(rows: Rows, share: float) -> int:
 
 
 def _with_inputs(recordings: Any, y: Any, inputs: Names, outputs: Names, dt: float | None) -> tuple[Gathered, bool]:
-    """Return the recordings with their inputs, and whether these were guessed."""
+    """Return the recordings with their inputs, and a flag for guessed ones."""
     gathered = gather(recordings, y, inputs=inputs, outputs=outputs, dt=dt)
     if inputs is not None or gathered.inputs:
         return gathered, False
@@ -327,7 +327,7 @@ def _with_inputs(recordings: Any, y: Any, inputs: Names, outputs: Names, dt: flo
 
 
 def _stable_model(parts: Any, names: Mapping[str, Any], options: dict[str, Any]) -> IdentifiedModel:
-    """Return a model of recordings; where its order is chosen by the data and it is not stable, one of a near order."""
+    """Return a stable model of recordings, of a near order if the order chosen from the data is unstable."""
     try:
         made = subspace(parts, **names, **options)
         radius, order = float(np.abs(made.report.poles).max(initial=0.0)), len(made.report.poles)
@@ -352,7 +352,7 @@ def _modelled(
     sensors: bool,
     actuators: bool,
 ) -> tuple[ResidualGenerator, FitReport | None, list[str]]:
-    """Return the Kalman filter of a model of the first half, its report, and what is doubtful about it."""
+    """Return the Kalman filter of a model of the first half, its report, and cautions about it."""
     m, cautions = len(gathered.inputs), []
     names = {"inputs": gathered.inputs, "outputs": gathered.outputs, "dt": gathered.dt}
     made = _stable_model(parts, names | {"held_out": 1 - _MODEL / _CHECK, "progress": progress}, dict(options or {}))
@@ -385,7 +385,7 @@ def _modelled(
 
 @dataclass(frozen=True, eq=False)
 class _Routes:
-    """The ways to a fitted monitor."""
+    """Routes to a fitted monitor."""
 
     generator: ResidualGenerator
     gathered: Gathered
@@ -393,13 +393,13 @@ class _Routes:
 
     @property
     def inputs(self) -> int:
-        """How many of the channels are inputs: the first ones."""
+        """Number of channels that are inputs: the first ones."""
         return len(self.gathered.inputs)
 
     def monitor(
         self, route: str, parts: Sequence[tuple[Rows, Rows]], unseen: float, raised: Mapping[str, float]
     ) -> Monitor:
-        """Return a monitor of recordings, of which the first part is that which the model is from."""
+        """Return a monitor of recordings, the first part of which the model was identified from."""
         fitting: dict[str, Any] = {"dt": self.gathered.dt, "false_alarm_rate": self.rate, "held_out": 0.0}
         if route in FORMS:
             test = ChannelRelations(route, self.rate, unseen, raised)  # pyright: ignore[reportArgumentType]
@@ -423,7 +423,7 @@ class _Routes:
         return decided.statistic[..., None] / monitor.threshold
 
     def by_channels(self, monitor: Monitor, data: Rows) -> Rows:
-        """Return the same of channels alone, where these are compared: the bank of means of the residual takes long."""
+        """Return the statistics of the channels alone, if these are compared; the bank of means is slow."""
         test = monitor.norm_test
         if not isinstance(test, ChannelRelationsTest):
             return self.statistics(monitor, data)
@@ -436,7 +436,7 @@ class _Routes:
 def _try(
     route: str, routes: _Routes, first: Sequence[tuple[Rows, Rows]], last: Sequence[Rows]
 ) -> tuple[Tried, tuple[dict[str, float], HeldOut]]:
-    """Return one route as the rows held out have it, the factors that these ask for, and all alarms there."""
+    """Return the results of one route on the held-out rows, the factors that these require, and all alarms there."""
     rate = routes.rate
     try:
         monitor = routes.monitor(route, first, _MODEL / _CHECK, {})
@@ -461,7 +461,7 @@ def _try(
 
 
 def _seen(routes: _Routes, monitor: Monitor, rows: Rows, limits: NDArray[np.float64]) -> float:
-    """Return the share of the time in alarm after faults were put into rows, in the mean."""
+    """Return the mean share of the time in alarm after faults were injected into rows."""
     begin, spread = int(_BEGIN * len(rows)), np.nanstd(rows, axis=0)
     if len(rows) - begin < 2:
         return 0.0
@@ -509,7 +509,7 @@ def with_channel_fault(rows: Rows, column: int, kind: str, size: float, begin: i
 
 
 def _choose(tried: Sequence[Tried], rate: float) -> str:
-    """Return the route to use: the first of the good ones, or that with the fewest false alarms where none is good.
+    """Return the route to use: the first good one, or that with the fewest false alarms if none is good.
 
     A monitor with relations sees what the innovation sees as well.
     """

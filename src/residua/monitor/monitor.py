@@ -200,17 +200,17 @@ class Monitor(Guessed, Shown):
 
     @property
     def is_fitted(self) -> bool:
-        """Whether the monitor has a threshold: from data, from the noise model, or from the user."""
+        """True if the monitor has a threshold: from data, from the noise model, or from the user."""
         return self._test is not None
 
     @property
     def isolate(self) -> IsolationSettings | None:
-        """How faults are named; ``None``: not at all."""
+        """Settings of the isolation; ``None`` for none."""
         return None if isinstance(self._isolation, NoIsolation) else self._isolation
 
     @property
     def norm_test(self) -> Any:
-        """The test with every number filled in; for a bank, those of all its members."""
+        """The fitted test; for a bank, those of all its members."""
         if self._test is None:
             raise NotFittedError(f"this monitor has no threshold: {self._settings.remedy}")
         return self._test
@@ -222,19 +222,19 @@ class Monitor(Guessed, Shown):
 
     @property
     def false_alarm_rate(self) -> float:
-        """The fraction of fault-free samples in alarm aimed at: by the last fit; before one by the test, or 1e-4."""
+        """Target fraction of fault-free samples in alarm: by the last fit; before one by the test, or 1e-4."""
         if self._check is not None and self._check.aimed is not None:
             return self._check.aimed
         return self._settings.asked(self._watched(self.generator))
 
     @property
     def fit_check(self) -> FitCheck | None:
-        """What the last fit says of its own recordings; ``None`` where nothing was fitted."""
+        """Check of the last fit on its own recordings; ``None`` without a fit."""
         return self._check
 
     @property
     def groups(self) -> tuple[tuple[str, ...], ...]:
-        """The faults, those that this monitor cannot tell apart in one group.
+        """The faults, indistinguishable ones in one group.
 
         A fault that some members of a bank see only while it changes is in two: see :class:`residua.decide.CodeTest`.
         """
@@ -242,7 +242,7 @@ class Monitor(Guessed, Shown):
 
     @property
     def settling_samples(self) -> int:
-        """Samples after a start in which nothing is decided."""
+        """Number of samples after a start without a decision."""
         if self._test is not None:
             return self._specification().settle  # of a loaded monitor that with which it was saved
         return settling_samples(self.generator) if self.settle is None else int(self.settle)
@@ -484,7 +484,7 @@ class Monitor(Guessed, Shown):
         progress: Callable[[int, int], None] | None = None,
         own: NDArray[np.bool_] | None = None,
     ) -> Diagnosis | list[Diagnosis]:
-        """Run over a recording; ``own``: the samples that are this monitor's to judge, where others have the rest."""
+        """Run over a recording; ``own``: the samples for this monitor to judge, if others judge the rest."""
         self._learn_step(measured.dt)
         checked = plant_signals(measured.u, measured.y, self.generator.plant)
         with self._lock:
@@ -522,7 +522,7 @@ class Monitor(Guessed, Shown):
         return run_file(self, path, residuals=residuals, alarms=alarms, report=report, progress=progress)
 
     def update(self, u: ArrayLike | None, y: ArrayLike, *, keep: Sequence[str] | None = None) -> Decisions:
-        """Go on with a block of samples.
+        """Process a block of samples.
 
         Parameters
         ----------
@@ -548,7 +548,7 @@ class Monitor(Guessed, Shown):
             return self._live.go_on(self._specification(), data, names)[0]
 
     def step(self, u: ArrayLike | None, y: ArrayLike) -> Decision:
-        """Go on with one sample of one plant; the same answers as :meth:`run`, to the last bit.
+        """Process one sample of one plant; the same answers as :meth:`run`, to the last bit.
 
         Parameters
         ----------
@@ -595,7 +595,7 @@ class Monitor(Guessed, Shown):
 
     @staticmethod
     def load(path: str | Path) -> Monitor:
-        """Read a monitor that :meth:`save` wrote; it goes on where it stopped, bit for bit.
+        """Read a monitor saved by :meth:`save`; it continues where it stopped, bit for bit.
 
         Parameters
         ----------
@@ -633,12 +633,12 @@ class Monitor(Guessed, Shown):
                 self._state = state
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return what a copy, which has a lock and a state of its own, takes over: all between two blocks."""
+        """Return the content of a copy, which gets its own lock and state, all taken between two blocks."""
         with self._lock:
             return {**self.__dict__, "_lock": None, "_live": self._live.apart()}
 
     def __setstate__(self, content: dict[str, Any]) -> None:
-        """Take over everything but the lock."""
+        """Restore everything but the lock."""
         self.__dict__.update(content, _lock=forkable_lock())
 
     def _watched(self, generator: ResidualGenerator) -> Watched:
@@ -665,7 +665,7 @@ class Monitor(Guessed, Shown):
         return stacked(*plant_signals(u, y, self.generator.plant))
 
     def _specification(self) -> Specification:
-        """Return what runs, with the learnt faults."""
+        """Return the specification, with the learnt faults."""
         with self._lock:
             plain = self._plain_specification()
             if self._running is None or self._running[0] is not plain:
@@ -673,7 +673,7 @@ class Monitor(Guessed, Shown):
             return self._running[1]
 
     def _plain_specification(self) -> Specification:
-        """Return what runs, without learnt faults."""
+        """Return the specification, without learnt faults."""
         with self._lock:
             if self._spec is None:
                 self._spec = specification(

@@ -1,4 +1,4 @@
-"""Which values can be measurements: what lies far outside is a mark for "no value", and is taken as missing."""
+"""Plausible values of measurements: values far outside are marks for "no value", and count as missing."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def plausible_deviations(
 
 
 def _largest_response(generator: ResidualGenerator, test: ResidualTest) -> NDArray[np.float64]:
-    """Return for each channel the largest response of the whitened residual to it, as soon as the filter knows it."""
+    """Return for each channel the largest response of the whitened residual to an impulse in it."""
     system = generator.system
     weights = test.guarded
     largest, x = np.abs(system.D).T @ weights, system.B

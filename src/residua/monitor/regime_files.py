@@ -1,4 +1,4 @@
-"""Monitors by operating mode as JSON: the switch, and the monitor of every mode as a file of its own would have it."""
+"""Monitors by operating mode as JSON: the switch, and the monitor of every mode as in a file of its own."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def save_regimes(monitor: RegimeMonitor, path: str | Path) -> None:
 
 
 def load_regimes(path: str | Path) -> RegimeMonitor:
-    """Read a monitor by operating mode; raises :class:`FileFormatError` that says which entry is wrong."""
+    """Read a monitor by operating mode; :class:`FileFormatError` names the wrong entry."""
     path = Path(path)
     content = loads(read_bytes(path, "monitor"), path.name)
     if content.get("format") != REGIMES:

@@ -1,4 +1,4 @@
-"""The report of what the residuals of fault-free recordings are."""
+"""Report on the residuals of fault-free recordings."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def residual_report(
     dt: float | None = None,
     transient: int = 0,
 ) -> ResidualReport:
-    r"""Return what the residuals of fault-free recordings really are, and which test they ask for.
+    r"""Return the properties of fault-free residuals, and the test they call for.
 
     Thresholds are designed for residuals that are white, Gaussian, stationary, of mean zero, and as large as the noise
     model says. This tests each of these on a recording, for all residuals together:

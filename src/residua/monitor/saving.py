@@ -123,7 +123,7 @@ def monitor_out(monitor: Monitor) -> dict[str, Any]:
 
 
 def load_monitor(path: str | Path) -> Monitor:
-    """Read a monitor; raises :class:`FileFormatError` that says which entry is wrong.
+    """Read a monitor; :class:`FileFormatError` names the wrong entry.
 
     Every number must be what it may be (:class:`residua.records.Record`), the parts must fit together, and the
     content must be what was saved, by its checksum. With ``"checksum": null`` in the file, which says that it was
@@ -140,7 +140,7 @@ def load_monitor(path: str | Path) -> Monitor:
 
 
 def monitor_from(content: Mapping[str, Any], source: str) -> Monitor:
-    """Return the monitor of a record, whose checksum is the caller's to check."""
+    """Return the monitor of a record; the caller checks the checksum."""
     if content.get("format") == REGIMES:
         raise FileFormatError(f"{source} is a monitor by operating mode: read it by residua.RegimeMonitor.load")
     if content.get("format") != FORMAT:
@@ -200,7 +200,7 @@ def _monitor_in(content: Mapping[str, Any]) -> Monitor:
 def _learnt_in(
     content: Mapping[str, Any], monitor: Monitor
 ) -> tuple[NDArray[np.float64] | None, tuple[LearntFault, ...]]:
-    """Return the fault-free covariance, where it is not that of the test, and the faults that were learnt."""
+    """Return the fault-free covariance, if it is not that of the test, and the learnt faults."""
     k, coding = monitor.generator.n_residuals, monitor._plain_specification().isolation.coding
     normal = None if content["normal"] is None else _square_in(content["normal"], "normal", k)
     faults = []
@@ -227,7 +227,7 @@ class _Saved:
 
 
 def _check_parts(content: Mapping[str, Any], test: TestSettings, isolate: IsolationSettings) -> None:
-    """Raise where the settings are not of what was made of them, before anything is made of them again.
+    """Raise if the settings do not match the saved results, before anything is rebuilt.
 
     What takes the time of a window is in the file then, as long as its window says.
     """
@@ -260,7 +260,7 @@ def _plausible_in(value: Any) -> Plausible:
 
 
 def _running_out(spec: Specification) -> dict[str, Any]:
-    """Return what was computed from the design before the first sample."""
+    """Return the values computed from the design before the first sample."""
     return {
         "start": array_out(spec.start),
         "settle": int(spec.settle),
@@ -277,7 +277,7 @@ _RUNNING = ("start", "settle", "plausible", "first", "partial", "isolation")
 
 
 def _running_in(spec: Specification, value: Any, monitor: Monitor, watched: Watched) -> Specification:
-    """Return the specification with what was computed when it was saved in place of what is computed now."""
+    """Return the specification with the saved values in place of those computed now."""
     content = record(value, "running", _RUNNING)
     start = array_in(content["start"], "running.start", ENTRY)
     if start.shape != spec.start.shape:
@@ -292,7 +292,7 @@ def _running_in(spec: Specification, value: Any, monitor: Monitor, watched: Watc
 
 
 def _state_in(value: Any, spec: Specification) -> State:
-    """Return the state of a running monitor, as it may be for what runs."""
+    """Return the state of a running monitor, checked against its specification."""
     filtered = table_in(table_in(value, "state").get("filter"), "state.filter")
     plants = len(array_in(filtered.get("gap"), "state.filter.gap", INDEX, 1))
     state: State = state_in(value, "state", initial_state(spec, plants))
@@ -305,14 +305,14 @@ def _state_in(value: Any, spec: Specification) -> State:
 
 
 def _first_out(spec: Specification, first: StartFit) -> dict[str, Any]:
-    """Return what estimates a start; its weights only if they are not those that a file without them has."""
+    """Return the record of a start estimator; its weights only if they differ from the default."""
     out = {"samples": int(first.samples), "correction": array_out(first.correction)}
     without = start_from(spec.A, spec.C, spec.test, first.samples, first.correction, None)
     return out if np.array_equal(without.weights, first.weights) else {**out, "weights": array_out(first.weights)}
 
 
 def _first_in(value: Any, spec: Specification) -> StartFit | None:
-    """Return what estimates a start, with the correction that was saved."""
+    """Return the estimator of a start, with the saved correction."""
     if value is None:
         return None
     content = {"weights": None} | table_in(value, "running.first")  # an entry only where it is needed
@@ -328,7 +328,7 @@ def _first_in(value: Any, spec: Specification) -> StartFit | None:
 
 
 def _partial_in(value: Any, spec: Specification) -> PartialUpdate | None:
-    """Return what a Kalman filter without some outputs needs, with the covariance that was saved."""
+    """Return the data for a Kalman filter with missing outputs, with the saved covariance."""
     if value is None:
         return None
     content = record(value, "running.partial", ("covariance", "settled"))
@@ -360,7 +360,7 @@ def _limits_in(value: Any, spec: Specification) -> NDArray[np.float64]:
 
 
 def _check_start(spec: Specification, start: NDArray[np.float64]) -> None:
-    """Raise unless the filter would stay where it starts: what was computed elsewhere differs by rounding alone."""
+    """Raise unless the filter would stay where it starts, up to rounding."""
     remains = np.eye(len(spec.A)) - spec.A
     size = np.abs(remains) @ np.abs(start) + np.abs(spec.B)
     if start.size and np.abs(remains @ start - spec.B).max() > _EXACT * size.max():

@@ -1,4 +1,4 @@
-"""What a monitor runs, and what its filter remembers."""
+"""Specification of a running monitor, and the state of its filter."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from residua.monitor.starting import StartFit
 
 @dataclass(frozen=True, eq=False)
 class Specification:
-    """Everything that running needs and that never changes.
+    """Constant parameters of a running monitor.
 
     Attributes
     ----------
@@ -58,18 +58,18 @@ class Specification:
 
     @property
     def held(self) -> int:
-        """How many channels have values that are held: a Kalman filter takes missing outputs out of its correction."""
+        """Number of channels whose missing values are held: a Kalman filter leaves missing outputs out instead."""
         return self.B.shape[1] if self.partial is None else self.partial.B.shape[1]
 
     @property
     def members(self) -> tuple[str, ...]:
-        """Names of what has an alarm of its own: members of a bank, or groups of residuals."""
+        """Names of the parts with their own alarm: members of a bank, or groups of residuals."""
         return self.test.part_names
 
 
 @dataclass(frozen=True, eq=False)
 class FilterState:
-    """What the filter of a running monitor remembers; every array has one row per plant.
+    """State of the filter of a running monitor; every array has one row per plant.
 
     Counters of 32 bits stop at :data:`residua.decide.persistence.LAST_COUNT`. Those of :data:`SELDOM` are zero as a
     rule, and take no memory for plants all of which have zeros.
