@@ -177,12 +177,12 @@ clean:
 
 
 def _name(made: MonitorProgram, name: str | None) -> str:
-    """Return the name of files and of what is in them."""
+    """Return the prefix of files and identifiers."""
     return identifier(made.name) if name is None else checked_identifier(name)
 
 
 def _written(folder: str | os.PathLike[str], files: Mapping[str, str], *, overwrite: bool) -> Path:
-    """Write files, each whole or not at all, where nothing else is."""
+    """Write files, each whole or not at all, if no other files are in the way."""
     path = Path(folder)
     if path.exists() and not path.is_dir():
         raise DataError(f"{path} is a file: name a folder")

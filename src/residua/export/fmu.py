@@ -27,7 +27,7 @@ _EPOCH = (1980, 1, 1, 0, 0, 0)
 
 
 class FMU(NamedTuple):
-    """What :func:`to_fmu` has written.
+    """Result of :func:`to_fmu`.
 
     Attributes
     ----------
@@ -168,7 +168,7 @@ def _files(
     sources: Mapping[str, str],
     built: Binary,
 ) -> dict[str, bytes]:
-    """Return what is in the unit."""
+    """Return the content of the unit."""
     token, compiled = _token(sources), [one for one in sources if one.endswith(".c")]
     if version == "2.0":
         about = fmi2_description(made, variables, prefix, token, compiled)
@@ -192,7 +192,7 @@ def _files(
 
 
 def _sources(made: MonitorProgram, variables: list[FMUVariable], prefix: str, version: str) -> dict[str, str]:
-    """Return the files of C by their names; the code of the unit itself names itself by a hash of all of them."""
+    """Return the C sources by their names; the code of the unit contains a hash of all of them."""
     of_version = f"fmi{version[0]}.c"
     sources = {
         f"{prefix}.h": header(made, prefix),
@@ -206,7 +206,7 @@ def _sources(made: MonitorProgram, variables: list[FMUVariable], prefix: str, ve
 
 
 def _model_header(made: MonitorProgram, variables: list[FMUVariable], prefix: str, sources: Mapping[str, str]) -> str:
-    """Return what the code of the unit has to know of this monitor."""
+    """Return the constants of this monitor for the code of the unit."""
     digest = hashlib.sha256()
     for text in (*sources.values(), *map(repr, variables)):
         digest.update(text.encode())
@@ -243,14 +243,14 @@ def _model_header(made: MonitorProgram, variables: list[FMUVariable], prefix: st
 
 
 def _token(sources: Mapping[str, str]) -> str:
-    """Return the text by which code and description know each other."""
+    """Return the token that links code and description."""
     (model,) = (text for one, text in sources.items() if one.endswith("_model.h"))
     (line,) = (one for one in model.splitlines() if "_TOKEN " in one)
     return line.split('"')[1]
 
 
 def _archive(path: Path, files: Mapping[str, bytes]) -> None:
-    """Write files into an archive, always with the same bytes."""
+    """Write files into an archive, reproducibly."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for one, content in files.items():
             entry = zipfile.ZipInfo(one, _EPOCH)

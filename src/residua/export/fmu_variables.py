@@ -1,4 +1,4 @@
-"""The variables of a Functional Mock-up Unit: what they are called, what they are, and how they are referred to."""
+"""Variables of a Functional Mock-up Unit: their names, descriptions and references."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def fmu_variables(made: MonitorProgram) -> list[FMUVariable]:
 
 
 def _numbers(made: MonitorProgram) -> list[FMUVariable]:
-    """Return what is a number."""
+    """Return the numeric variables."""
 
     def output(name: str, words: str) -> FMUVariable:
         return FMUVariable(name, "real", "output", _printable(words))
@@ -82,7 +82,7 @@ def _numbers(made: MonitorProgram) -> list[FMUVariable]:
 
 
 def _flags(made: MonitorProgram) -> list[FMUVariable]:
-    """Return what holds or does not."""
+    """Return the Boolean variables."""
 
     def output(name: str, words: str) -> FMUVariable:
         return FMUVariable(name, "flag", "output", _printable(words))
@@ -101,7 +101,7 @@ def _flags(made: MonitorProgram) -> list[FMUVariable]:
 
 
 def _counts(made: MonitorProgram) -> list[FMUVariable]:
-    """Return what is a whole number."""
+    """Return the integer variables."""
     best = FMUVariable("best", "count", "output", "the score of the fault that is named, from 1 on; 0 for none")
     answer = FMUVariable(
         "answer", "count", "output",
@@ -112,7 +112,7 @@ def _counts(made: MonitorProgram) -> list[FMUVariable]:
 
 
 def names_in_unit(names: Iterable[str], taken: set[str]) -> list[str]:
-    """Return names that a unit can have, each once: without control characters, not empty, none that is taken."""
+    """Return distinct names that are valid in a unit: without control characters, not empty, none that is taken."""
     made: list[str] = []
     for name in names:
         plain = _printable(name).strip() or "signal"
@@ -126,7 +126,7 @@ def names_in_unit(names: Iterable[str], taken: set[str]) -> list[str]:
 
 
 def _printable(name: str) -> str:
-    """Return a name with what XML or a table of names cannot hold as underscores."""
+    """Return a name with underscores in place of characters that XML or a table of names cannot hold."""
     return "".join(one if one.isprintable() else "_" for one in name)
 
 

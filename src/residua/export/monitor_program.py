@@ -1,4 +1,4 @@
-"""A monitor as a small program: what runs in its specification, with the numbers of this very monitor."""
+"""A monitor as a small program: the steps of its specification, with its numbers."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ class MonitorProgram:
 def monitor_program(
     monitor: Monitor, *, precision: Precision = DOUBLE, missing: str = "as monitored"
 ) -> MonitorProgram:
-    """Return what a monitor runs as a program.
+    """Return the program of a monitor.
 
     Parameters
     ----------
@@ -173,14 +173,14 @@ def monitor_program(
 
 
 def specification_program(spec: Specification, inputs: int, precision: Precision) -> Program:
-    """Return what runs as a program; so many of its channels are inputs."""
+    """Return a specification as a program; so many of its channels are inputs."""
     judging = judging_of(spec)
     sizes = _sizes(spec, judging, inputs)
     return program(_sections(judging), sizes, _variables(spec, judging, sizes, precision))
 
 
 def _check_filter(spec: Specification, missing: str) -> tuple[str, ...]:
-    """Return what is different from the monitor, or say what the program cannot hold."""
+    """Return the differences from the monitor, or raise if the program cannot hold it."""
     if spec.partial is None:
         return ()
     if missing == "as monitored":
@@ -193,7 +193,7 @@ def _check_filter(spec: Specification, missing: str) -> tuple[str, ...]:
 
 
 def _sizes(spec: Specification, judging: Judging, inputs: int) -> dict[str, int]:
-    """Return what the texts have in capitals."""
+    """Return the values of the names in capitals in the texts."""
     test, naming = judging.test, judging.naming
     white = test.whitening.shape[1]
     along = 0 if test.along is None else test.along.shape[1]

@@ -35,7 +35,7 @@ _CHECKED = 50
 
 
 class ONNXModel(NamedTuple):
-    """What :func:`to_onnx` has written.
+    """Result of :func:`to_onnx`.
 
     Attributes
     ----------
@@ -174,7 +174,7 @@ def _package() -> Any:
 
 
 def _check(onnx: Any, model: Any, made: MonitorProgram, one: Comparison, bound: NDArray[np.float64] | None) -> None:
-    """Raise unless the evaluator of the package gives the monitor's answers on samples around a gap.
+    """Raise unless the package's evaluator gives the monitor's answers on samples around a gap.
 
     Raises
     ------
@@ -209,7 +209,7 @@ def _size(one: Variable) -> int:
 
 
 def _states(made: MonitorProgram, *, real: bool) -> list[Variable]:
-    """Return what is remembered: numbers, or counts and flags."""
+    """Return the state variables: numbers, or counts and flags."""
     return [one for one in made.program.of_role("state") if (one.kind == "real") == real]
 
 
@@ -245,7 +245,7 @@ def _model(
 
 
 def _properties(made: MonitorProgram, bound: NDArray[np.float64] | None, within: NDArray[np.float64]) -> dict[str, str]:
-    """Return what the model says of itself."""
+    """Return the metadata of the model."""
     words = [*made.notes, "It comes without a certificate."]
     return {
         "inputs": json.dumps(made.inputs),
@@ -263,7 +263,7 @@ def _properties(made: MonitorProgram, bound: NDArray[np.float64] | None, within:
 
 
 class _Body:
-    """What runs on each sample, as a graph of the ``onnx`` package.
+    """Computation on each sample, as a graph of the ``onnx`` package.
 
     Parameters
     ----------
@@ -309,7 +309,7 @@ class _Body:
 
 
 def _used(nodes: Sequence[Node], wanted: set[str]) -> list[Node]:
-    """Return the nodes that lead to what is wanted, in order."""
+    """Return the nodes that lead to wanted outputs, in order."""
     kept: list[Node] = []
     for one in reversed(nodes):
         if not wanted & set(one.outputs):
@@ -371,7 +371,7 @@ def _packed(helper: Any, made: MonitorProgram, of_kind: dict[str, int]) -> list[
 
 
 def _constants(onnx: Any, made: MonitorProgram, sizes: Sequence[int]) -> list[Any]:
-    """Return what the nodes around the Scan need."""
+    """Return the constants for the nodes around the Scan."""
     made_of = {"first_axis": [0], "row": [-1]}
     for whole, real, size in (("state", True, sizes[0]), ("counts", False, sizes[1])):
         if size:

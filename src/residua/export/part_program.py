@@ -1,4 +1,4 @@
-"""The part of a program where members of a bank, or groups of residuals, are tested by themselves."""
+"""The part of a program where members of a bank, or groups of residuals, are tested separately."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from residua.export.step_texts import FORETELL
 
 
 def part_sizes(judging: Judging) -> dict[str, int]:
-    """Return what the texts have in capitals."""
+    """Return the values of the names in capitals in the texts."""
     parts, codes = judging.parts, judging.codes
     if parts is None:
         return {}
@@ -97,7 +97,7 @@ def part_variables(judging: Judging, size: dict[str, int]) -> list[Variable]:
 
 
 def _of_codes(codes: CodeTest) -> list[Variable]:
-    """Return the codes of the faults, and which groups are the same faults or some of them."""
+    """Return the codes of the faults, and the groups that contain the same faults or some of them."""
     classes = {group: k + 1 for k, group in enumerate(dict.fromkeys(codes.groups))}
     contained = [[set(other) <= set(one) for other in codes.groups] for one in codes.groups]
     return [

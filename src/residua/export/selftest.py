@@ -1,4 +1,4 @@
-"""How exported C is compared with the monitor itself: on which samples, how far it may be off, and by which program."""
+"""Comparison of exported C with the monitor itself: the samples, the tolerance, and the program."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _UNIT, DOUBLE_UNIT = 2.0**-24, 2.0**-53
 
 @dataclass(frozen=True)
 class Comparison:
-    """Signals, and what the monitor says of them.
+    """Signals, and the monitor's answers on them.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class Comparison:
 
 
 def comparison(made: MonitorProgram) -> Comparison:
-    """Return noise with a few missing values, large enough for alarms, and what the monitor says of it."""
+    """Return noise with a few missing values, large enough for alarms, and the monitor's answers on it."""
     spec, cut = made.specification, len(made.inputs)
     rng = np.random.default_rng(0)
     moved = rng.standard_normal((_SAMPLES, spec.B.shape[1])) * _size_of_signals(made)
@@ -90,7 +90,7 @@ def comparison(made: MonitorProgram) -> Comparison:
 
 
 def _size_of_signals(made: MonitorProgram) -> NDArray[np.float64]:
-    """Return deviations of the channels that move the residual to its threshold, about."""
+    """Return deviations of the channels that move the residual to about its threshold."""
     spec = made.specification
     moved = np.abs(spec.D) + np.abs(spec.C @ spec.start)
     size = np.linalg.norm(np.abs(made.judging.per_threshold.T) @ moved, axis=0)
@@ -98,7 +98,7 @@ def _size_of_signals(made: MonitorProgram) -> NDArray[np.float64]:
 
 
 def rounding_bound(spec: Specification, sizes: NDArray[np.float64], rounding: float = _UNIT) -> NDArray[np.float64]:
-    r"""Return by how much each residual may be off by rounding, where the filter has settled.
+    r"""Return a bound on the rounding error of each residual, after the filter has settled.
 
     .. math::
 
@@ -153,7 +153,7 @@ def rounding_bound(spec: Specification, sizes: NDArray[np.float64], rounding: fl
 def _sums_of_powers(
     A: NDArray[np.float64], B: NDArray[np.float64], C: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the sums of the sizes of C A^k and of C A^k B, from above."""
+    """Return upper bounds on the sums of the sizes of C A^k and of C A^k B."""
     n = len(A)
     total, gains, power = np.zeros(C.shape), np.zeros((len(C), B.shape[1])), np.eye(n)
     for _ in range(_LONGEST):
@@ -168,7 +168,7 @@ def _sums_of_powers(
 
 
 def of_rounding(made: MonitorProgram, one: Comparison) -> tuple[str, ...]:
-    """Return what a comparison says of single precision, in words."""
+    """Describe a comparison in single precision."""
     if made.precision.name == "double":
         return ()
     sizes = np.abs(np.hstack([one.u, one.y]) - made.specification.offset)
@@ -254,12 +254,12 @@ def _compared(parts: int) -> list[str]:
 
 
 def _known() -> list[str]:
-    """Return the lines that compare what does not depend on rounding."""
+    """Return the lines that compare values independent of rounding."""
     return ["if ((decision.known ? 1 : 0) != flags[k] % 2) {", "    wrong++;", "}", "(void)statistic;"]
 
 
 def _array(name: str, values: NDArray[np.float64], kind: str) -> list[str]:
-    """Return the definition of an array; hexadecimal numbers are exact, and a missing value overflows nothing."""
+    """Return the definition of an array; hexadecimal numbers are exact, and a missing value causes no overflow."""
     flat = np.asarray(values, dtype=float).ravel()
     suffix = "f" if kind == "float" else ""
     if kind == "int":

@@ -1,4 +1,4 @@
-"""What a monitor does on each sample, as text of :mod:`residua.export.program`: the sums of the fused loop, in order.
+"""Steps of a monitor on each sample, as text of :mod:`residua.export.program`, in the order of the fused loop's sums.
 
 Names in capitals are sizes, and settings that are known when a monitor is exported.
 """

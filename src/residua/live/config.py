@@ -79,7 +79,7 @@ class MonitorSettings:
 
 @dataclass(frozen=True)
 class SamplingOptions:
-    """How readings become rows.
+    """Options for the conversion of readings to rows.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ class SamplingOptions:
 
 @dataclass(frozen=True)
 class StoreSettings:
-    """Where a run keeps what it must not lose.
+    """Options of the store, where a run keeps everything it must not lose.
 
     Attributes
     ----------
@@ -142,7 +142,7 @@ class StoreSettings:
 
 @dataclass(frozen=True)
 class LiveSettings:
-    """Everything that a run needs.
+    """All settings of a run.
 
     Attributes
     ----------
@@ -199,7 +199,7 @@ def load_settings(path: str | Path) -> LiveSettings:
 
 
 class _Reader:
-    """Reads the tables of a configuration; what is wrong is said with its line."""
+    """Reader of the tables of a configuration; errors name the line."""
 
     def __init__(self, path: Path, text: str) -> None:
         self.path, self.lines, self.folder = path, text.splitlines(), path.parent
@@ -284,7 +284,7 @@ class _Reader:
             self._fail(table, number, key, text.removeprefix(f"{key}: "))
 
     def _placed(self, key: str, value: Any) -> Any:
-        """Return a value, paths from the folder of the configuration."""
+        """Return a value, with paths relative to the folder of the configuration."""
         if isinstance(value, list) and all(isinstance(one, str) for one in value):
             return tuple(value)
         if key not in _PATHS and not key.endswith("_file"):
@@ -332,7 +332,7 @@ def made(kind: str, settings: Any, kinds: Mapping[str, tuple[str, str]], *more: 
 
 
 def check_secrets(settings: LiveSettings) -> None:
-    """Read the secrets that settings point at, and keep none: what is wrong with one is said before anything is open.
+    """Check that the secrets in settings can be read, without keeping any, before anything is opened.
 
     Raises
     ------
@@ -352,7 +352,7 @@ def check_secrets(settings: LiveSettings) -> None:
 
 
 def example() -> str:
-    """Return a configuration to begin with."""
+    """Return a configuration to start from."""
     return _EXAMPLE
 
 

@@ -1,4 +1,4 @@
-"""What is told of a plant: alarms raised, their names, their ends; data that are missing, and back."""
+"""Events of a plant: alarms raised, their names, their ends; missing data, and their return."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Event:
         return head | ({"clock": self.clock} if self.clock else {}) | dict(self.content)
 
     def to_json(self) -> str:
-        """Return the event as one line of JSON: what every sink sends.
+        """Return the event as one line of JSON, as sent by every sink.
 
         Examples
         --------

@@ -1,4 +1,4 @@
-"""What a source hands on, and the readings that are in it."""
+"""Messages of sources, and the readings in them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ LARGEST, LONGEST_ID = 4_000_000, 200
 
 @dataclass(slots=True)
 class Message:
-    """One message of a source, as it came.
+    """One message of a source, unchanged.
 
     Attributes
     ----------

@@ -41,7 +41,7 @@ Numbers = Mapping[tuple[str, tuple[tuple[str, str], ...]], float]
 
 
 def metrics_text(view: View, *, per_plant: bool = False) -> bytes:
-    """Return the metrics of a run; one series for each plant only where ``per_plant`` says so.
+    """Return the metrics of a run; with one series for each plant only if ``per_plant`` is set.
 
     Names begin with ``residua_``; those of counters end in ``_total``.
     """

@@ -1,4 +1,4 @@
-"""Passwords, tokens and keys: out of a file or an environment variable, never out of the configuration itself."""
+"""Passwords, tokens and keys: from a file or an environment variable, never from the configuration itself."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ LARGEST = 65_536
 
 
 def secret(settings: Any, name: str) -> str | None:
-    """Return a secret that settings point at; ``None`` where they point at none.
+    """Return a secret named by settings; ``None`` if they name none.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def secret(settings: Any, name: str) -> str | None:
 
 
 def check_secret(settings: Any, name: str) -> None:
-    """Raise where settings point at a secret twice; neither place is looked at.
+    """Raise if settings name a secret twice; neither place is read.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The seam of sources: what brings messages, and is told when they are safe."""
+"""Interface of sources, which bring messages and are told when these are safe."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from residua.live.messages import Message
 
 @dataclass(frozen=True)
 class Health:
-    """How a source or a sink is.
+    """Health of a source or a sink.
 
     Attributes
     ----------
@@ -28,7 +28,7 @@ class Health:
 
 
 class Source(ABC):
-    """What brings messages. It runs in threads of its own, between :meth:`start` and :meth:`stop`.
+    """Interface to a protocol that brings messages, in threads of its own between :meth:`start` and :meth:`stop`.
 
     Attributes
     ----------
@@ -55,13 +55,13 @@ class Source(ABC):
 
     @abstractmethod
     def start(self, put: Callable[[Message], None]) -> None:
-        """Begin to bring messages; ``put`` takes them, from any thread, and blocks while there is no room.
+        """Start to bring messages; ``put`` takes them, from any thread, and blocks while there is no room.
 
         ``put`` raises :class:`RunStoppedError` where the run is ending: the source then leaves.
         """
 
     def resume(self, times: Mapping[str, float]) -> None:  # noqa: B027 (most are told by their broker where they are)
-        """Learn how far the store is, before :meth:`start`: the time of the last row of each plant, in seconds.
+        """Learn the progress of the store before :meth:`start`: the time of the last row of each plant, in seconds.
 
         A source that holds the past, as a recording does, goes on after it. Nothing to do for others.
         """
@@ -71,24 +71,24 @@ class Source(ABC):
         """End all threads and connections, within a few seconds; messages that were not acknowledged stay unsafe."""
 
     def acknowledge(self, messages: Sequence[Message]) -> None:  # noqa: B027 (some protocols have none)
-        """Take note that messages are safe: what follows from them is committed. From the thread of the run.
+        """Note that messages are safe, with their results committed. Called from the thread of the run.
 
         In the order in which they were put. Nothing to do where the protocol knows no acknowledgement.
         """
 
     @property
     def over(self) -> bool:
-        """Whether a finite source has brought all that it has."""
+        """True if a finite source has brought all its messages."""
         return False
 
     @property
     @abstractmethod
     def health(self) -> Health:
-        """How it is now; from any thread."""
+        """Health now; from any thread."""
 
 
 class RunStoppedError(Exception):
-    """The run is ending: nothing is taken any more."""
+    """The run is ending: no more messages are accepted."""
 
 
 class Pauses:
@@ -111,7 +111,7 @@ class Pauses:
         return now
 
     def reset(self) -> None:
-        """Begin anew, after a success."""
+        """Start again with the shortest pause, after a success."""
         self._now = self.first
 
     def wait(self, stopping: threading.Event) -> bool:

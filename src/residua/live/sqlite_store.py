@@ -20,7 +20,7 @@ _LOG_PAGES = 4000
 
 
 class SqliteStore(SqlStore):
-    """A store in one file, and two beside it while it is open.
+    """A store in one file, with two more beside it while it is open.
 
     A commit is on the disk when it returns (``synchronous=FULL``). One run at a time has the file.
 
@@ -43,7 +43,7 @@ class SqliteStore(SqlStore):
         self._owner: sqlite3.Connection | None = None
 
     def open(self, *, own: bool = True) -> None:
-        """Open the file, or make it."""
+        """Open the file, or create it."""
         try:
             check_output(self.path)
         except ValueError as error:
@@ -58,7 +58,7 @@ class SqliteStore(SqlStore):
         self._check_schema()
 
     def _own(self) -> sqlite3.Connection:
-        """Return a lock that another run would have: on a file of its own, which a killed process leaves open."""
+        """Return the lock of the owner: on a separate file, released when the process is killed."""
         lock = sqlite3.connect(f"{self.path}.lock", timeout=0.0, isolation_level=None, check_same_thread=False)
         try:
             lock.execute("BEGIN EXCLUSIVE")
@@ -91,7 +91,7 @@ class SqliteStore(SqlStore):
 
     @contextmanager
     def _errors(self) -> Iterator[None]:
-        """Say which errors pass, and which do not."""
+        """Classify errors as temporary or permanent."""
         try:
             yield
         except sqlite3.OperationalError as error:

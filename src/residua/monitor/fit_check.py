@@ -188,7 +188,7 @@ class FitCheck(Shown, Record):
 
     @property
     def _wandering(self) -> tuple[str, ...]:
-        """Caution about the model from sums of whitened residuals over 20 samples, or over fewer without enough data."""
+        """Caution about the model from sums of whitened residuals over 20 samples, or fewer without enough data."""
         variance = self.colour[_TWENTY] if self.colour else 1.0
         if variance <= _WANDERS:
             return ()

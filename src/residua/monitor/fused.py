@@ -140,7 +140,7 @@ def _plan(spec: Specification, test: CompiledTest) -> Plan:
 
 
 def state_arrays(spec: Specification, state: State) -> tuple[NDArray | None, ...]:
-    """Return the arrays of a state in the order of the kernel; ``None`` for what it does not read."""
+    """Return the arrays of a state in the order of the kernel; ``None`` for those that it does not read."""
     f = state.filter
     named, naming = compiled_isolation(spec), (None,) * 5
     if isinstance(named, CompiledCodes):

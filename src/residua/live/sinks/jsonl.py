@@ -27,7 +27,7 @@ _BEGINNING = b'{"plant": "'
 
 @dataclass(frozen=True)
 class Settings:
-    """Where the file is.
+    """Settings of the file.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class Settings:
 
 
 class JsonLines(Sink):
-    """Appends events to a file, and returns when they are on the disk (fsync).
+    """Sink that appends events to a file, and returns when they are on the disk (fsync).
 
     A process that is killed, or a machine that loses power, while it writes may leave a torn line at the end. It was
     never said to be delivered, so the next call takes it away, and the event comes again whole: every line of the file
@@ -85,7 +85,7 @@ class JsonLines(Sink):
         self.name = settings.name or f"jsonl {settings.path}"
 
     def deliver(self, events: Sequence[Event]) -> int:
-        """Append events, and return how many: as many as make up about a quarter of a megabyte.
+        """Append events, and return their number: as many as make up about a quarter of a megabyte.
 
         Raises
         ------
@@ -129,7 +129,7 @@ class JsonLines(Sink):
 
 
 def mend(file: int, path: Path) -> int:
-    """Take away what a killed process has left of a line at the end of a file; return where the file ends then.
+    """Remove the incomplete line of a killed process from the end of a file; return the new end.
 
     What a loss of power has left may be zeros as well: the file has grown, but nothing was written into it.
 
@@ -169,7 +169,7 @@ def _whole(line: bytes) -> bool:
 
 
 def _hold(file: int, path: Path) -> None:
-    """Keep other processes from writing the file while this one does: mending would take their line for a torn one."""
+    """Keep other processes from writing the file: mending would take their line for an incomplete one."""
     if sys.platform != "win32":
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -178,7 +178,7 @@ def _hold(file: int, path: Path) -> None:
 
 
 def _fsync_folder(folder: Path) -> None:
-    """Make the name of a new file safe, where the system can."""
+    """Make the name of a new file durable, if the system can."""
     if sys.platform != "win32":
         handle = os.open(folder, os.O_RDONLY)
         try:

@@ -1,4 +1,4 @@
-"""Messages from Kafka, whose offsets are committed when what follows from them is saved."""
+"""Messages from Kafka, with offsets committed once their results are saved."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _Part = tuple[str, int]
 
 @dataclass(frozen=True)
 class Settings:
-    """Where the cluster is, and what is wanted of it.
+    """Settings of the cluster, and of its topics.
 
     Attributes
     ----------
@@ -125,7 +125,7 @@ class Settings:
             raise SettingError("mechanism: with username and password_file or password_env, or none of them")
 
     def consumer(self, password: str | None) -> dict[str, Any]:
-        """Return the same as librdkafka has it."""
+        """Return the settings in the form of librdkafka."""
         out: dict[str, Any] = {
             "bootstrap.servers": ",".join(self.servers),
             "group.id": self.group,
@@ -152,7 +152,7 @@ class Settings:
 
 
 class Kafka(ThreadedSource):
-    """Reads topics as the only member of a consumer group.
+    """Source that reads topics as the only member of a consumer group.
 
     An offset is committed when the message before it is safe, for each partition by itself. Of a partition that was
     taken away nothing is committed any more: its messages that are not safe come again, here or elsewhere, and the run
@@ -186,7 +186,7 @@ class Kafka(ThreadedSource):
         self._asked = 0.0
 
     def acknowledge(self, messages: Sequence[Message]) -> None:
-        """Take note of how far each partition is safe; the thread that reads commits it soon."""
+        """Note the safe offset of each partition; the reading thread commits it soon."""
         with self._lock:
             for message in messages:
                 part, offset, assignment = message.token
@@ -194,7 +194,7 @@ class Kafka(ThreadedSource):
                     self._safe[part] = offset + 1
 
     def work(self) -> None:
-        """Read until the run ends; where librdkafka gives up, begin anew."""
+        """Read until the run ends; if librdkafka gives up, start again."""
         with self.handing_over(_MOST, _MOST_BYTES, lambda: None) as hand:
             while not (self.stopping.is_set() or hand.ended):
                 try:
@@ -238,7 +238,7 @@ class Kafka(ThreadedSource):
             consumer.close()
 
     def _hold(self, consumer: Consumer, full: bool) -> None:
-        """Pause all partitions while there is no room, and go on when there is."""
+        """Pause all partitions while there is no room, and resume when there is."""
         if full != self._paused:
             parts = consumer.assignment()
             if full:
@@ -321,7 +321,7 @@ class Kafka(ThreadedSource):
         self.say(True, f"connected to {self._where}, {len(self._ours):,} partitions")
 
     def _ask(self, consumer: Consumer) -> None:
-        """Ask whether a cluster that was away is back: without messages nothing else would say so."""
+        """Check whether a cluster is back: without messages there is no other sign of it."""
         if time.monotonic() - self._asked > _ASK_EVERY:
             self._asked = time.monotonic()
             try:
@@ -337,7 +337,7 @@ class Kafka(ThreadedSource):
 
 
 def _key(key: bytes | str | None) -> str:
-    """Return the plant that a key is; empty where it is none."""
+    """Return the plant of a key; empty if it is none."""
     try:
         return key.decode() if isinstance(key, bytes) else key or ""
     except UnicodeDecodeError:

@@ -1,4 +1,4 @@
-"""Messages from an MQTT broker, each acknowledged when what follows from it is saved."""
+"""Messages from an MQTT broker, each acknowledged once its results are saved."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _VERSIONS = {"5": paho.MQTTv5, "3.1.1": paho.MQTTv311}
 
 @dataclass(frozen=True)
 class Settings:
-    """Where the broker is, and what is wanted of it.
+    """Settings of the broker, and of its topics.
 
     Attributes
     ----------
@@ -143,7 +143,7 @@ class Settings:
 
 
 class Mqtt(ThreadedSource):
-    """Subscribes to topics of a broker.
+    """Source that subscribes to topics of a broker.
 
     One thread reads, acknowledges and keeps the connection alive, whatever the run is doing; another puts. With QoS 1
     what waits is bounded by ``receive_maximum``: the broker sends no more until some are acknowledged. With QoS 0 the
@@ -185,17 +185,17 @@ class Mqtt(ThreadedSource):
         self._dropped = 0
 
     def acknowledge(self, messages: Sequence[Message]) -> None:
-        """Acknowledge messages, in the thread that has the connection."""
+        """Acknowledge messages, in the thread of the connection."""
         if self._settings.qos:
             self._safe.append(messages)
             self._waker.wake()
 
     def wake(self) -> None:
-        """Make the thread look at what is new."""
+        """Wake the thread, to check for changes."""
         self._waker.wake()
 
     def stop(self) -> None:
-        """Send what was acknowledged, leave the broker, end the threads; the broker keeps what comes from now on."""
+        """Send the acknowledgements, disconnect, end the threads; the broker keeps later messages."""
         super().stop()
         self._waker.close()
 
@@ -227,14 +227,14 @@ class Mqtt(ThreadedSource):
     # What a connection calls.
 
     def connected(self, resumed: bool, granted: str) -> None:
-        """Say that topics are subscribed to."""
+        """Report the subscriptions."""
         self._pauses.reset()
         kept = "" if resumed or self._generation == 1 else "; the broker has not kept the session, messages may be lost"
         lost = f"; {self._dropped:,} messages of QoS 0 dropped: the queue was full" if self._dropped else ""
         self.say(True, f"connected to {self._where}{granted}{kept}{lost}")
 
     def take(self, message: paho.MQTTMessage) -> None:
-        """Take a message that came into the burst that is being read."""
+        """Add a message to the burst in progress."""
         token = (self._generation, message.mid) if message.qos else None
         if self._dropping and token is None:
             self._dropped += 1
@@ -254,12 +254,12 @@ class Mqtt(ThreadedSource):
         self.burst_bytes += len(payload)
 
     def taken(self, now: float) -> list[Message]:
-        """Return the messages of a burst; those of the next one have come at ``now``."""
+        """Return the messages of a burst; those of the next one arrive at ``now``."""
         burst, self._burst, self._now, self.burst_bytes = self._burst, [], now, 0
         return burst
 
     def drop(self, whether: bool) -> None:
-        """Say whether messages of QoS 0 are dropped."""
+        """Report whether messages of QoS 0 are dropped."""
         if whether != self._dropping:
             self._dropping = whether
             if not whether:
@@ -275,11 +275,11 @@ class Mqtt(ThreadedSource):
 
 
 class _LostError(Exception):
-    """The connection is lost, or was refused; the text says why."""
+    """The connection is lost, or was refused; the text gives the reason."""
 
 
 class _Client(paho.Client):
-    """paho's client, reading and acknowledging many messages by one call of the system.
+    """Client of paho that reads and acknowledges many messages by one system call.
 
     By itself it makes three calls to read a message, and one to acknowledge it; at each of them another thread that
     computes may keep it waiting for five milliseconds.
@@ -317,11 +317,11 @@ class _Client(paho.Client):
         return super()._sock_send(buf)
 
     def want_write(self) -> bool:
-        """Whether something waits to be sent."""
+        """True if there is something to send."""
         return bool(self._acknowledgements) or super().want_write()
 
     def flush(self) -> bool:
-        """Send acknowledgements; return whether all of them are.
+        """Send acknowledgements; return whether all are sent.
 
         Raises
         ------
@@ -371,7 +371,7 @@ class _Connection:
         return client
 
     def open(self) -> None:
-        """Connect; the answer comes while serving."""
+        """Connect; the answer arrives in :meth:`serve`."""
         settings, more = self._settings, {}
         if settings.version == "5":
             properties = Properties(PacketTypes.CONNECT)
@@ -441,7 +441,7 @@ class _Connection:
             raise _LostError(self._refusal or paho.error_string(result).rstrip("."))
 
     def _leave(self) -> None:
-        """Send what was acknowledged, and say good-bye."""
+        """Send the acknowledgements, and disconnect."""
         client, until = self._client, time.monotonic() + _LEAVING
         for mid in self._source.safe():
             client.ack(mid, 1)
@@ -455,7 +455,7 @@ class _Connection:
         self.abandon()
 
     def abandon(self) -> None:
-        """Close the socket without a word."""
+        """Close the socket without a message."""
         socket = self._client.socket()
         if socket is not None:
             socket.close()

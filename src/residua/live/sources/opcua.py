@@ -41,7 +41,7 @@ _POLICIES = ("", "Basic256Sha256", "Aes128Sha256RsaOaep", "Aes256Sha256RsaPss")
 
 @dataclass(frozen=True)
 class Settings:
-    """Where the server is, and which node is which channel of which plant.
+    """Settings of the server, and of the node of each channel of each plant.
 
     Attributes
     ----------
@@ -149,7 +149,7 @@ class Settings:
 
 
 class OpcUa(ThreadedSource):
-    """Subscribes to nodes of a server, and to every change of value, status or source time of them.
+    """Source that subscribes to nodes of a server, and to every change of value, status or source time of them.
 
     The time of a value is its source time, or else the server's; values without both have that of their arrival.
     While the run has no room the server is told not to send; it keeps ``queue`` values of each node.
@@ -180,7 +180,7 @@ class OpcUa(ThreadedSource):
         self._awake: asyncio.Event | None = None
 
     def wake(self) -> None:
-        """Make the thread look at what is new."""
+        """Wake the thread, to check for changes."""
         loop, awake = self._loop, self._awake
         if loop is not None and awake is not None and not loop.is_closed():
             loop.call_soon_threadsafe(awake.set)
@@ -269,7 +269,7 @@ class OpcUa(ThreadedSource):
         return client
 
     async def _subscribed(self, client: Client) -> tuple[Subscription, dict[int, list[tuple[str, str]]], str]:
-        """Subscribe to all nodes; return who each handle is, and what the server could not do."""
+        """Subscribe to all nodes; return the channels of each handle, and the requests that the server refused."""
         settings = self._settings
         subscription = await client.create_subscription(
             1000.0 * settings.interval,
@@ -305,7 +305,7 @@ class OpcUa(ThreadedSource):
         return subscription, places, said + ("; values that do not change are not sent" if plain else "")
 
     def _request(self, handle: int, node: Any, by_time: bool) -> ua.MonitoredItemCreateRequest:
-        """Return the request for a node; ``by_time``: also for a value that is the same at a later time."""
+        """Return the request for a node; ``by_time``: report equal values at later times too."""
         parameters = ua.MonitoringParameters()
         parameters.ClientHandle = ua.UInt32(handle)
         parameters.SamplingInterval = 1000.0 * self._settings.sampling
@@ -320,7 +320,7 @@ class OpcUa(ThreadedSource):
         return request
 
     def _taker(self, places: Mapping[int, list[tuple[str, str]]], hand: HandOver) -> Callable[[Any, int], None]:
-        """Return what takes values: those that come together are handed over together, in the order of their times."""
+        """Return a callback for values; those that arrive together are handed over together, in order of time."""
         burst: list[Message] = []
 
         def flush() -> None:
@@ -353,7 +353,7 @@ async def _read(
 
 
 async def _within(event: asyncio.Event, seconds: float) -> None:
-    """Wait for an event, some seconds at most; it is then as if it had not been."""
+    """Wait for an event for a limited time, and clear it."""
     try:
         await asyncio.wait_for(event.wait(), seconds)
     except TimeoutError:
@@ -365,7 +365,7 @@ async def _within(event: asyncio.Event, seconds: float) -> None:
 
 
 def _number_of(value: ua.DataValue) -> tuple[float, str]:
-    """Return the number of a value, NaN where its status is not good, and why it is refused."""
+    """Return the number of a value, NaN if its status is not good, and the reason for a refusal."""
     if value.StatusCode is not None and not value.StatusCode.is_good():
         return math.nan, ""
     content = None if value.Value is None else value.Value.Value
@@ -390,7 +390,7 @@ def _time_of(value: ua.DataValue) -> float | None:
 
 
 def _parsed(node: str) -> tuple[str, ua.NodeId]:
-    """Return the address of the namespace of a node, if it is written by that, and its id."""
+    """Return the address of the namespace of a node, if it is written with one, and its id."""
     address, rest = "", node
     if node.startswith("nsu="):
         address, _, rest = node.removeprefix("nsu=").rpartition(";")
