@@ -1,4 +1,4 @@
-"""The tolerances that several files share, each with its reason; any other stands beside the test that needs it.
+"""Tolerances shared by several files, each with its reason; any other is beside its use.
 
 Each is relative, and compared in units that do not depend on those of the user: to the terms that a number is the sum
 of, or to the largest entry of a row in comparable units.
@@ -63,12 +63,12 @@ POLE = 1e-6
 
 
 def above_rounding(M: NDArray, size: NDArray | float, rtol: float = ROUNDING) -> NDArray:
-    """Return an array with the entries set to zero that are rounding of the terms that they are the sum of."""
+    """Return an array with zeros for entries within the rounding of the terms of their sums."""
     return np.where(np.abs(M) > rtol * size, M, 0.0)
 
 
 def without_rounding(*factors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the product of matrices, exactly zero where it is nothing but the rounding of its terms."""
+    """Return the product of matrices, with exact zeros for entries within the rounding of their terms."""
     product, terms = factors[0], np.abs(factors[0])
     for factor in factors[1:]:
         product, terms = product @ factor, terms @ np.abs(factor)

@@ -1,4 +1,4 @@
-"""What a demo hands back."""
+"""Outcome of a demo."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from residua.report.tables import Table
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a demo found, for the screen.
+    """Outcome of a demo, for the screen.
 
     Attributes
     ----------

@@ -383,7 +383,7 @@ class TensorProgram:
             loop.accesses.append(access)
 
     def _check(self, loop: _Loop) -> None:
-        """Raise if a round of a loop may use what another one writes."""
+        """Raise if a round of a loop may use values that another round writes."""
         for array in {one.array for one in loop.accesses if one.write}:
             accesses = [one for one in loop.accesses if one.array == array]
             if self._apart(loop, accesses):

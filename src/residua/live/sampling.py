@@ -287,7 +287,7 @@ def _old(
     known: Known,
     remarks: list[Remark],
 ) -> SamplingState:
-    """Return the state after a reading for a released row, remarked on as a repeat, a conflict, late or a clock set back."""
+    """Return the state after a reading for a released row, with a remark: repeat, conflict, late, or clock set back."""
     row, kind = known(time), "late"
     if row is not None:
         stated = range(len(values)) if readings.stated is None else readings.stated

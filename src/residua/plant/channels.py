@@ -1,4 +1,4 @@
-"""What users give per channel (numbers by position or by name, chosen channels) as checked arrays."""
+"""User input per channel (numbers by position or by name, chosen channels) as checked arrays."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class OperatingPoint:
 
 @dataclass(frozen=True)
 class Fault:
-    """What one fault is: its name, its kind and the component that it belongs to; and notes for who has to act on it.
+    """One fault: its name, its kind and its component; and notes for the operator.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class Fault:
 
 
 def number(value: object, what: str) -> float:
-    """Return ``value`` as a finite float, or say what it is instead."""
+    """Return ``value`` as a finite float, or raise with the value."""
     try:
         if isinstance(value, (str, bytes)):
             raise TypeError

@@ -1,4 +1,4 @@
-"""Times that are written as dates: ISO 8601, with day or month first, or in a format that the caller says."""
+"""Times written as dates: ISO 8601, with day or month first, or in a given format."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def seconds_from_text(
     dayfirst: bool | None = None,
     time_format: str | None = None,
 ) -> tuple[NDArray[np.float64], str]:
-    """Return times that are written as text as seconds since the first one, and that one as text.
+    """Return times written as text as seconds since the first one, and that one as text.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def _by_format(time_format: str) -> Callable[[str], datetime]:
 def _one_by_one(
     cells: list[str], rows: Sequence[int], what: str, read: Callable[[str], datetime], how: str
 ) -> tuple[NDArray[np.float64], str]:
-    """Read cell by cell; those without a time zone are taken as one clock."""
+    """Read cell by cell; times without a zone are taken as one clock."""
     out = np.empty(len(cells))
     start, origin = None, ""
     for i, cell in enumerate(cells):
@@ -140,7 +140,7 @@ def _is_moment(text: Callable[[], str]) -> bool:
 def _day_first(
     first: NDArray, second: NDArray, rows: Sequence[int], what: str, cells: list[str], dayfirst: bool | None
 ) -> bool:
-    """Tell whether the day comes first: as the caller says, as numbers over 12 tell, or by the dots."""
+    """Tell whether the day comes first: as requested, by numbers over 12, or by the dots."""
     over = [np.flatnonzero(part > 12) for part in (first, second)]
     decisive = len(over[0]) > 0, len(over[1]) > 0
     if dayfirst is None:
@@ -169,7 +169,7 @@ def _day_first(
 
 
 def _time_of_day(match: re.Match[str]) -> str:
-    """Return the time of day of a date in ISO 8601; ``ValueError`` for one that there is not."""
+    """Return the time of day of a date in ISO 8601; ``ValueError`` for an invalid one."""
     hour, after = int(match["hour"] or 0), (match["after"] or "00").replace(",", ".")
     if match["half"]:
         if not 1 <= hour <= 12:

@@ -37,7 +37,7 @@ _BOM = b"\xef\xbb\xbf"
 
 
 class NotServedError(Exception):
-    """A recording is not read piece by piece; the text says why."""
+    """A recording cannot be read piece by piece; the text gives the reason."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,11 +95,11 @@ class Stream:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """The notes of the recording, as far as it is read."""
+        """The notes of the recording, as far as it was read."""
         return (*self.matched, *self.tally.notes)
 
     def pieces(self) -> Iterator[Piece]:
-        """Read the recording from its beginning.
+        """Yield the recording in pieces, from its beginning.
 
         Raises
         ------
@@ -248,7 +248,7 @@ def _text(path: Path, options: ReadOptions) -> Stream:
 
 
 def _lines(file: IO[bytes], above: int) -> Iterator[bytes]:
-    """Yield the lines below the first ones in blocks, ended by line feeds; not those that are blank at the end."""
+    """Yield the lines below the first ones in blocks, ended by line feeds, without blank lines at the end."""
     if file.read(len(_BOM)) != _BOM:
         file.seek(0)
     rest, blank, first = b"", b"", True
@@ -274,7 +274,7 @@ def _lines(file: IO[bytes], above: int) -> Iterator[bytes]:
 
 
 def _last_written(lines: bytes) -> int:
-    """Return where what is not blank ends."""
+    """Return the end of the text without trailing blanks."""
     tail = lines[-1000:]
     return len(lines) - len(tail) + len(tail.rstrip()) if tail.strip() else len(lines.rstrip())
 
@@ -310,7 +310,7 @@ def _npz(path: Path, options: ReadOptions) -> Stream:
 
 
 def _mapped(path: Path) -> dict[str, NDArray]:
-    """Return the arrays of a .npz file without reading them; their check sums are right."""
+    """Return the arrays of a .npz file as memory maps, with checked checksums."""
     out: dict[str, NDArray] = {}
     with zipfile.ZipFile(path) as archive, path.open("rb") as file:
         for part in archive.infolist():
@@ -337,7 +337,7 @@ def _mapped(path: Path) -> dict[str, NDArray]:
 
 
 def _beginning(file: IO[bytes], part: zipfile.ZipInfo) -> int:
-    """Return where the content of a member begins, behind its own header."""
+    """Return the offset of a member's content, behind its own header."""
     file.seek(part.header_offset)
     header = file.read(30)
     if header[:4] != b"PK\x03\x04":

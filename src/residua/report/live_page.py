@@ -1,4 +1,4 @@
-"""The page of a live run: its frame; its script asks the server for everything else."""
+"""Page of a live run: its frame; its script requests everything else from the server."""
 
 from __future__ import annotations
 

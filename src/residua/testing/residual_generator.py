@@ -1,4 +1,4 @@
-"""Checks that every residual generator must pass, for designs of your own."""
+"""Checks that every residual generator must pass, for your own designs."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def check_residual_generator(
     seed: int = 0,
     tolerance: float = 1e-7,
 ) -> None:
-    """Check what is guaranteed of a residual generator, or raise with the first thing that does not hold.
+    """Check the guarantees of a residual generator, or raise with the first violation.
 
     Checked: it is stable; it takes the signals of its plant; it does not answer to control inputs (nor to
     disturbances, where they are decoupled), in the frequency domain and, when it is sampled, by running

@@ -57,7 +57,7 @@ def campaign(
     resume: str | Path | None = None,
     progress: Progress | bool | None = None,
 ) -> Campaign:
-    r"""Watch simulated runs with a monitor, and return how often it errs, how late it is, and whom it names.
+    r"""Watch simulated runs with a monitor, and return its error rates, its delays, and the faults it names.
 
     Every run is simulated once without a fault, which gives the false alarms, and once for each scenario and size,
 
@@ -199,13 +199,13 @@ def _joblib() -> Any:
 
 
 def _parts(plan: Plan, first: int, last: int) -> list[tuple[int, int]]:
-    """Return the runs that are simulated together, as pairs of the first and the one after the last."""
+    """Return the runs to simulate together, as pairs of the first and the one after the last."""
     step = plan.runs_at_once
     return [(start, min(start + step, last)) for start in range(first, last, step)]
 
 
 def _begun(new: Campaign, resume: str | Path | None) -> RunFigures | None:
-    """Return the figures of the runs that a file has already; ``None`` without one."""
+    """Return the figures of the runs already in a file; ``None`` without one."""
     if resume is None:
         return None
     check_output(resume)
@@ -228,7 +228,7 @@ def plan_of(
     controller: StateSpace | None,
     within: float | None,
 ) -> tuple[Plan, dict[str, str]]:
-    """Return what the runs depend on, and the same in words."""
+    """Return the plan of the runs, and its description."""
     if not isinstance(monitor, Monitor):
         raise SettingError(f"a campaign is run for a Monitor, got {type(monitor).__name__}")
     if not monitor.is_fitted:
@@ -293,7 +293,7 @@ def _samples_within(within: float, dt: float) -> int:
 def _noise(
     noise: NoiseModel | Resampled | None, truth: Truth, spec: Any, disturbed: bool
 ) -> NoiseModel | Resampled | None:
-    """Return what is drawn for every run."""
+    """Return the noise that is drawn for every run."""
     if isinstance(noise, Resampled):
         if noise.residuals.shape[1] != len(spec.C):
             raise SettingError(
@@ -318,7 +318,7 @@ def _noise(
 def _truths(
     model: Plant, plants: Any, dt: float, controller: StateSpace | None, samples: int
 ) -> tuple[tuple[Truth, ...], UncertainPlant | None, str, Plant]:
-    """Return what is simulated, an uncertain plant if there is one, both in words, and the first of the plants."""
+    """Return the plants to simulate, an uncertain plant if there is one, a description, and the first of the plants."""
     uncertain = plants if isinstance(plants, UncertainPlant) else None
     if plants is None:
         several, told = [model], "that of the monitor"
@@ -376,7 +376,7 @@ def _size(case: Any) -> float:
 
 
 def _versions() -> dict[str, str]:
-    """Return the versions that the runs depend on."""
+    """Return the versions of software on which the runs depend."""
     try:
         own = metadata.version("residua")
     except metadata.PackageNotFoundError:

@@ -1,4 +1,4 @@
-"""A scenario of a campaign: what fails, in which way, how much; and scenarios from TOML files."""
+"""Scenario of a campaign: the fault, its shape and its size; and scenarios from TOML files."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from residua.visible import echo, listed
 
 @dataclass(frozen=True)
 class Scenario:
-    """A fault with its shape in time and its size, or several sizes, each of them a case of its own.
+    """A fault with its shape in time and its size, or several sizes, each of them a separate case.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ class Scenario:
 
 @dataclass(frozen=True)
 class Case:
-    """One fault of one size in one shape: what is simulated for every run.
+    """One fault of one size in one shape, to be simulated for every run.
 
     Attributes
     ----------

@@ -34,7 +34,7 @@ _FULL = 4
 
 @dataclass(frozen=True, eq=False)
 class TuningCandidate:
-    """One setting of a norm test that was tried.
+    """One tested setting of a norm test.
 
     Attributes
     ----------
@@ -227,7 +227,7 @@ def _checked(monitor: Monitor, rate: float, runs: int, samples: int, seed: int, 
 
 
 def _check_length(monitor: Monitor, samples: int, window: int) -> None:
-    """Raise where runs are too short for sums over a window to be full in most of them."""
+    """Raise if runs are too short for sums over a window to be full in most of them."""
     judged = samples - monitor.settling_samples
     if judged < _FULL * window:
         raise SettingError(
@@ -259,7 +259,7 @@ def _levels(
     seed: int,
     simulated: Mapping[str, Any],
 ) -> dict[int, NDArray[np.float64]]:
-    """Return by persistence the level below which a threshold has each fault-free sample in alarm."""
+    """Return by persistence the threshold below which each fault-free sample is in alarm."""
     names = ("noise", "inputs", "disturbances", "plants", "controller", "within")
     given = [simulated.get(name) for name in names]
     plan, _ = plan_of(_with(monitor, replace(settings, threshold=1.0)), (), samples, seed, *given)
@@ -274,7 +274,7 @@ def _levels(
 
 
 def _threshold(levels: NDArray[np.float64], rate: float) -> float:
-    """Return the threshold that a share of the samples is in alarm for."""
+    """Return the threshold for a share of the samples in alarm."""
     over = int(rate * len(levels))
     if over < 1:
         raise SettingError("too few samples were judged for this rate: more runs, or longer ones")
