@@ -67,7 +67,7 @@ def text_in(value: Any, where: str) -> str:
     if not isinstance(value, str):
         raise FileFormatError(f"{where}: expected text, got {kind_of(value)}")
     if any("\ud800" <= letter <= "\udfff" for letter in value):  # halves of characters, which no file can hold
-        raise FileFormatError(f"{where}: expected text, got {kind_of(value)}, which is no Unicode")
+        raise FileFormatError(f"{where}: expected text, got {kind_of(value)}, which is not Unicode")
     return value
 
 

@@ -229,7 +229,7 @@ def test_residuals_that_wander_are_said_with_what_to_do() -> None:
     found = re.match(r"the fit: the residuals of healthy data wander ([\d.]+) times as far as noise would: ", note)
     assert found
     assert float(found[1]) == pytest.approx(np.sqrt(19), rel=0.2)
-    assert note.endswith("identify the plant anew, estimate its noise from data, or add a disturbance")
+    assert note.endswith("identify the plant again, estimate its noise from data, or add a disturbance")
     assert note in str(watch.fit_check)
     rare = (1.0, 1.0, 2.0, 4.0, 9.0, 9.0)
     assert FitCheck(None, colour=rare).notes == FitCheck(None).notes == ()

@@ -183,7 +183,7 @@ def test_a_snapshot_has_the_same_bytes_without_the_kernel(kind: str, monkeypatch
 @pytest.mark.parametrize(
     ("skipped", "words"),
     [
-        ([[7, 1, 2]], "skipped samples of this snapshot are none of its plants"),
+        ([[7, 1, 2]], "skipped samples of this snapshot do not belong to its plants"),
         ([[0, -1, 2]], "none of its plants"),
         ([[0, 3, 3]], "in no order"),
         ([[0, 3, 999]], "in no order"),

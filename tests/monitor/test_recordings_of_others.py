@@ -58,7 +58,7 @@ def test_other_ways_to_write_dates_are_said(tmp_path: Path) -> None:
         read_recording(path, time_format="%Q")
     path = written(tmp_path / "numbers.csv", ["20261120", "20261121"])
     assert read_recording(path, time_format="%Y%m%d").dt == 86400.0
-    with pytest.raises(DataError, match="a year of two digits can be any of its three numbers: say time_format="):
+    with pytest.raises(DataError, match="a year of two digits can be any of its three numbers: set time_format="):
         read_recording(written(tmp_path / "data.csv", ["20/11/26 08:00", "20/11/26 08:01"]))
 
 
@@ -106,7 +106,7 @@ def test_a_comma_in_a_number_is_asked_about(tmp_path: Path) -> None:
         with pytest.raises(DataError, match="the first separates thousands"):
             read_recording(path, decimal=decimal)
     path.write_text("time;level\n0;1,5\n1;2.5\n", encoding="utf-8")
-    with pytest.raises(DataError, match=r"got '2\.5'; decimal=',' was asked for, and a point then is none"):
+    with pytest.raises(DataError, match=r"got '2\.5'; decimal=',' was given, so a point is not a decimal mark"):
         read_recording(path, decimal=",")
     path.write_text('time,level\n"0,0","1,5"\n"0,5","2,5"\n', encoding="utf-8")
     assert read_recording(path, decimal=",").dt == 0.5

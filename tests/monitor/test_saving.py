@@ -435,7 +435,7 @@ def test_windows_that_do_not_belong_together_are_refused_before_anything_is_made
         (("isolate", "window"),): r"fitted\.matched\.window must be that of isolate",
         (("isolate", "window"), ("fitted", "matched", "window")): r"fitted\.matched\.responses must be those of",
         (("test", "window"),): r"fitted\.window must be that of the test",
-        (("running",),): r"running must be there if and only if fitted is",
+        (("running",),): r"running must be present if and only if fitted is",
     }
     for places, words in cases.items():
         content = whole

@@ -48,7 +48,7 @@ def _method(name: str) -> str:
     known, name = methods.offered(), name.replace("_", "-")
     if name != methods.AUTO and name not in known:
         names = [methods.AUTO, *known]
-        raise typer.BadParameter(f"{suggestion(name, names).strip()} is none of {', '.join(names)}")
+        raise typer.BadParameter(f"{suggestion(name, names).strip()} is not one of {', '.join(names)}")
     return name
 
 

@@ -148,12 +148,12 @@ class Shard:
             if not rows.complete[row]:
                 cause, reason = "incomplete", "a column of this record is empty"
             elif not number[row]:
-                cause, reason = "number", f"numbers that cannot be: start {start}, {samples} samples"
+                cause, reason = "number", f"invalid numbers: start {start}, {samples} samples"
             elif not fits[row]:
                 said = f"{counted(int(sizes[row]), 'number')} for {counted(samples, 'sample')} of {width} channels"
                 cause, reason = "width", f"{said}: {echo(', '.join(self._channels))}"
             else:
-                cause, reason = "unknown plant", f"the plant {echo(plant)} is none of those that are watched"
+                cause, reason = "unknown plant", f"the plant {echo(plant)} is not watched"
             aside.append(Aside(plant, start, cause, reason))
         return np.flatnonzero(rows.complete & number & fits & known)
 
@@ -342,7 +342,7 @@ class Shard:
 def _parts(content: bytes) -> tuple[int, NDArray[np.int64], bytes]:
     """Return the number of shards, the numbers of the first samples, and the snapshot."""
     if content[: len(MARK)] != MARK:
-        raise FileFormatError("these bytes are no state of a shard")
+        raise FileFormatError("these bytes are not the state of a shard")
     if len(content) < _HEAD.size:
         raise FileFormatError("this state of a shard is cut short")
     _, version, shards, plants = _HEAD.unpack_from(content)
@@ -352,7 +352,7 @@ def _parts(content: bytes) -> tuple[int, NDArray[np.int64], bytes]:
     if len(content) < end + _CHECK.size:
         raise FileFormatError("this state of a shard is cut short")
     if _CHECK.unpack_from(content, end)[0] != zlib.crc32(content[:end]):
-        raise FileFormatError("this state of a shard was changed: its checksum is that of other bytes")
+        raise FileFormatError("this state of a shard was changed: its checksum does not match")
     origins = np.frombuffer(content, dtype="<i8", count=plants, offset=_HEAD.size).astype(np.int64)
     return shards, origins, content[end + _CHECK.size :]
 

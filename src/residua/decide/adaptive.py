@@ -158,7 +158,7 @@ class AdaptiveTest(NormTest):
         plants, time = block.usable.shape
         m = self.B.shape[1]
         if block.signals is None:
-            raise DataError("a threshold that moves with the inputs needs these, and there are residuals alone here")
+            raise DataError("an adaptive threshold needs the inputs, but only residuals are given")
         u = _without_gaps(block.signals[..., :m], state.held)
         if not time:
             return state.x, state.held, state.running, np.zeros((plants, 0, len(self.C)))
@@ -217,7 +217,7 @@ class AdaptiveTest(NormTest):
         """Describe the threshold, the statistic, and the start and end of an alarm."""
         said = super().words(step)
         how = "the largest" if self.together else "the sum"
-        more = f", less {how} of what {counted(len(self.errors), 'error')} of the model would make of the inputs"
+        more = f", less {how} of the effects of {counted(len(self.errors), 'error')} of the model"
         return said | {"test": said["test"] + more}
 
     # --------------------------------------------------------------------------- files
@@ -426,7 +426,7 @@ class Adaptive(NormSettings):
         plant = generator.plant if generator.plant.is_discrete else generator.plant.discretize(generator.dt)
         errors = self.errors or errors_of_gains(plant, changes=not self.bounds_errors)
         if not errors:
-            raise SettingError("no output of this plant answers to an input: its threshold has nothing to move with")
+            raise SettingError("no output of this plant responds to an input, to which its threshold could adapt")
         weights = np.full(len(errors), self._share or 1.0)
         return tuple(one.name for one in errors), residual_errors(errors, generator), weights
 
@@ -434,15 +434,15 @@ class Adaptive(NormSettings):
         """Describe the model errors that the threshold allows for."""
         if self.errors:
             how = "the corners of" if self.together else "each of"
-            return f"gives way to {how} the parameters of an uncertain plant ({counted(len(names), 'error')})"
+            return f"allows for {how} the parameters of an uncertain plant ({counted(len(names), 'error')})"
         if self._share is not None:
-            return f"gives way to responses that are wrong by {100 * self._share:.4g} % ({len(names)} of them)"
+            return f"allows for responses that are wrong by {100 * self._share:.4g} % ({len(names)} of them)"
         order = [g for g in np.argsort(-weights, kind="stable").tolist() if weights[g] > 0]
         if not order:
-            return "these data show no error of the model: the threshold does not move"
+            return "these data show no error of the model: the threshold is constant"
         parts = [f"{names[g]} {number(float(weights[g]), 2)}" for g in order[:_NAMED]]
         more = f" and {len(order) - _NAMED} more" if len(order) > _NAMED else ""
-        return f"gives way to errors of the model as large as these data show, parts of: {', '.join(parts)}{more}"
+        return f"allows for errors of the model as large as these data show, parts of: {', '.join(parts)}{more}"
 
     # ----------------------------------------------- what the rest of a monitor asks for
 
@@ -451,11 +451,11 @@ class Adaptive(NormSettings):
         plant = watched.generator.plant
         if watched.parts is not None:
             raise SettingError(
-                "Adaptive tests the residual as a whole, and an isolation by codes asks which part fired: take "
+                "Adaptive tests the residual as a whole, but isolation by codes needs a test of each part: take "
                 "NormThreshold, or isolate by direction"
             )
         if not plant.inputs:
-            raise SettingError("this plant has no inputs: a threshold that moves with them is one that does not move")
+            raise SettingError("this plant has no inputs, to which a threshold could adapt")
         if self.channels and self.channels != (plant.inputs, plant.outputs):
             raise SettingError(
                 f"the uncertain plant has the channels {', '.join(sum(self.channels, ()))}, the plant of the monitor "
@@ -602,7 +602,7 @@ def _quantile_weights(
         -wanted / size, A_ub=design.T, b_ub=np.zeros(design.shape[1]), bounds=(-over, 1 - over), method="highs"
     )
     if made.status != 0:
-        raise DataError(f"what errors of the model are worth was not found ({made.message}): give relative=")
+        raise DataError(f"the weights of the model errors could not be fitted ({made.message}): give relative=")
     out = np.zeros(explained.shape[1])
     out[live] = np.maximum(-made.ineqlin.marginals[1:], 0.0) * size / units[live]
     return out

@@ -98,8 +98,8 @@ def autoregression(
 
     By the equations of Yule and Walker, whose solution is stable; where samples are missing by least squares over those
     whose past is whole, on which orders are compared in pairs. Each residual by its own past, or all by the past of
-    all, whichever the criterion prefers. What counts is that nothing is left that could be foretold, not that the
-    order be a true one: residuals that a filter makes have none, and Schwarz's criterion leaves more of their memory.
+    all, whichever the criterion prefers. What counts is that nothing predictable remains, not that the order is a
+    true one: residuals of a filter have none, and Schwarz's criterion leaves more of their memory.
 
     Parameters
     ----------

@@ -29,9 +29,9 @@ _AS_FAR = 0.6
 #: Samples of an alarm below which a name is too early, and channels that a sentence lists.
 _EARLY, _TOLD = 5, 5
 _RULES = (
-    "The score is how far a channel is off, in its own thresholds, as a part of the furthest. Channels are compared "
-    "with each other alone: one name is the furthest by far, and still something that is not listed may have moved it. "
-    f"Either: others are at least {_AS_FAR:g} times as far off."
+    "The score is the deviation of a channel in its own thresholds, relative to the largest. Channels are compared "
+    "only with each other: even if one deviates by far the most, something that is not listed may be the cause. "
+    f"Either: others deviate at least {_AS_FAR:g} times as much."
 )
 
 

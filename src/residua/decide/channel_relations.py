@@ -67,7 +67,7 @@ class ChannelsState(Record):
     means : ndarray, shape (plants, 2, channels)
         Those of weights 1/8 and 1/64.
     armed : ndarray of bool, shape (plants, channels)
-        Whether a slow mean starts anew once the fast ones are small again.
+        Whether a slow mean restarts once the fast ones are small again.
     last : ndarray, shape (plants, sensors)
     same : ndarray of int, shape (plants, sensors)
         Samples in a row that were equal to the one before; -1 before the first.
@@ -468,13 +468,13 @@ class ChannelRelations(TestSettings):
 
     ``"static"``: with the other channels by ridge regression; ``"lags"``: and with exponentially weighted means of
     theirs, of weights 1/4, 1/16, 1/64; ``"curve"``: with a piecewise linear curve of one or two of them, in its
-    deviation there; ``"horizon"``: outputs with what the model foretold 50 samples before. Exponentially weighted means
+    deviation there; ``"horizon"``: outputs with the model's prediction 50 samples before. Exponentially weighted means
     of each, of weights 1, 1/8 and 1/64, are held against thresholds of their own. A sensor is in alarm too when it
     keeps one value for more than twice as long as ever in the fit, or when its changes over 50 samples are less than
     half as large as they ever were.
 
     Guaranteed: the same answers in all units. Thresholds are not below the largest mean of the fault-free rows of the
-    fit, each foretold by a fit to other rows.
+    fit, each predicted by a fit to other rows.
 
     Parameters
     ----------
@@ -553,15 +553,15 @@ class ChannelRelations(TestSettings):
     def fitted(self, watched: Watched, run: FaultFreeRun, rate: float) -> ChannelRelationsTest:
         """Return the test fitted to fault-free data, for a rate of false alarms."""
         if run.signals is None:
-            raise DataError(
-                "channels can be compared only where recordings have them: these are residuals by themselves"
-            )
+            raise DataError("channels can be compared only in recordings: these are residuals alone")
         plant, count = watched.generator.plant, int(run.usable.sum())
         channels, p = (*plant.inputs, *plant.outputs), len(plant.outputs)
         factors = {one.part: one.factor for one in self.raised}
         unknown = [name for name in factors if name not in (MODEL, *channels)]
         if unknown:
-            raise SettingError(f"raised: {echo(unknown[0])} is no channel; there are {', '.join((MODEL, *channels))}")
+            raise SettingError(
+                f"raised: {echo(unknown[0])} is not a channel; the channels are {', '.join((MODEL, *channels))}"
+            )
         rest = replace(run, usable=run.usable & ~_first_part(run, self.unseen))
         model = _raised(
             MultiscaleEWMA(source="data").fitted(watched, rest, rate / 2), _MODEL_MARGIN * factors.get(MODEL, 1.0)

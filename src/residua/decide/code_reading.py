@@ -92,7 +92,7 @@ class CodeReading:
             return f"several faults: {', '.join(others)} and {last}"
         together = self._pairs(": these two at once would fire the same members: ")
         if self.possible:
-            return f"not told which: {self.either} with members silent, {UNKNOWN}{together}"
+            return f"undecided: {self.either} with members silent, {UNKNOWN}{together}"
         if self.close:
             return f"nearest code: {quoted(self.close)}, 1 member off; but it may be {UNKNOWN}{together}"
         if self.pairs:

@@ -37,9 +37,9 @@ class CompiledTest:
     sums : int
         Numbers that the statistic keeps of each plant, but for the window of a norm.
     release_level, allowance, weight, deviation : float
-        Of tests that remember.
+        Of sequential tests.
     coefficients, rewhitening, knots, scores : ndarray or None
-        How a residual is made white and Gaussian.
+        Treatment that makes a residual white and Gaussian.
     along : ndarray, shape (k, directions), or None
         Of a likelihood ratio along directions.
     sizes : ndarray of int, shape (parts,), or None

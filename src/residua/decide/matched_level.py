@@ -331,7 +331,7 @@ def fit_matched_test(
     _check_settings(settings)
     check_rate(false_alarm_rate)
     base = fit_moments(
-        replace(settings, threshold=settings.threshold or 1.0),  # that of the norm is of no use here
+        replace(settings, threshold=settings.threshold or 1.0),  # that of the norm does not apply here
         residuals,
         usable,
         covariance=covariance,

@@ -377,7 +377,7 @@ class MultiscaleEWMA(TestSettings):
        s^{(i)}_k = (1 - \lambda_i) s^{(i)}_{k-1} + \lambda_i \hat e_k, \qquad
        J_k = \max_i \frac{1}{g_i} \Big| \Sigma_i^{-1/2} s^{(i)}_k \Big| > h
 
-    with the whitened residual :math:`e`, less what its past foretells where it is coloured. The mean of weight 1 is the
+    with the whitened residual :math:`e`, less its prediction from the past if coloured. The mean of weight 1 is the
     sample itself and sees large faults at once; the longer ones see small faults that last. :math:`\hat e` is
     :math:`e`, clipped at a length that one sample in a thousand has, so that an outlier does not stay in the long
     means. An alarm is over when all of them are short again: at half the threshold, as normal scores.

@@ -80,7 +80,7 @@ def _treated(treatment: str, run: FaultFreeRun, rows: Sequence[int]) -> Treated:
     if data.spread > rounding:
         try:
             return treated(data, treatment, _HARMLESS, scores=False)
-        except DataError:  # its past foretells all of it: it is judged as it is
+        except DataError:  # its past predicts all of it: it is judged unchanged
             return treated(data, "none", _HARMLESS, scores=False)
     size = max(float(np.abs(data.deviations).max(initial=0.0)), rounding, float(np.finfo(float).tiny))
     parts = plain(data.middle, np.eye(len(rows)) / size)

@@ -25,7 +25,7 @@ FORMS = (STATIC, CURVE, LAGS, HORIZON)
 LAG_WEIGHTS = (1 / 4, 1 / 16, 1 / 64)
 #: Rows after which the slowest mean has forgotten the first one, to 5 %.
 _FORGOTTEN = round(3 / min(LAG_WEIGHTS))
-#: Contiguous parts of the rows, each of which is foretold by a fit to the others.
+#: Contiguous parts of the rows, each of which is predicted by a fit to the others.
 _FOLDS = 5
 #: Penalties of ridge regression, in parts of the rows.
 _PENALTIES = tuple(10.0**-k for k in (5, 4, 3, 2, 1))

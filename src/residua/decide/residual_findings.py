@@ -207,7 +207,7 @@ def findings_of(
     check_enough(count, run.residuals.shape[1], 1)
     if whole.spread <= SIGNAL_ROUNDING * run.signal_size():
         raise DataError(
-            "these residuals hold no noise, nothing but rounding: there is nothing to test in them; give a recording "
+            "these residuals hold no noise, only rounding: there is nothing to test; give a recording "
             "with the noise of its sensors"
         )
     places = changes(run, names)
@@ -358,16 +358,17 @@ def _memory(
     names = tuple(one.name for one in found)
     if found:
         sizes = [f"{one.name} {one.correlation:+.2f} at lag {one.lag}" for one in found[:_LISTED]]
-        text = f"{some(names, _LISTED)} remember{'s' * (len(found) == 1)} the past (correlation of {listing(sizes)})"
+        verb = "is" if len(found) == 1 else "are"
+        text = f"{some(names, _LISTED)} {verb} correlated in time (correlation of {listing(sizes)})"
     else:
         q = np.where(data.usable[:, None], data.deviations @ data.moments().whitening, 0.0)
         q = q[:, q.any(axis=0)]
         q = np.sign(q) if loud else q
         if q.shape[1] < 2 or whiteness(q, data.usable, data.parts, most=lags) >= LEVEL / 2:
             return []
-        text = "each residual is white by itself, and their past foretells some of the others"
+        text = "each residual is white by itself, but the past of some predicts others"
     if white:
-        text += "; by the noise model they are white: the model of the plant, or of its noise, is another"
+        text += "; by the noise model they are white: the model of the plant, or of its noise, is wrong"
     elif white is not None:
         text += "; by the noise model they do so too"
     return [Finding("memory", names, text, LEVEL)]
@@ -478,7 +479,7 @@ def _copies(names: Sequence[str], moves: NDArray[np.bool_], independent: int, no
     if still:
         found.append(f"{some(still, _LISTED)} never move{'s' * (len(still) == 1)}")
     if independent < int(moves.sum()):
-        said = [one for one in notes if "independent" in one or "foretold exactly" in one]
+        said = [one for one in notes if "independent" in one or "predicted exactly" in one]
         found.append("; ".join(said) or f"{independent} of the {len(names)} residuals are independent")
     return [Finding("copies", (), "; ".join(found), 0.0)] if found else []
 

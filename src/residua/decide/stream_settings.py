@@ -99,7 +99,7 @@ class StreamSettings(TestSettings):
             raise SettingError(f"treatment must be one of {', '.join(get_args(Treatment))}, got {echo(self.treatment)}")
         if self.threshold is not None and self.source in _OF_DATA[1:]:
             raise SettingError(
-                f"threshold={self.threshold:g} is given, so that source={self.source!r} is of no use: leave one out"
+                f"threshold={self.threshold:g} and source={self.source!r} cannot be combined: leave one out"
             )
         by_design = time is None and self.threshold is None and self.source not in _OF_DATA
         rate = self.false_alarm_rate

@@ -227,7 +227,7 @@ class StreamTest(ResidualTest):
 
     def words(self, step: float) -> dict[str, str]:
         """Describe the threshold, the statistic, and the start and end of an alarm."""
-        memory = f", less what the last {len(self.coefficients)} samples foretell" if self.coefficients.size else ""
+        memory = f", less a prediction from the last {len(self.coefficients)} samples" if self.coefficients.size else ""
         return {
             "threshold": f"{self.threshold:.4g} ({self.basis})",
             "test": f"{self.title} of the whitened residual{memory}",

@@ -61,7 +61,7 @@ def treated(data: FaultFree, treatment: str, harmless_offset: float, *, scores: 
     whole, moving = data.moments(), data.moving
     parts, notes = plain(whole.center, whole.whitening), []
     if whole.intensity:
-        notes.append(f"covariance of too few samples, drawn by {whole.intensity:.2g} towards a simpler one")
+        notes.append(f"covariance of too few samples, shrunk by {whole.intensity:.2g} towards a simpler one")
     q = np.where(data.usable[:, None], (data.residuals - whole.center) @ whole.whitening, 0.0)
     if moving < q.shape[1]:
         notes.append(f"{moving} of the {q.shape[1]} residuals are independent")
@@ -84,8 +84,9 @@ def treated(data: FaultFree, treatment: str, harmless_offset: float, *, scores: 
         exact = int(np.count_nonzero(~varies))
         if exact == moving:
             raise DataError(
-                f"the past foretells all of this residual but for {number(float(values[-1]), 2)} of its variance, "
-                f"which {len(e)} samples do not tell from their mean: give more, or fit with treatment='none'"
+                f"the past predicts all but {number(float(values[-1]), 2)} of the variance of this residual, "
+                f"which {len(e)} samples cannot distinguish from an error of their mean: give more, or fit with "
+                "treatment='none'"
             )
         if exact:
             notes.append(f"{counted(exact, 'combination')} of residuals predicted exactly")
@@ -99,7 +100,7 @@ def treated(data: FaultFree, treatment: str, harmless_offset: float, *, scores: 
     if is_heavy and scores:
         knots, values = knots_of(e[:, varies])
         notes.append("heavy tails: each value is replaced by its normal score")
-        # what never moves, or is foretold exactly, stays as it is: that is rounding, and the ends of recordings
+        # what never moves, or is predicted exactly, stays as it is: that is rounding, and the ends of recordings
         everywhere = np.tile(values, (len(parts["center"]), 1))
         everywhere[live[varies]] = knots
         parts = {**parts, "knots": everywhere, "scores": values}
@@ -109,8 +110,8 @@ def treated(data: FaultFree, treatment: str, harmless_offset: float, *, scores: 
 def _floor(samples: int, harmless_offset: float) -> float:
     """Return the share of variance below which a direction's innovations are less than the error of its mean.
 
-    Where decoupling makes residuals depend on each other over time, an autoregression foretells combinations of them
-    exactly. What is left there of the ends of a recording, divided by its length, is all the noise they have.
+    Where decoupling makes residuals depend on each other over time, an autoregression predicts combinations of them
+    exactly. Their only innovations, at the ends of a recording, divided by its length, are all the noise they have.
     """
     return max(VARIANCE_FLOOR, (_ENDS * _FOLDS / max(samples, 1) / harmless_offset) ** 2)
 

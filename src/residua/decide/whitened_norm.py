@@ -72,7 +72,7 @@ class NormSettings(TestSettings):
         check_source(self.source)
         if self.source != "auto" and self.threshold is not None:
             raise SettingError(
-                f"threshold={self.threshold:g} is given, so that source={self.source!r} is of no use: leave one out"
+                f"threshold={self.threshold:g} and source={self.source!r} cannot be combined: leave one out"
             )
         for name in ("persistence", "release", "window"):  # plain numbers, whatever they came as
             value = getattr(self, name)
@@ -412,7 +412,7 @@ def with_threshold(base: Fitted, rate: float) -> NormTest:
     if base.source == "conformal":
         basis += "; mean and covariance of the first half of them, the threshold of the second"
     if base.test.shrinkage:
-        basis += f"; covariance of too few samples, drawn by {base.test.shrinkage:.2g} towards a simpler one"
+        basis += f"; covariance of too few samples, shrunk by {base.test.shrinkage:.2g} towards a simpler one"
     if base.rounding is not None:
         threshold, basis = above_rounding(threshold, base.rounding, basis)
     return replace(base.test, threshold=float(threshold), basis=basis, promised=float(promise.promised))

@@ -211,7 +211,7 @@ def _lines(cases: list[Case], threshold: float) -> tuple[str, ...]:
 
 
 def _score(name: str, right: list[str], total: int, without_fault: str) -> str:
-    """Return the share of cases in which a filter was right, with its significance."""
+    """Describe how often a filter was right, and whether by chance."""
     text = f"{name}: names {len(right)} of {total} sensors right"
     if right:
         text += f" ({listing(right)})"

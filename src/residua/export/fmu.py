@@ -229,7 +229,7 @@ def _model_header(made: MonitorProgram, variables: list[FMUVariable], prefix: st
         "FINGERPRINT": f"0x{hexadecimal[32:48].upper()}U",
     }
     lines = [
-        "/* What the code of the unit has to know of this monitor. */",
+        "/* Constants of this monitor for the code of the unit. */",
         f"#ifndef {prefix}_MODEL_H",
         f"#define {prefix}_MODEL_H",
         "",

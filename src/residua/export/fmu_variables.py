@@ -73,9 +73,9 @@ def _numbers(made: MonitorProgram) -> list[FMUVariable]:
     residuals = [made.residuals[k] if k < len(made.residuals) else "" for k in range(size)]
     threshold = float(made.judging.test.threshold)
     return [
-        output("statistic", "what is compared with the threshold; zero where nothing is decided"),
+        output("statistic", "the value compared with the threshold; zero without a decision"),
         FMUVariable("threshold", "real", "local", "over which the statistic raises an alarm", start=threshold),
-        *(output(f"residual_{k}", f"residual {one}; zero where it is not known") for k, one in enumerate(residuals, 1)),
+        *(output(f"residual_{k}", f"residual {one}; zero if unknown") for k, one in enumerate(residuals, 1)),
         *(output(f"score_{k}", f"how well {' or '.join(one)} fits") for k, one in enumerate(groups, 1)),
         *(output(f"part_statistic_{k}", f"statistic of {one}") for k, one in enumerate(made.parts, 1)),
     ]
@@ -91,12 +91,12 @@ def _flags(made: MonitorProgram) -> list[FMUVariable]:
     names, parts = made.program.names, list(enumerate(made.parts, 1))
     return [
         output("known", "whether there is a residual: no value is missing"),
-        output("decided", "not while the filter settles, and where the residual is not known"),
+        output("decided", "false while the filter settles, or if the residual is unknown"),
         output("alarm", "whether an alarm stands"),
         FMUVariable("hold_inputs", "flag", "parameter", hold, start=0.0),
         *(output(f"fired_{k}", f"whether {one} is in alarm") for k, one in parts),
         *(output(f"code_{k}", f"whether {one} counts as fired") for k, one in parts if "code" in names),
-        *([output("scored", "whether the scores say something: only in an alarm")] if "score" in names else []),
+        *([output("scored", "whether the scores are meaningful: only in an alarm")] if "score" in names else []),
     ]
 
 
@@ -105,7 +105,7 @@ def _counts(made: MonitorProgram) -> list[FMUVariable]:
     best = FMUVariable("best", "count", "output", "the score of the fault that is named, from 1 on; 0 for none")
     answer = FMUVariable(
         "answer", "count", "output",
-        "what the code says: 0 none, 1 exact, 2 several, 3 degraded, 4 nearest, 5 unknown",
+        "the reading of the code: 0 none, 1 exact, 2 several, 3 degraded, 4 nearest, 5 unknown",
     )  # fmt: skip
     names = made.program.names
     return [*([best] if "score" in names else []), *([answer] if "answer" in names else [])]

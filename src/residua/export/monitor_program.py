@@ -229,7 +229,7 @@ def _sections(judging: Judging) -> list[tuple[str, str]]:
     test, naming = judging.test, judging.naming
     parts = [
         ("deviations from the operating point; values that are missing or not plausible are held", texts.TAKE),
-        ("the filter; it starts with the first complete sample, and anew after a gap that is too long", texts.RUN),
+        ("the filter; it starts with the first complete sample, and restarts after a gap that is too long", texts.RUN),
         ("the start of the filter is estimated from the first residuals", texts.LEARN),
         ("whether anything can be decided", texts.CHECK),
         ("the residual in units in which it is white", texts.WHITEN),
@@ -240,7 +240,7 @@ def _sections(judging: Judging) -> list[tuple[str, str]]:
         parts.append(("the statistic", texts.NORM))
     else:
         parts += [
-            ("what the past does not foretell of it", texts.FORETELL),
+            ("its innovations by the autoregression", texts.FORETELL),
             ("the statistic", _STATISTICS[test.statistic]),
         ]
     if test.statistic in _CUMULATED:
@@ -367,15 +367,15 @@ def _decision(size: dict[str, int]) -> list[Variable]:
         return Variable(name, kind, "output", count, (), words)
 
     made = [
-        output("residual", "real", size["RESIDUALS"], "zeros where it is not known"),
+        output("residual", "real", size["RESIDUALS"], "zeros if unknown"),
         output("statistic", "real", None, "zero where nothing is decided"),
         output("known", "flag", None, "whether there is a residual: no value is missing"),
-        output("decided", "flag", None, "not while the filter settles, and where it is not known"),
+        output("decided", "flag", None, "false while the filter settles, or if it is unknown"),
         output("alarm", "flag", None, "whether an alarm stands"),
     ]
     if size["GROUPS"]:
         made += [
-            output("scored", "flag", None, "whether the scores say something: only in an alarm"),
+            output("scored", "flag", None, "whether the scores are meaningful: only in an alarm"),
             output("score", "real", size["GROUPS"], "how well each group of faults explains the residual, 0 to 1"),
             output("best", "count", None, "the group that explains it best, from 1 on; 0 for none"),
         ]

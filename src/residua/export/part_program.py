@@ -34,7 +34,7 @@ def part_sections(judging: Judging) -> list[tuple[str, str]]:
     """Return the texts with their titles, in order."""
     if judging.test.statistic == "means":
         made = [
-            ("what the past does not foretell of it", FORETELL),
+            ("its innovations by the autoregression", FORETELL),
             ("the longest mean of each part", texts.MEANS),
             ("the alarms", texts.MEAN_ALARMS),
         ]
@@ -50,7 +50,7 @@ def part_sections(judging: Judging) -> list[tuple[str, str]]:
             ("how well each group of faults explains the residual", texts.NAME_OVERALL),
         ]
     if judging.codes is not None:
-        made += [("which members count as fired", texts.CODE), ("what their code says", texts.READ)]
+        made += [("which members count as fired", texts.CODE), ("the reading of the code", texts.READ)]
     return made
 
 

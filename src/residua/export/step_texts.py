@@ -78,7 +78,7 @@ def _indented(text: str, levels: int) -> str:
     return "\n".join(" " * 4 * levels + line if line else line for line in text.strip("\n").split("\n"))
 
 
-#: The filter: starts, holds missing values, starts anew after long gaps and overflows. Twice at most: after a start.
+#: The filter: starts, holds missing values, restarts after long gaps and overflows. Twice at most: after a start.
 RUN = f"""
 known = False
 passed = False
@@ -244,7 +244,7 @@ if TEST_WINDOW > 1:
     statistic = statistic / root
 """
 
-#: What the past does not foretell of the whitened residual, as the tests that remember take it.
+#: Innovations of the whitened residual, for sequential tests.
 FORETELL = """
 seen = decided
 for j in range(WHITE):
@@ -487,7 +487,7 @@ if seen:
             sums[(TEST_WINDOW - 2) * WIDTH + j] = latest[j]
 """
 
-#: Persistence of a threshold, or the two levels of a test that remembers.
+#: Persistence of a threshold, or the two levels of a sequential test.
 ALARM = """
 over = decided and statistic > threshold
 if decided:

@@ -73,7 +73,7 @@ class MonitorSettings:
         flag(self, "accept_new")
         whole(self, "max_plants", 1, _MOST_PLANTS)
         _check(len(self.plants) <= self.max_plants, f"max_plants: {len(self.plants)} plants are listed")
-        _check(bool(self.plants) or self.accept_new, "plants: name the plants, or say accept_new = true")
+        _check(bool(self.plants) or self.accept_new, "plants: name the plants, or set accept_new = true")
         object.__setattr__(self, "name", self.name or Path(self.file).stem)
 
 

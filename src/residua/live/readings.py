@@ -276,8 +276,8 @@ def fill_rows(values: NDArray[np.float64], rows: Any, first: int, width: int) ->
     Returns
     -------
     str
-        What is wrong: ``"shape"`` of rows, ``"number"`` where a value is none, such as a text or a truth value, or is
-        larger than any double; empty where nothing is. What was written is then of no use.
+        The error: ``"shape"`` of rows, ``"number"`` for a value that is not a number, such as a text or a truth value,
+        or larger than any double; empty without one. After an error the written values are invalid.
     """
     if _kernel is not None:
         return _WRONG[_kernel.fill(values, rows, first, width)]

@@ -38,7 +38,7 @@ class SamplingSettings:
     max_age : float
         Seconds for which a channel that is not stated keeps its last value; 0: it is missing at once.
     longest_gap : int
-        Rows of NaN that a gap becomes at most: more say nothing more to a filter that starts anew.
+        Rows of NaN that a gap becomes at most: more make no difference to a filter that restarts.
     """
 
     wait: float
@@ -246,7 +246,7 @@ def _one(
         state = replace(state, grid=time - dt, last=time - dt, dated=readings.dated)
     number = round((time - state.grid) / dt)
     values = readings.values[k]
-    if state.back and number <= longest_gap:  # what follows is another stretch: the filter starts anew for the gap
+    if state.back and number <= longest_gap:  # what follows is another stretch: the filter restarts after the gap
         remarks.append(Remark("refused", time))
         return state
     if number <= 0:

@@ -83,11 +83,11 @@ def _of_file(path: str, key: str) -> str:
     except OSError as error:
         raise SettingError(f"{key}: {path} cannot be read: {error.strerror or error}") from error
     if len(content) > LARGEST:
-        raise SettingError(f"{key}: {path} has more than {LARGEST} bytes: that is no secret")
+        raise SettingError(f"{key}: {path} has more than {LARGEST} bytes, too many for a secret")
     try:
         text = content.decode("utf-8")
     except UnicodeDecodeError:
-        raise SettingError(f"{key}: {path} is no text in UTF-8") from None  # the cause repeats what is in it
+        raise SettingError(f"{key}: {path} is not text in UTF-8") from None  # the cause repeats what is in it
     return text.removesuffix("\n").removesuffix("\r")
 
 

@@ -87,9 +87,7 @@ def address_of(listen: str) -> tuple[str, int]:
         if not (port.isascii() and port.isdigit() and int(port) < 65536):
             raise ValueError(port)
     except ValueError:
-        raise SettingError(
-            f"listen: the number of an interface and a port, such as '127.0.0.1:8000', not {listen!r}"
-        ) from None
+        raise SettingError(f"listen: an address and a port, such as '127.0.0.1:8000', not {listen!r}") from None
     return str(number), int(port)
 
 
@@ -205,7 +203,7 @@ def _listening(listen: str) -> socket.socket:
         made.bind((host, port))
     except OSError as error:
         made.close()
-        raise SettingError(f"listen: {listen} cannot be listened at: {error.strerror or error}") from error
+        raise SettingError(f"listen: {listen} cannot be opened for connections: {error.strerror or error}") from error
     return made
 
 

@@ -102,7 +102,7 @@ class SqliteStore(SqlStore):
                 raise StoreError(f"{self.path}: no space is left on the disk: make room, then start again") from error
             raise StoreError(f"{self.path}: {text}") from error
         except sqlite3.Error as error:
-            raise StoreError(f"{self.path}: this is no store of residua, or a damaged one: {error}") from error
+            raise StoreError(f"{self.path}: this is not a store of residua, or it is damaged: {error}") from error
 
     @contextmanager
     def _transaction(self) -> Iterator[sqlite3.Cursor]:

@@ -46,7 +46,7 @@ def state_from_bytes(content: bytes, spec: Specification) -> State:
         if stop != len(content) or not np.isfinite(state.filter.x).all():
             raise ValueError("another length, or no filter")
     except (ValueError, IndexError) as error:
-        raise FileFormatError(f"the store holds a state that is none of this monitor: {error}") from error
+        raise FileFormatError(f"the store holds a state of another monitor: {error}") from error
     return state
 
 

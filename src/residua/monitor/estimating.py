@@ -33,7 +33,7 @@ def with_estimator(bank: ResidualGenerator, estimator: ResidualGenerator) -> Res
         If the first is no bank, the second no estimator, or their plants differ.
     """
     if bank.codes is None:
-        raise ModelError("an estimator runs beside a bank, whose members are tested one by one; this is none")
+        raise ModelError("an estimator runs beside a bank, whose members are tested one by one; this is not a bank")
     if not estimator.estimated:
         raise ModelError("estimator= must be a fault estimator: this generator estimates no fault")
     one, other = bank.plant, estimator.plant

@@ -141,7 +141,7 @@ def _row_of_code(isolation: LearntCodes, fault: LearntFault) -> LearntRow:
 def checked_name(name: Any) -> str:
     """Return the name of a fault, or raise."""
     if not isinstance(name, str) or not name.strip():
-        raise SettingError(f"name must be a text that says which fault the recording shows, got {echo(name)}")
+        raise SettingError(f"name must be a text that names the fault in the recording, got {echo(name)}")
     return name
 
 
@@ -244,9 +244,7 @@ def _chosen(interval: Any, time: NDArray[np.float64], decisions: Decisions, whic
     if interval is None:
         on = np.flatnonzero(decisions.alarm)
         if not on.size:
-            raise DataError(
-                f"{which} raises no alarm: say when the fault was there, interval=(start, stop), in seconds"
-            )
+            raise DataError(f"{which} raises no alarm: give the time of the fault, interval=(start, stop), in seconds")
         return np.arange(len(time)) >= on[0]
     mask = np.asarray(interval)
     if mask.dtype == bool:

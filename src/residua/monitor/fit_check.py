@@ -115,7 +115,7 @@ class FitCheck(Shown, Record):
             )
         if blind:
             named = _first([f"{one.fault} (from {one.text(one.lasting)} on)" for one in blind])
-            out.append(f"Of a constant fault at {DETECTABLE:g} deviations nothing can be told: {named}.")
+            out.append(f"Not detectable as a constant fault of {DETECTABLE:g} deviations: {named}.")
         return tuple(out)
 
     @property
@@ -195,7 +195,7 @@ class FitCheck(Shown, Record):
         return (
             f"the residuals of healthy data wander {number(variance**0.5, 2)} times as far as noise would: the model "
             'misses some of the plant\'s dynamics, or a drift, and "too early" and "poor match" are more frequent; '
-            "identify the plant anew, estimate its noise from data, or add a disturbance",
+            "identify the plant again, estimate its noise from data, or add a disturbance",
         )
 
     def _headline(self) -> str:

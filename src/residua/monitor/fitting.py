@@ -236,10 +236,10 @@ def _far_larger(generator: ResidualGenerator, run: FaultFreeRun) -> list[str]:
     expected, rows = np.where(expected > 0, expected, np.inf), run.residuals[run.usable]
     found = []
     for ratio, said, causes in (
-        (rows.std(axis=0) / expected, "moves {} times as much as the noise of the plant makes it", _MOVES),
+        (rows.std(axis=0) / expected, "moves {} times as much as the noise of the plant explains", _MOVES),
         (
             np.abs(rows.mean(axis=0)) / expected,
-            "lies {} of the deviations off zero that the noise of the plant gives it",
+            "lies {} of the plant's noise deviations off zero",
             _OFF,
         ),
     ):

@@ -479,7 +479,7 @@ def _pair(name: object, pair: Any) -> tuple[Monitor, list[Hashable]]:
 
 def _checked_monitor(monitor: object) -> Monitor:
     if not isinstance(monitor, Monitor):
-        raise SettingError(f"a fleet is of monitors, got {echo(monitor)}")
+        raise SettingError(f"a fleet takes monitors, got {echo(monitor)}")
     if not monitor.is_fitted:
         raise NotFittedError(f"the monitor of a fleet needs a threshold: {monitor.test.remedy}")
     return monitor

@@ -255,7 +255,7 @@ def learn(
     if complete < _MOSTLY * total:
         cautions.append(
             f"only {complete:,} of {total:,} rows are complete, and thresholds are from these: leave out channels that "
-            "are seldom there"
+            "are rarely present"
         )
     if complete < _TOO_FEW and not force:
         raise DataError(

@@ -63,13 +63,13 @@ class Monitor(Guessed, Shown):
     Data are in plant units: the plant's operating point is subtracted inside. A continuous generator is sampled at
     ``dt``. Missing values (NaN, infinity) never end a run: the last value of that channel is held for the filter, no
     residual is reported on that sample, and nothing is decided until the filter has settled again; after more than
-    ``max_hold`` incomplete samples in a row the filter starts anew with the next complete sample. A stationary Kalman
-    filter goes on with the values that are there instead, by the exact gain for them: nothing is decided on the
-    incomplete sample itself, and everything on the next one. Nothing is assumed of an input that is missing: the filter
-    learns from the outputs what it did. Samples without any output that can be used (none is there, or a missing input
-    acts on all of them at once) count towards ``max_hold`` there. A value that cannot be one (``plausible``) is missing
-    too, and is counted; and should the state of the filter overflow all the same, it starts anew, which is counted. The
-    state at a start is estimated (``start``), so that the plant need not be at rest then.
+    ``max_hold`` incomplete samples in a row the filter restarts with the next complete sample. A stationary Kalman
+    filter uses the values that are present instead, by the exact gain for them: nothing is decided on the incomplete
+    sample itself, and everything on the next one. A missing input is treated as unknown; its effect is estimated from
+    the outputs. Samples without a usable output (none is present, or a missing input acts on all of them at once) count
+    towards ``max_hold`` there. An implausible value (``plausible``) is missing too, and is counted; if the state of the
+    filter still overflows, it restarts, which is counted. The initial state is estimated (``start``), so that the plant
+    need not be at rest then.
 
     Parameters
     ----------

@@ -169,10 +169,10 @@ def _start(spec: Specification) -> str:
 def _missing(spec: Specification) -> str:
     more = f"; {spec.isolation.where_missing}" if spec.isolation.where_missing else ""
     if spec.partial is None:
-        return f"held for up to {spec.max_hold} samples, then the filter starts anew{more}"
+        return f"held for up to {spec.max_hold} samples, then the filter restarts{more}"
     return (
-        "the filter goes on with the values that are there, and assumes no value for a missing input; "
-        f"after more than {spec.max_hold} samples in a row without an output it starts anew{more}"
+        "the filter uses the values that are present, and treats a missing input as unknown; "
+        f"after more than {spec.max_hold} samples in a row without an output it restarts{more}"
     )
 
 
@@ -238,13 +238,13 @@ def _gap_notes(
     said = f"{lost} of {part} is not judged because values are missing: {absent} samples miss one"
     said += f" (channel {worst!r} at {gaps.max()} of them, the most)"
     if not waited:
-        return (f"{said}; fill in what is known, or leave out a channel that is seldom there",)
+        return (f"{said}; fill in known values, or leave out a channel that is rarely present",)
     anew = "after gaps that were too long" if spec.partial is not None else "after every gap"
     remedy = (
-        "fill in what is known"
+        "fill in known values"
         if spec.partial is not None
-        else "fill in what is known (a command that stands still), or use a Kalman filter of the same model, which "
-        "goes on with the other values, or a filter that settles sooner"
+        else "fill in known values (of a constant command), or use a Kalman filter of the same model, which "
+        "uses the other values, or a filter that settles sooner"
     )
     return (f"{said}, and {waited} more pass while the filter settles, for {spec.settle} samples {anew}; {remedy}",)
 
@@ -262,7 +262,7 @@ def _aside_notes(spec: Specification, generator: ResidualGenerator, decisions: D
     ]
     several = np.sum(counts) > 1
     return (
-        f"{np.sum(counts)} value{'s were' if several else ' was'} no plausible measurement, and taken as missing: "
+        f"{np.sum(counts)} value{'s were' if several else ' was'} not plausible, and taken as missing: "
         f"{', '.join(counted)}; Monitor(plausible=...) sets the limits",
     )
 
@@ -272,7 +272,7 @@ def _broken_notes(count: int) -> tuple[str, ...]:
     if not count:
         return ()
     times = "once" if count == 1 else f"{count} times"
-    return (f"the filter overflowed and was started anew {times}: is the recording in the units of the model?",)
+    return (f"the filter overflowed and was restarted {times}: is the recording in the units of the model?",)
 
 
 def _start_notes(spec: Specification, moved: float) -> tuple[str, ...]:
@@ -281,8 +281,8 @@ def _start_notes(spec: Specification, moved: float) -> tuple[str, ...]:
         return ()
     return (
         f"the plant was hardly at rest when the filter started: its state was estimated from {spec.first.samples} "
-        f"samples, which moved the residual by {moved:.2g} times its threshold; a fault that was there from the first "
-        "sample is partly taken out with it (start='rest' does not)",
+        f"samples, which moved the residual by {moved:.2g} times its threshold; a fault present from the first "
+        "sample is partly removed with it (start='rest' does not)",
     )
 
 

@@ -91,7 +91,7 @@ def _made(content: Mapping[str, Any]) -> RegimeMonitor:
     dt = float_in(content["dt"], "dt", POSITIVE)
     absent = [name for name in signals.names if name not in inputs + outputs]
     if absent:
-        raise FileFormatError(f"by: {listed(absent)} is none of the inputs and outputs")
+        raise FileFormatError(f"by: {listed(absent)} is not among the inputs and outputs")
     modes: dict[str, OperatingMode] = {}
     monitors: dict[str, Monitor] = {}
     for k, entry in enumerate(list_in(content["modes"], "modes")):

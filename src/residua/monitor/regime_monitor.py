@@ -37,7 +37,7 @@ class RegimeMonitor(Shown):
 
     A sample is judged by the monitor of its own mode. Nothing is decided in a mode without a model, where a signal
     of the modes is missing, over the transient after a change of mode (:attr:`OperatingMode.transient
-    <residua.identify.OperatingMode>`), nor until the filter of the mode has settled after it: it starts anew at
+    <residua.identify.OperatingMode>`), nor until the filter of the mode has settled after it: it restarts at
     every visit, and after every missing value; a window of the test goes on with the last judged samples of earlier
     visits. What the recording holds of these is said in the diagnosis, with the numbers of samples. Each monitor
     has the false alarm rate that was asked for, so all together have it too.

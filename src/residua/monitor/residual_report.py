@@ -51,7 +51,7 @@ def residual_report(
     offset, variance
         Against zero and against the noise model of the plant, with as many independent samples as there are.
     copies
-        Residuals that are combinations of others, or that the past of all foretells exactly.
+        Residuals that are combinations of others, or that the past of all predicts exactly.
 
     Each kind is found on residuals without such a thing with a probability of 1 % or less (``Finding.level``), for all
     residuals together; what is too small to matter is not found, however many samples show it.

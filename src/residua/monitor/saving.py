@@ -233,7 +233,7 @@ def _check_parts(content: Mapping[str, Any], test: TestSettings, isolate: Isolat
     """
     fitted, running = content["fitted"], content["running"]
     if (fitted is None) != (running is None):
-        raise FileFormatError("running must be there if and only if fitted is")
+        raise FileFormatError("running must be present if and only if fitted is")
     if fitted is not None:
         test.check_record(table_in(fitted, "fitted"), "fitted")
         where = "running.isolation"
@@ -333,7 +333,7 @@ def _partial_in(value: Any, spec: Specification) -> PartialUpdate | None:
         return None
     content = record(value, "running.partial", ("covariance", "settled"))
     if spec.partial is None:
-        raise FileFormatError("running.partial is there, and the generator is no stationary Kalman filter")
+        raise FileFormatError("running.partial is present, but the generator is not a stationary Kalman filter")
     covariance = _square_in(content["covariance"], "running.partial.covariance", len(spec.A))
     settled, shape = array_in(content["settled"], "running.partial.settled", ENTRY), spec.partial.settled.shape
     if settled.shape != shape:

@@ -32,7 +32,7 @@ class Specification:
     settle : int
         Samples after a start, or after a held value, in which nothing is decided.
     max_hold : int
-        Longest gap over which missing values are held; after a longer one the filter starts anew.
+        Longest gap over which missing values are held; after a longer one the filter restarts.
     plausible : ndarray, shape (channels, 2)
         Smallest and largest deviation of each channel from its operating point that is taken for a value; any other is
         missing.

@@ -96,8 +96,8 @@ class _Column:
 
 def _no_room(error: OSError) -> FileFormatError:
     return FileFormatError(
-        f"{tempfile.gettempdir()}: what the monitor decides cannot be kept there while the recording is read: "
-        f"{error.strerror or error}; it takes some 200 bytes a sample: say another folder by TMPDIR"
+        f"{tempfile.gettempdir()}: the decisions of the monitor cannot be stored there: "
+        f"{error.strerror or error}; they take some 200 bytes a sample: set another folder by TMPDIR"
     )
 
 

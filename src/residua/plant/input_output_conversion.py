@@ -59,7 +59,7 @@ def input_output_from_plant(
     Raises
     ------
     ModelError
-        If an output is no proper function of the inputs, as with a plant of index 2.
+        If an output is not a proper function of the inputs, as with a plant of index 2.
     AccuracyError
         If the frequency response is missed by more than the tolerance.
 

@@ -78,7 +78,7 @@ class InputOutputModel(FaultFacts, Shown):
     Raises
     ------
     ModelError
-        If a shape does not fit, ``det H`` is zero, or an output is no proper function of the inputs.
+        If a shape does not fit, ``det H`` is zero, or an output is not a proper function of the inputs.
 
     References
     ----------

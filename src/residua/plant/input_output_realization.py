@@ -186,7 +186,7 @@ def _check_removed(removed: NDArray, uncertainty: NDArray, kept: StateSpace, dt:
         raise ModelError(
             f"mode {modes} is in the equations but no input, disturbance or fault reaches it, and it is "
             "not stable: a plant without it would not behave like these equations; divide the common factor out of the "
-            "equations if it is none of the plant's, or add the disturbance or fault that reaches it"
+            "equations if it does not belong to the plant, or add the disturbance or fault that reaches it"
         )
 
 

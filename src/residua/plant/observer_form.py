@@ -192,7 +192,7 @@ def _without_infinite_part(
 def _improper(output: str, dt: float, why: str) -> ModelError:
     what = "later inputs" if dt else "derivatives of inputs"
     return ModelError(
-        f"output {output!r} is no proper function of the inputs, it would depend on {what}: {why}; delay the inputs, "
+        f"output {output!r} is not a proper function of the inputs, it would depend on {what}: {why}; delay the "
         "or raise the degree of its equation"
     )
 

@@ -106,7 +106,7 @@ def _check_cancelled(denominators: Sequence[NDArray], kept: Sequence[NDArray], d
         raise ModelError(
             f"mode {describe_modes(hidden)} is in a denominator but cancels against the numerator, and it is not "
             "stable: a plant without it would not behave like these transfer functions; divide the common factor out "
-            "if it is none of the plant's, or give the equations with the disturbance or fault that reaches it"
+            "if it does not belong to the plant, or give the equations with the disturbance or fault that reaches it"
         )
 
 

@@ -341,8 +341,8 @@ def _advice(cells: list[str], place: int, decimal: str, marks: Marks) -> str:
     if "," in text and "." in text:
         return "; of a comma and a point in one number the first separates thousands: write the numbers without it"
     if decimal == ",":
-        return "; decimal=',' was asked for, and a point then is none"
-    return "; if its comma is a decimal comma, say decimal=','; if it separates thousands, write the numbers without it"
+        return "; decimal=',' was given, so a point is not a decimal mark"
+    return "; if its comma is a decimal comma, set decimal=','; if it separates thousands, write the numbers without it"
 
 
 def _is_number(text: str) -> bool:

@@ -98,7 +98,7 @@ def _advice(cell: str, how: str) -> str:
     if how:
         return ""
     if _SHORT_YEAR.match(cell):
-        return "; a year of two digits can be any of its three numbers: say time_format=, such as '%d.%m.%y %H:%M'"
+        return "; a year of two digits can be any of its three numbers: set time_format=, such as '%d.%m.%y %H:%M'"
     if any(letter.isdigit() for letter in cell):
         return (
             "; known are ISO 8601 and dates of three numbers, anything else by time_format=, such as '%d-%b-%Y %H:%M'"
@@ -157,7 +157,7 @@ def _day_first(
             return True  # the same day either way
         raise DataError(
             f"{what}: {echo(cells[k])} (line {rows[k]}) may be day {first[k]} of month {second[k]}, or day "
-            f"{second[k]} of month {first[k]}, and no date of this column tells: say dayfirst=True or dayfirst=False"
+            f"{second[k]} of month {first[k]}, and no date in this column decides: set dayfirst=True or dayfirst=False"
         )
     if decisive[1] if dayfirst else decisive[0]:
         k = int(over[1][0] if dayfirst else over[0][0])

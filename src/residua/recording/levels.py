@@ -80,7 +80,7 @@ def units_between(channels: Sequence[str], sources: Sequence[str], mean: Values,
         else:
             notes.append(
                 f"{channels[i]!r} may be in different units in {named(rest)} and in {named(odd)}, or the plant is at "
-                "different operating points: nothing tells which of them is right"
+                "different operating points: the data do not show which of them is right"
             )
     return notes
 

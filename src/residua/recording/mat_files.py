@@ -24,7 +24,7 @@ _PATIENCE, _BYTES_PER_SECOND = 60.0, 2**20
 #: Longest line between the arrays.
 _LINE = 2**16
 
-_ADVICE = "save it anew with -v7, or as CSV"
+_ADVICE = "save it again with -v7, or as CSV"
 
 
 class Stream(Protocol):

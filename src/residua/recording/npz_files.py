@@ -27,7 +27,7 @@ def read_npz(path: Path) -> dict[str, NDArray]:
         raise FileFormatError(f"{path.name}: this is a single array (.npy); save named arrays with numpy.savez")
     if not head.startswith(_ZIP):
         raise FileFormatError(
-            f"{path.name}: it is no .npz file, or holds Python objects; only arrays of numbers are read"
+            f"{path.name}: this is not a .npz file, or it holds Python objects; only arrays of numbers are read"
         )
     try:
         with zipfile.ZipFile(path) as archive:

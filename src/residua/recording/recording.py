@@ -188,8 +188,8 @@ _OTHERS = {
     **dict.fromkeys(
         (".xlsx", ".xls", ".xlsm", ".xlsb", ".ods"), "a spreadsheet: save the sheet as CSV (UTF-8), and give that"
     ),
-    ".json": "no recording; a monitor is saved as .json",
-    ".toml": "no recording; a plant is saved as .toml",
+    ".json": "not a recording; a monitor is saved as .json",
+    ".toml": "not a recording; a plant is saved as .toml",
 }
 
 

@@ -218,7 +218,7 @@ def began_spans(diagnosis: Diagnosis) -> list[list[float]]:
 
 
 def _clock_of(diagnosis: Diagnosis) -> dict[str, Any]:
-    """Return the time axis of the charts: the clock of the recording, or a unit that fits their length.
+    """Return the time axis of the charts: the clock of the recording, or a unit that fits its length.
 
     ``base``: the moment that they count from as seconds of a clock without time zones.
     """

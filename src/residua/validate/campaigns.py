@@ -230,7 +230,7 @@ def plan_of(
 ) -> tuple[Plan, dict[str, str]]:
     """Return the plan of the runs, and its description."""
     if not isinstance(monitor, Monitor):
-        raise SettingError(f"a campaign is run for a Monitor, got {type(monitor).__name__}")
+        raise SettingError(f"a campaign takes a Monitor, got {type(monitor).__name__}")
     if not monitor.is_fitted:
         raise NotFittedError("this monitor has no threshold: fit it, or give its plant noise, before a campaign")
     generator, spec = monitor.generator, monitor._specification()
@@ -304,7 +304,7 @@ def _noise(
     if noise is not None and not isinstance(noise, NoiseModel):
         raise SettingError(f"noise must be white(), coloured(), heavy_tailed() or resampled(), got {echo(noise)}")
     if noise is not None and noise.size != 1:
-        raise SettingError("the plant says how large its noise is (with_noise): leave out the size of the noise model")
+        raise SettingError("the plant gives the size of its noise (with_noise): leave out the size of the noise model")
     if truth.noises:
         return white() if noise is None else noise
     if noise is not None or not disturbed:

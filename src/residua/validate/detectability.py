@@ -147,7 +147,7 @@ class Detectability(Shown):
             If the fault or the delay is none of these.
         """
         if fault not in self.curves:
-            raise SettingError(f"no fault {echo(fault)} here; these are: {listed(tuple(self.curves))}")
+            raise SettingError(f"no fault {echo(fault)} here; the faults are: {listed(tuple(self.curves))}")
         delays = self.delays
         column = len(delays) - 1 if within is None else _nearest(delays, within)
         sizes, shares = self.curves[fault]
@@ -267,7 +267,7 @@ def detectability(
     [0.4, 0.2]
     """
     if not isinstance(monitor, Monitor):
-        raise SettingError(f"detectability is that of a Monitor, got {type(monitor).__name__}")
+        raise SettingError(f"detectability takes a Monitor, got {type(monitor).__name__}")
     if not monitor.is_fitted:
         raise NotFittedError("this monitor has no threshold: fit it, or give its plant noise, first")
     check_confidence(confidence)
@@ -440,7 +440,7 @@ def _resampled(residuals: Any) -> Resampled:
         raise SettingError(f"residuals must be numbers of (time, residuals), got {echo(residuals)}")
     there = rows[np.isfinite(rows).all(axis=1)]
     if not len(there):
-        raise SettingError("residuals has no row without a missing value: give fault-free ones that were judged")
+        raise SettingError("residuals has no row without a missing value: give fault-free ones with a decision")
     if not np.ptp(there, axis=0).any():
         raise SettingError("residuals never change: give those of a fault-free recording (monitor.run(u, y).residuals)")
     return resampled(rows)

@@ -205,7 +205,7 @@ def _checked(monitor: Monitor, rate: float, runs: int, samples: int, seed: int, 
     check_samples(samples, "samples")
     check_whole(seed, "seed", least=0)
     if not isinstance(monitor, Monitor):
-        raise SettingError(f"what is tuned is a Monitor, got {type(monitor).__name__}")
+        raise SettingError(f"tune takes a Monitor, got {type(monitor).__name__}")
     test = monitor.test
     if not isinstance(test, NormThreshold) or type(monitor.norm_test) is not NormTest:
         raise SettingError(

@@ -53,7 +53,7 @@ class Settings:
         if not path.parent.is_dir():
             raise SettingError(f"path: the folder {path.parent} does not exist; make it first")
         if path.exists() and not path.is_file():
-            raise SettingError(f"path: {path} is no file; to hand events to a program, there is the sink 'command'")
+            raise SettingError(f"path: {path} is not a file; to pass events to a program, use the sink 'command'")
 
 
 class JsonLines(Sink):
@@ -110,7 +110,7 @@ class JsonLines(Sink):
         file = os.open(self._path, os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o644)
         try:
             if not stat.S_ISREG(os.fstat(file).st_mode):
-                raise DeliveryError(f"{self._path} is no file any more")
+                raise DeliveryError(f"{self._path} is no longer a file")
             _hold(file, self._path)
             end = mend(file, self._path)
             try:
@@ -154,7 +154,8 @@ def mend(file: int, path: Path) -> int:
         return size + 1
     if torn[: len(_BEGINNING)] != _BEGINNING[: len(torn)] or (begin and b"\n" not in kept):
         raise DeliveryError(
-            f"{path} ends in {len(torn)} bytes that are no beginning of an event; it is left alone: name another file"
+            f"{path} ends in {len(torn)} bytes that are not the beginning of an event; it is left alone: name another "
+            "file"
         )
     end = begin + len(kept) - len(torn)
     os.ftruncate(file, end)

@@ -123,7 +123,7 @@ def _parsed(text: str, key: str) -> httpx.URL:
     try:
         url = httpx.URL(text)
     except (httpx.InvalidURL, TypeError):
-        raise SettingError(f"{key}: it is no address of the web") from None
+        raise SettingError(f"{key}: it is not a web address") from None
     if url.scheme not in ("http", "https") or not url.host:
         raise SettingError(f"{key}: an address begins with https:// and a host")
     if url.userinfo:

@@ -46,8 +46,8 @@ class Settings:
     servers : list of str
         ``"host:port"`` of some of its brokers.
     group : str
-        The consumer group: under it the cluster keeps how far this run is. No other run may have it: each would get
-        some of the partitions only.
+        The consumer group: the name under which the cluster keeps the progress of this run. No other run may have it:
+        each would get some of the partitions only.
     topics : list of str
         Such as ``"plants"`` or ``"plants.{plant}.data"`` for whole messages, and ``"plants.{plant}.{channel}"`` for one
         channel a topic.
@@ -99,7 +99,7 @@ class Settings:
         texts(self, "servers", needed="name at least one broker, host:port")
         if any("," in one or "@" in one or not one.rpartition(":")[2].isdigit() for one in self.servers):
             raise SettingError("servers: a list of host:port is expected")
-        text(self, "group", needed="under it the cluster keeps how far this run is")
+        text(self, "group", needed="the name under which the cluster keeps the progress of this run")
         texts(self, "topics", needed="name at least one topic")
         for key in ("plant", "instance", "username", "password_file", "password_env", "name"):
             text(self, key)
@@ -108,7 +108,8 @@ class Settings:
         bare = [one for one in self.topics if "{channel}" in one and "{plant}" not in one]
         if bare and not self.plant and not self.key_is_plant:
             raise SettingError(
-                f"topics: of {bare[0]} nothing says the plant: have {{plant}} in it, or set plant or key_is_plant"
+                f"topics: topic {bare[0]} does not identify the plant: add {{plant}} to it, or set plant or "
+                "key_is_plant"
             )
         choice(self, "start", ("earliest", "latest"))
         whole(self, "session_timeout", 6, 300)

@@ -113,8 +113,8 @@ class Settings:
     name: str = ""
 
     def __post_init__(self) -> None:
-        text(self, "client_id", needed="name this run: under it the broker keeps what comes while it is away")
-        text(self, "host", needed="the broker's name or number")
+        text(self, "client_id", needed="a name for this run, under which the broker keeps messages while it is away")
+        text(self, "host", needed="the broker's host name or address")
         for key in ("plant", "username", "password_file", "password_env", "name"):
             text(self, key)
         texts(self, "topics", needed="name at least one topic, such as 'plants/{plant}/data'")

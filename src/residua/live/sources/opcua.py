@@ -283,7 +283,7 @@ class OpcUa(ThreadedSource):
             part = list(enumerate(nodes[first : first + _AT_ONCE], first + 1))
             ids = {handle: _resolved(node, namespaces) for handle, node in part}
             known = [(handle, node) for handle, node in part if ids[handle] is not None]
-            refused += [f"{node}: its namespace is not there" for handle, node in part if ids[handle] is None]
+            refused += [f"{node}: its namespace does not exist" for handle, node in part if ids[handle] is None]
             requests = [self._request(handle, ids[handle], not plain) for handle, _ in known]
             answers = await subscription.create_monitored_items(requests)
             if not plain and any(_is_about_filters(one) for one in answers):
@@ -397,7 +397,7 @@ def _parsed(node: str) -> tuple[str, ua.NodeId]:
     try:
         made = ua.NodeId.from_string(rest)
     except Exception as error:  # asyncua raises several kinds
-        raise SettingError(f"nodes: {echo(node)} is no node; 'ns=2;s=name' and 'ns=2;i=number' are") from error
+        raise SettingError(f"nodes: {echo(node)} is not a node; 'ns=2;s=name' and 'ns=2;i=number' are") from error
     return address, made
 
 

@@ -55,7 +55,7 @@ class Topics:
             named = expression.groupindex
             if "channel" in named and not plant and "plant" not in named and not dotted:
                 raise SettingError(
-                    f"topics: of {echo(pattern)} nothing says the plant: have {{plant}} in it, or set plant"
+                    f"topics: topic {echo(pattern)} does not identify the plant: add {{plant}} to it, or set plant"
                 )
 
     def place(self, topic: str) -> tuple[str, str] | None:
