@@ -77,13 +77,13 @@ COUNT = NumberKind("a whole number, 1 or more", "i", lambda n: n >= 1)
 WINDOW = NumberKind(f"a whole number from 1 to {MAX_WINDOW}", "i", lambda n: (n >= 1) & (n <= MAX_WINDOW))
 FLAG = NumberKind("true or false", "b", _all)
 
-#: What a number is where nothing else is said, by its type; products of what runs stay numbers.
+#: Default kind of a number, by its type; products of running values stay finite.
 USUAL = {"f": ENTRY, "c": COMPLEX, "i": INDEX, "b": FLAG}
 
 #: The same of results, of which nothing runs: they may be infinite or not known.
 REPORTED = USUAL | {"f": ANY, "i": WHOLE}
 
-#: Texts that stand for what JSON has no numbers for.
+#: Texts for values that JSON does not have.
 SPECIAL = ("nan", "inf", "-inf")
 
 

@@ -21,7 +21,7 @@ _SIMULATE = (
 _NAMED = "diagnosis.named has the faults that explain the longest alarm, diagnosis.alarms all alarms"
 _SCORES = f"{_RUN}, and a statistic for every sample"
 
-#: What to do instead, by ``Owner.name`` of attributes, ``owner(option)`` of options and ``owner()`` of calls.
+#: Remedies, by ``Owner.name`` of attributes, ``owner(option)`` of options and ``owner()`` of calls.
 INSTEAD = {
     "residua.load": "use residua.load_plant for a plant file, residua.Monitor.load for a monitor, and "
     "residua.read_recording for a recording",

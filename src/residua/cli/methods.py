@@ -85,7 +85,7 @@ class Shared:
     form : Form
         The form in the first method that has it.
     text : str
-        What most of the methods say of it.
+        Description that most of the methods share.
     methods : tuple of str
         Which have it.
     """
@@ -145,7 +145,7 @@ class Call:
     settings : mapping of str to value
         Of the monitor: a method takes those that it has an option for.
     subject : str
-        What it is made for, as a line of Python.
+        Object of the design, as a line of Python.
     made : dict
         Arguments that were made from the plant, which other calls share.
     """

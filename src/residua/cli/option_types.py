@@ -26,7 +26,7 @@ class Form:
     Attributes
     ----------
     metavar : str
-        What stands for its value in the help.
+        Placeholder of its value in the help.
     read : callable
         From text to a value; raises ``ValueError`` with the mistake. Of a flag, from true or false.
     is_flag : bool

@@ -188,7 +188,7 @@ def packed_table(
     Parameters
     ----------
     monitor : Monitor
-        Whose plant says what the channels are.
+        Whose plant has the channels.
     recordings : mapping of int or str to (u, y)
         Of each plant, by its id: inputs (time, inputs), or ``None``, and outputs (time, outputs), in plant units.
     samples : int

@@ -24,7 +24,7 @@ except ImportError:
 else:
     _Base = StatefulProcessor
 
-#: What holds the state of a stream in Spark: only this one keeps values by name.
+#: State store of streams in Spark: the only one with values by name.
 STATE_STORE = "org.apache.spark.sql.execution.streaming.state.RocksDBStateStoreProvider"
 _STORE_SETTING = "spark.sql.streaming.stateStore.providerClass"
 #: The value that a shard keeps, and its type.

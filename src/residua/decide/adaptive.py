@@ -44,7 +44,7 @@ from residua.tolerances import SIGNAL_ROUNDING
 from residua.visible import echo
 from residua.words import counted, number
 
-#: What errors are worth is fitted where that part of the samples is over the threshold, or where so many are.
+#: Weights of errors are fitted with that part of the samples over the threshold, or with so many.
 _SHARE, _OVER = 0.01, 50
 #: Most samples that they are fitted to, and errors that the basis names.
 _MOST, _NAMED = 20_000, 4
@@ -57,7 +57,7 @@ class AdaptiveState:
     Attributes
     ----------
     window, error_window : WindowState
-        Of the whitened residual, and of what errors of the model do to it.
+        Of the whitened residual, and of the effects of model errors on it.
     runs : AlarmRuns
     x : ndarray, shape (plants, states)
         Of the system of these errors.
@@ -97,12 +97,12 @@ class AdaptiveTest(NormTest):
     errors : tuple of str
         Names of the errors of the model.
     A, B, C, D : ndarray
-        The system from the inputs to what each error does to the whitened residual: as many outputs for each as there
-        are residuals.
+        The system from the inputs to the effect of each error on the whitened residual: as many outputs for each as
+        there are residuals.
     orders : ndarray of int, shape (errors,)
         The number of states of each.
     weights : ndarray, shape (errors,)
-        What each is worth.
+        Weight of each error.
     together : bool
         Whether one of them holds at a time, so that the largest counts, and not their sum.
     """
@@ -193,7 +193,7 @@ class AdaptiveTest(NormTest):
             out = np.maximum(out, part) if self.together else out + part
         return out
 
-    # ----------------------------------------------- what the rest of a monitor asks for
+    # ----------------------------------------------- interface to the rest of a monitor
 
     @property
     def reads_signals(self) -> bool:
@@ -259,7 +259,8 @@ class Adaptive(NormSettings):
       looked at, and the largest counts; of more each alone, at its far end, and all of them are added;
     * with neither, those of the responses and of their timing, by as much as a fit finds that they are:
       :math:`a + \sum_j b_j |\varphi_j|` is the line of quantiles of :math:`J` with the least error
-      (:math:`b_j \ge 0`), moved until false alarms have the requested rate, and never below what the noise alone needs.
+      (:math:`b_j \ge 0`), moved until false alarms have the requested rate, and never below the threshold for
+      noise alone.
 
     Guaranteed: with ``relative``, and noise as the model says, single samples over the threshold are at most as
     frequent as asked for, for any inputs and any errors of that size, by the inequality of the triangle
@@ -274,7 +275,7 @@ class Adaptive(NormSettings):
         As of :class:`residua.decide.NormThreshold`; the threshold is that at rest, :math:`a`. A conformal source is
         not possible.
     errors : sequence of OutputError, optional
-        What an uncertain plant was made into; files have it.
+        Errors made from an uncertain plant; stored in files.
 
     Raises
     ------
@@ -444,7 +445,7 @@ class Adaptive(NormSettings):
         more = f" and {len(order) - _NAMED} more" if len(order) > _NAMED else ""
         return f"allows for errors of the model as large as these data show, parts of: {', '.join(parts)}{more}"
 
-    # ----------------------------------------------- what the rest of a monitor asks for
+    # ----------------------------------------------- interface to the rest of a monitor
 
     def check(self, watched: Watched) -> None:
         """Raise if the settings do not suit the watched generator."""

@@ -52,7 +52,7 @@ class Candidate:
     score : float
         Correlation of the residual with the signature of the group, 0 to 1 (``CORR``); by code: the fraction of
         the members of the bank that agree with the group's code; by matched filters: the root of the fraction that
-        the fault explains of what exceeds the noise.
+        the fault explains of the excess over the noise.
     distance : float
         Normalised projection distance of the residual from the signature, 0 to 1 (``NPD``);
         ``score**2 + distance**2 = 1``; by code: the fraction of the members that do not agree, ``1 - score``.
@@ -213,7 +213,7 @@ class Alarm(Shown):
     start, stop : int
         Sample numbers of ``raised`` and of the first sample after the alarm.
     reading : CodeReading or None
-        For a bank: what the fired members say. Read from the pattern that stood for the largest number of samples of
+        For a bank: the reading of the fired members, from the pattern that stood for the largest number of samples of
         the alarm, the later one of two that stood equally long. Of a dedicated bank, with them every member that
         counted as fired for an isolation window; by :class:`residua.decide.PeakThreshold` every one that fired.
     read_share : float or None

@@ -16,7 +16,7 @@ from residua.tolerances import RANK
 _ORDERS = (1, 2, 3, 4, 6, 8, 12, 16, 24)
 #: Samples to each coefficient of an equation.
 _SAMPLES = 20
-#: Samples to each gap, with fewer of which products of what is left are no longer those of all.
+#: Samples for each gap; with fewer, the products of the remaining samples differ from those of all.
 _TO_EACH_GAP = 1000
 #: Rows of lagged samples that are held at a time.
 _PIECE = 10_000

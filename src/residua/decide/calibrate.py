@@ -41,7 +41,7 @@ class ResidualModel:
     coefficients : ndarray, shape (p, k, k)
         Of the autoregression, as of :class:`residua.decide.autoregression.Autoregression`.
     rewhitening : ndarray, shape (k, k)
-        What makes its innovations white.
+        Whitening of its innovations.
     covariance : ndarray, shape (k, k)
         Of the innovations, whitened: the identity but where parts share residuals or a direction does not move.
     columns : tuple of slice

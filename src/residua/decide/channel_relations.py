@@ -38,8 +38,9 @@ WEIGHTS = (1.0, 1 / 8, 1 / 64)
 _RELEASE, _SLOW_RELEASE = 0.5, 0.75
 #: Samples enter the slow means no larger than so many deviations, or so many thresholds of a single sample.
 _CLIP, _CLIP_THRESHOLDS = 5.0, 1.5
-#: Factors on thresholds for what one log does not show of others: of channels, and of the residual, whose test is
-#: simulated. Chosen on the sets of ``benchmarks/learnt_monitors.py`` with other seeds than those of its table.
+#: Factors on thresholds for differences between logs that one log does not show: of channels, and of the residual,
+#: whose test is simulated. Chosen on the sets of ``benchmarks/learnt_monitors.py`` with other seeds than those of its
+#: table.
 _MARGIN, _MODEL_MARGIN = 1.4, 1.2
 #: Contiguous blocks whose means show a wander slower than the fit, and the factor on their variance.
 _BLOCKS, _WANDER = 10, 1.1
@@ -51,7 +52,7 @@ _QUIET_ROWS, _QUIET = 50, 0.5
 _RAREST = 1 / 1000
 #: Deviations of a change that is small to a curve.
 _SMALL = 0.01
-#: Part of the relations that are silent from which on a row lies outside of what was learnt.
+#: Part of the relations that are silent from which on a row lies outside of the learnt range.
 OUTSIDE = 0.5
 
 
@@ -294,7 +295,7 @@ class ChannelRelationsTest(ResidualTest):
                 changes[plant, :, j] = whole[len(whole) - (_QUIET_ROWS - 1) :]
         return ratio, last, same, changes, counted
 
-    # ----------------------------------------------- what the rest of a monitor asks for
+    # ----------------------------------------------- interface to the rest of a monitor
 
     @property
     def of_residual(self) -> ResidualTest:
@@ -495,7 +496,7 @@ class ChannelRelations(TestSettings):
 
     Notes
     -----
-    Assumes: the fault-free rows hold all that is normal. A relation is not judged while what it is made of is so far
+    Assumes: the fault-free rows cover normal operation. A relation is not judged while its inputs are so far
     outside of the range of the fit that it would be moved by more than two deviations. Fault-free data are needed.
 
     References

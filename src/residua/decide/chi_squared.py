@@ -84,8 +84,8 @@ class ChiSquared(StreamSettings):
     window : int
         N, in samples.
     false_alarm_rate : float, optional
-        The fraction of fault-free samples in alarm; the threshold follows from it exactly. When omitted, what the log
-        of a fit can carry; see :class:`residua.decide.NormThreshold`.
+        The fraction of fault-free samples in alarm; the threshold follows from it exactly. When omitted, one that the
+        log of a fit can support; see :class:`residua.decide.NormThreshold`.
     mean_time_between_false_alarms : float, optional
         In samples, for a window of one sample, where it is the inverse of that fraction.
     threshold : float, optional

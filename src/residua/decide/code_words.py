@@ -31,7 +31,7 @@ DEDICATED_RULES = (
     "that fire change."
 )
 
-#: What an exact code cannot exclude.
+#: Causes that an exact code cannot exclude.
 _SAME_CODE = "Just the members that answer to it fired; a fault that is not listed could fire the same ones."
 
 

@@ -179,8 +179,8 @@ class CUSUM(StreamSettings):
         from it by integral equation.
     false_alarm_rate : float, optional
         Where no time is given: the fraction of fault-free samples in alarm, by the same equations (of Pignatiello and
-        Runger's sums about: an alarm is taken to end as its allowance takes it down). When omitted, what the log of a
-        fit can carry; see :class:`residua.decide.NormThreshold`.
+        Runger's sums about: an alarm is taken to end as its allowance takes it down). When omitted, one that the log of
+        a fit can support; see :class:`residua.decide.NormThreshold`.
     threshold : float, optional
         h, where it is to be neither.
     form : {"auto", "page", "crosier", "pignatiello-runger"}

@@ -107,7 +107,7 @@ class DirectionTest(Isolation):
         """
         return candidates_at(scores, self.groups, self.dimensions)
 
-    # ----------------------------------------------- what the rest of a monitor asks for
+    # ----------------------------------------------- interface to the rest of a monitor
 
     @property
     def samples(self) -> int:

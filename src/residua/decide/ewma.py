@@ -86,8 +86,8 @@ class EWMA(StreamSettings):
     mean_time_between_false_alarms : float, optional
         In samples, from a start at zero to the alarm, on average. The threshold follows from it by integral equation.
     false_alarm_rate : float, optional
-        Where no time is given: the fraction of fault-free samples in alarm, by the same equations. When omitted, what
-        the log of a fit can carry; see :class:`residua.decide.NormThreshold`.
+        Where no time is given: the fraction of fault-free samples in alarm, by the same equations. When omitted, one
+        that the log of a fit can support; see :class:`residua.decide.NormThreshold`.
     threshold : float, optional
         h, where it is to be neither.
     source : {"auto", "design", "data", "quantile", "tail", "conformal"}

@@ -48,7 +48,7 @@ BLOCKS = (1, 5, 20, 100, 250)
 def colour_of(white: NDArray[np.float64], parts: Sequence[slice]) -> tuple[float, ...]:
     """Return the mean square of white residuals, at most 1, and a variance for each length of :data:`BLOCKS`.
 
-    It is the largest, over directions, of sums of so many samples, in units of what it is of white noise, and no less
+    It is the largest, over directions, of sums of so many samples, in units of the value for white noise, and no less
     than 1; of a length for which there are too few samples, that of the one before.
     """
     rows = np.concatenate([white[part] for part in parts]) if parts else white[:0]
@@ -76,7 +76,7 @@ class Whitening:
     coefficients : ndarray, shape (order, k, k)
         Of an autoregression, the last sample first.
     again : ndarray, shape (k, k)
-        What makes white what it leaves.
+        Whitening of the innovations.
     """
 
     center: NDArray[np.float64]

@@ -85,7 +85,7 @@ class Promise:
         The fraction not exceeded, with 95 % confidence, on other data that are like these: what is normal on another
         day and is not in them is not covered. 1 if the data say nothing.
     extended : str
-        By what the rate is extended if the data are too few to show it; else empty.
+        Model by which the rate is extended if the data are too few to show it; else empty.
     """
 
     threshold: float

@@ -140,8 +140,8 @@ class GLR(StreamSettings):
         is within about 5 %.
     false_alarm_rate : float, optional
         Where no time is given: the fraction of fault-free samples in alarm, with alarms as long as simulated ones that
-        are 300 samples apart: exceeded by a tenth at 0.05 and at 0.1, beyond which none is designed. When omitted, what
-        the log of a fit can carry; see :class:`residua.decide.NormThreshold`.
+        are 300 samples apart: exceeded by a tenth at 0.05 and at 0.1, beyond which none is designed. When omitted, one
+        that the log of a fit can support; see :class:`residua.decide.NormThreshold`.
     threshold : float, optional
         h, where it is to be neither.
     source : {"auto", "design", "data", "quantile", "tail", "conformal"}

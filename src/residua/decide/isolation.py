@@ -1,7 +1,7 @@
 """Interface of isolations, which find the fault from the residuals and from the members that fired.
 
 An isolation is two classes in one file, as a test is (:mod:`residua.decide.test`): the *settings* that users write, and
-what *runs*. A monitor knows no kind of isolation. One of a user's own needs no more than :meth:`Isolation.start`,
+the fitted isolation. A monitor knows no kind of isolation. Your own needs no more than :meth:`Isolation.start`,
 :meth:`Isolation.run` and the names of its groups.
 """
 
@@ -198,7 +198,7 @@ class Isolation(Record, ABC):
         """Return the attribution of several merged alarms; ``None`` for that of the longest of them."""
         return None
 
-    # ----------------------------------------------- what the rest of a monitor asks for
+    # ----------------------------------------------- interface to the rest of a monitor
 
     @property
     def samples(self) -> int:
@@ -306,7 +306,7 @@ class IsolationSettings(Record, ABC):
     kind : str
         The mark of its records in files.
     makes : type
-        What runs: an :class:`Isolation`.
+        Class of the fitted :class:`Isolation`.
     """
 
     kind: ClassVar[str]
@@ -316,7 +316,7 @@ class IsolationSettings(Record, ABC):
     def isolation(self, generator: ResidualGenerator, test: ResidualTest) -> Isolation:
         """Return the isolation of the faults of a generator, for the alarms of a test."""
 
-    # ----------------------------------------------- what the rest of a monitor asks for
+    # ----------------------------------------------- interface to the rest of a monitor
 
     @classmethod
     def for_design(cls, design: Any, generator: ResidualGenerator) -> Self | None:

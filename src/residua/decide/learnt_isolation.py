@@ -47,7 +47,7 @@ _BELIEVED = 0.70
 FARTHEST = math.degrees(math.acos(_BELIEVED))
 #: A cone and noise that are wider, in degrees, leave room for a fault that is not listed.
 _WIDE = math.degrees(math.acos(POOR_SCORE))
-#: Says of each learnt fault what it was learnt from.
+#: States the data of each learnt fault.
 _MEANING = (
     "The score is the cosine of the angle between the residual and a signature, over the monitor's window. A learnt "
     "fault is named where the residual is no further off its direction than the cone of the direction and the noise of "
@@ -79,7 +79,7 @@ class LearntDirections(Isolation):
     Attributes
     ----------
     base : Isolation
-        What names the faults of the model.
+        Isolation of the faults of the model.
     faults : tuple of LearntFault
     center : ndarray, shape (k,)
         Fault-free mean of the residual.
@@ -175,7 +175,7 @@ class LearntDirections(Isolation):
     def _with_learnt(self, named: Named, scores: NDArray[np.float64], size: float) -> Named:
         """Return an attribution with the learnt faults; without a name if nothing explains the residual.
 
-        What the model predicts has no cone: it is believed where it explains the residual well, and no learnt fault
+        A predicted direction has no cone: it is accepted if it explains the residual well, and no learnt fault
         that is excluded explains more. A learnt fault goes before one of the model that it cannot be told from here.
         """
         matches = self.matches(scores, size)
@@ -212,7 +212,7 @@ class LearntDirections(Isolation):
         named = self.base.name_now(self._base_seen(seen))
         return self._with_learnt(named, seen.scores.scores[0], float(seen.scores.size[0]))
 
-    # ----------------------------------------------- what the rest of a monitor asks for
+    # ----------------------------------------------- interface to the rest of a monitor
 
     @property
     def samples(self) -> int:

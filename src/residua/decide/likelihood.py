@@ -210,7 +210,7 @@ class LikelihoodNames(Isolation):
         )
         return Named(candidates=candidates, unknown=float(probability[-2]), no_fault=float(probability[-1]))
 
-    # ----------------------------------------------- what the rest of a monitor asks for
+    # ----------------------------------------------- interface to the rest of a monitor
 
     @property
     def samples(self) -> int:

@@ -130,7 +130,7 @@ class MatchedNames(Isolation):
             return named
         return name(first.start, who.stop, last_over(exceeded, who.start, who.stop))  # the name that all parts agree on
 
-    # ----------------------------------------------- what the rest of a monitor asks for
+    # ----------------------------------------------- interface to the rest of a monitor
 
     @property
     def samples(self) -> int:
@@ -222,7 +222,7 @@ class NamesBeside(MatchedNames):
     Attributes
     ----------
     scale : ndarray, shape (residuals, residuals), or None
-        What makes the residual of the test white, where the test itself does not; see :func:`scale_beside`.
+        Whitening of the residual of the test, if the test itself does not whiten; see :func:`scale_beside`.
     """
 
     scale: NDArray[np.float64] | None = None
@@ -371,7 +371,7 @@ class Matched(IsolationSettings):
         scale = scale_beside(generator, test)
         return NamesBeside(self._maker(generator)(test.metric if scale is None else test.metric @ scale), scale)
 
-    # ----------------------------------------------- what the rest of a monitor asks for
+    # ----------------------------------------------- interface to the rest of a monitor
 
     @classmethod
     def for_design(cls, design: Any, generator: ResidualGenerator) -> Self | None:

@@ -32,7 +32,7 @@ from residua.tolerances import SIGNAL_ROUNDING, TINY
 from residua.visible import echo
 from residua.words import one_in
 
-#: What makes a test of the whitening matrix that belongs to it.
+#: Function from a whitening matrix to its test.
 MakeTest = Callable[[NDArray[np.float64]], MatchedTest]
 
 
@@ -45,7 +45,7 @@ class Likelihoods:
     values : dict of str to ndarray
         ``ratios``, ``ages``, ``sizes``, ``deviations`` and ``settled_sizes``.
     sums : ndarray, shape (plants, time, residuals + 2)
-        Of the whitened residual, its square and what is usable, over the window.
+        Of the whitened residual, its square and the usable mask, over the window.
     """
 
     values: dict[str, NDArray]
@@ -149,7 +149,7 @@ class LikelihoodThreshold(TestSettings):
     window : int
     steady : bool
     make : callable
-        From a generator to what makes responses of a whitening matrix.
+        From a generator to a function from a whitening matrix to responses.
     """
 
     kind: ClassVar[str] = "likelihood"

@@ -25,11 +25,11 @@ class MemberBounds:
     Attributes
     ----------
     disturbances : float
-        Bound of what disturbances alone cause.
+        Bound on the effect of disturbances alone.
     response : float
         The least that a lasting fault of size one, the member's own, causes.
     leakage : mapping of str to float
-        Bound of what other faults of size one cause, at any time course.
+        Bound on the effect of other faults of size one, with any time course.
     """
 
     disturbances: float

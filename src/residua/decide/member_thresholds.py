@@ -165,7 +165,7 @@ class BankTest(ResidualTest):
             joint=joint,
         )
 
-    # ----------------------------------------------- what the rest of a monitor asks for
+    # ----------------------------------------------- interface to the rest of a monitor
 
     @property
     def samples(self) -> int:

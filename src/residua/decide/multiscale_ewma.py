@@ -71,7 +71,7 @@ class MultiscaleEWMATest(StreamTest):
     weights : ndarray, shape (scales,)
         From 1 downwards.
     scaling : ndarray, shape (scales, k, k)
-        M: what makes each mean as long as a standard normal vector is.
+        M: normalises each mean to the length of a standard normal vector.
     sizes : ndarray of int, shape (parts,)
         Whitened residuals of each part that is tested by itself; of the residual as a whole one part.
     clips, fulls : ndarray, shape (parts,)
@@ -225,7 +225,7 @@ class MultiscaleEWMATest(StreamTest):
             numbers |= {"sizes": self.sizes, "limits": self.thresholds}
         return self.compiled_as("means", **numbers, lengths=(self.clips, self.fulls, self.releases))
 
-    # ----------------------------------------------- what the rest of a monitor asks for
+    # ----------------------------------------------- interface to the rest of a monitor
 
     @property
     def title(self) -> str:
@@ -387,14 +387,14 @@ class MultiscaleEWMA(TestSettings):
     give the factors :math:`g_i`, which make scales alike, and the one threshold :math:`h` for all of them, with the
     errors of the fit in it. A fit to few rows turns the long means down and is not refused.
 
-    Guaranteed: residuals that are what the fitted model says are in alarm in the asked fraction of samples, on average
+    Guaranteed: residuals that follow the fitted model are in alarm in the requested fraction of samples, on average
     over fits.
 
     Parameters
     ----------
     false_alarm_rate : float, optional
-        Intended fraction of fault-free samples in alarm, unless ``fit`` gets another one. When omitted, what the log
-        of a fit can carry; see :class:`residua.decide.NormThreshold`.
+        Intended fraction of fault-free samples in alarm, unless ``fit`` gets another one. When omitted, one that the
+        log of a fit can support; see :class:`residua.decide.NormThreshold`.
     weights : sequence of float
         :math:`\lambda_i`, falling from 1. A further 1/512 sees smaller faults, and its alarms outlive them by hundreds
         of samples.

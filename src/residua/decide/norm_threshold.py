@@ -50,9 +50,9 @@ class NormThreshold(NormSettings):
         Whose covariance :math:`\Sigma_N` is used: that of the fault-free data, that of the plant's noise
         model, or the identity. ``"auto"`` takes the data when fitted, else the model, else none.
     false_alarm_rate : float, optional
-        Intended fraction of fault-free samples in alarm, unless ``fit`` gets another one. When omitted, what the log
-        of a fit can carry: 5 / rows, of the usable fault-free rows that the fit uses, between 1e-4 and 1e-2 (1e-3 of
-        5,000 rows); and 1e-4 where the threshold is from the plant's noise. A sample is in alarm from the one that
+        Intended fraction of fault-free samples in alarm, unless ``fit`` gets another one. When omitted, one that the
+        log of a fit can support: 5 / rows, of the usable fault-free rows that the fit uses, between 1e-4 and 1e-2 (1e-3
+        of 5,000 rows); and 1e-4 where the threshold is from the plant's noise. A sample is in alarm from the one that
         raises it, the last of ``persistence`` over the threshold, to the one before that which ends it: the rate counts
         samples, not alarms, on data other than those of the fit, once windows are full.
     groups : "each", mapping of str to sequence of str, or sequence of sequence of str, optional
@@ -112,7 +112,7 @@ class NormThreshold(NormSettings):
             return fit_group_test(self, run.residuals, run.usable, rows, signal_sizes=sizes, **options)
         return fit_norm_test(self, run.residuals, run.usable, signal_size=run.signal_size(), **options)
 
-    # ----------------------------------------------- what the rest of a monitor asks for
+    # ----------------------------------------------- interface to the rest of a monitor
 
     def check(self, watched: Watched) -> None:
         """Raise unless the groups have each residual exactly once."""

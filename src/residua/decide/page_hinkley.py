@@ -100,8 +100,8 @@ class PageHinkley(StreamSettings):
         from it by integral equation.
     false_alarm_rate : float, optional
         Where no time is given: the fraction of fault-free samples in alarm, by the same equations; at most 0.02, since
-        sooner after a start the mean is not known well enough for an alarm to end as it should. When omitted, what the
-        log of a fit can carry; see :class:`residua.decide.NormThreshold`.
+        sooner after a start the mean is not known well enough for an alarm to end as it should. When omitted, one that
+        the log of a fit can support; see :class:`residua.decide.NormThreshold`.
     threshold : float, optional
         h, where it is to be neither.
     source : {"auto", "design", "data", "quantile", "tail", "conformal"}

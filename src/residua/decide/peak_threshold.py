@@ -201,9 +201,9 @@ class PeakThreshold(TestSettings):
     window : int
         Samples of the window, the last one included.
     false_alarm_rate : float, optional
-        Intended fraction of fault-free samples in alarm for fitted thresholds, what the log can carry when omitted (see
-        :class:`residua.decide.NormThreshold`); it does not change thresholds that the user sets or the design
-        certifies.
+        Intended fraction of fault-free samples in alarm for fitted thresholds, one that the log can support when
+        omitted (see :class:`residua.decide.NormThreshold`); it does not change thresholds that the user sets or the
+        design certifies.
 
     Raises
     ------
@@ -305,7 +305,7 @@ class PeakThreshold(TestSettings):
             self, run.residuals, run.usable, false_alarm_rate=rate, signal_sizes=sizes, members=parts, seams=run.seams
         )
 
-    # ----------------------------------------------- what the rest of a monitor asks for
+    # ----------------------------------------------- interface to the rest of a monitor
 
     def check(self, watched: Watched) -> None:
         """Raise if the thresholds do not fit the tested members."""

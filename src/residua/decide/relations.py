@@ -64,7 +64,7 @@ class Relations(Record):
         ``z`` is the deviation from the middle in spreads; a channel of spread zero never moved, and is left out.
     constant : ndarray, shape (channels,)
     gains : ndarray, shape (channels or 4 channels, channels)
-        By column what each channel is made of: the others, and their means with lags. No rows in other forms.
+        By column the weights for each channel: of the others, and of their means with lags. No rows in other forms.
     drivers : ndarray of int, shape (channels, 2)
         Of a curve the channels that it is a curve of; -1 for none.
     knots : ndarray, shape (channels, knots)
@@ -72,11 +72,11 @@ class Relations(Record):
     scales : ndarray, shape (channels, knots)
         Deviation of the channel around the curve at each knot of its first driver.
     ahead : ndarray, shape (rows, residuals, residuals)
-        Of a horizon: what an innovation does to outputs 1, 2, ... rows later.
+        Of a horizon: effect of an innovation on outputs 1, 2, ... rows later.
     outputs : ndarray of int, shape (residuals,)
         The channel of each residual, for a horizon.
     lows, highs : ndarray, shape (channels,) or (4 channels,)
-        Range of each channel in what was learnt, in spreads; with lags, of their means too.
+        Learnt range of each channel, in spreads; with lags, of their means too.
     reach : ndarray, shape (channels, channels) or (channels, 4 channels)
         By row how much a channel's relation is moved by each driver one spread outside of that range, in parts of what
         is borne.

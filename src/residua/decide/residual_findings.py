@@ -65,7 +65,7 @@ class ResidualFacts:
     order : int
         Of the autoregression of this residual alone that leaves least.
     skewness, kurtosis : float
-        Of what that leaves; 0 and 3 of Gaussian samples.
+        Of its innovations; 0 and 3 for Gaussian samples.
     normality : float
         Probability that Gaussian samples show such a skewness or kurtosis.
     below : float

@@ -20,7 +20,7 @@ _NODES_PER_DEVIATION, _FEWEST, _MOST = 4.0, 24, 1200
 LONGEST = 1e10
 #: How far a larger number of nodes may move a run length, as a part of it.
 _CONVERGED = 1e-6
-#: The same for what nothing is designed by, and for densities with an edge.
+#: The same for quantities that enter no design, and for densities with an edge.
 NEARLY = 1e-3
 
 

@@ -37,9 +37,9 @@ class Statement:
     margin : float or None
         Lead of the best candidate over the next, in score.
     sentences : tuple of str
-        What the name rests on.
+        Basis of the name.
     lines : tuple of str
-        What a printed diagnosis says of it, without full stops: what makes the name doubtful, before all else.
+        Lines of a printed diagnosis, without full stops: doubts about the name come first.
     present : tuple of tuple of str
         Several faults that are named together.
     rules : str
@@ -76,7 +76,7 @@ def statement_by_score(
 ) -> Statement:
     """Return the statement about an alarm whose candidates are ranked by a score.
 
-    ``beside`` says more of each score, ``meaning`` what a score is.
+    ``beside`` adds to each score, ``meaning`` explains scores.
     """
     if word is None:
         return not_isolated(alarm, clock)

@@ -63,7 +63,7 @@ class Change(Record):
         after.
     drift : float
         Change of that residual from the start of the recording to its end along the line that fits it best, in
-        standard deviations of what is left.
+        standard deviations of the rest.
     """
 
     NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {

@@ -47,7 +47,7 @@ _BY_CHANCE = 0.001
 _LONG = 4.0
 #: Alarms that show how long they last, and the fractions in alarm among which a threshold is sought that has so many.
 _LEAST_RAISED, _MOST_SHARE, _SHARES = 30, 0.2, 12
-#: Stretches of time of which each is judged by what the others say.
+#: Stretches of time, each of which is judged by a fit to the others.
 _FOLDS = 4
 #: How much more often false alarms come for a mean from few samples, where it is said.
 _NOTABLE = 1.02
@@ -72,7 +72,7 @@ class StreamSettings(TestSettings):
     origin: ClassVar[str] = "by integral equation"
     #: The largest fraction of samples in alarm for which the design holds.
     largest_fraction: ClassVar[float] = 1.0
-    #: What of a fit makes false alarms more frequent.
+    #: Uncertain part of a fit that makes false alarms more frequent.
     uncertain: ClassVar[str] = "the mean"
 
     mean_time_between_false_alarms: float | None = None
@@ -240,7 +240,7 @@ class StreamSettings(TestSettings):
     def _cross_fitted(self, data: FaultFree) -> tuple[list[slice], NDArray[np.float64], NDArray[np.bool_]]:
         """Return stretches of time, the statistic of each by a fit to the others, and a mask of its samples.
 
-        What mean, covariance and memory were fitted to looks quieter than other data.
+        The data of a fit of mean, covariance and memory look quieter than other data.
         """
         values, seen = np.full(len(data.usable), np.nan), np.zeros(len(data.usable), dtype=bool)
         counted = np.cumsum(data.usable)
@@ -401,7 +401,7 @@ class StreamSettings(TestSettings):
             blank, threshold=threshold, release=self.falls_to * threshold, basis=basis, promised=float(promise.promised)
         )
 
-    # ----------------------------------------------- what the rest of a monitor asks for
+    # ----------------------------------------------- interface to the rest of a monitor
 
     def asked(self, watched: Watched, rows: int = 0) -> float:
         """Return the fraction of fault-free samples in alarm for the wanted time between alarms."""

@@ -68,7 +68,7 @@ class StreamTest(ResidualTest):
     rewhitening : ndarray, shape (k, k)
         V.
     knots, scores : ndarray, shapes (k, m) and (m,)
-        Where heavy tails are made Gaussian: values of each part of e, and what they become; none elsewhere.
+        With heavy tails: values of each part of e, and their normal scores; else none.
     threshold, release : float
     basis : str
         Where the threshold comes from, in words.
@@ -190,7 +190,7 @@ class StreamTest(ResidualTest):
         e = unforetold(self.coefficients, start, q, everywhere)[0][0]
         return e @ self.rewhitening if self.coefficients.size else e
 
-    # ----------------------------------------------- what the rest of a monitor asks for
+    # ----------------------------------------------- interface to the rest of a monitor
 
     @property
     def metric(self) -> NDArray[np.float64]:

@@ -225,7 +225,7 @@ class CodeTest(Isolation):
         first, last = parts[0], parts[-1]
         return name(first.start, last.stop, last_over(exceeded, last.start, last.stop))
 
-    # ----------------------------------------------- what the rest of a monitor asks for
+    # ----------------------------------------------- interface to the rest of a monitor
 
     @property
     def coding(self) -> CodeTest:
@@ -340,7 +340,7 @@ class Structured(IsolationSettings):
         """Return the codes of a bank."""
         return codes_of(generator, self, at_once=test.horizon > 0)
 
-    # ----------------------------------------------- what the rest of a monitor asks for
+    # ----------------------------------------------- interface to the rest of a monitor
 
     @classmethod
     def for_design(cls, design: Any, generator: ResidualGenerator) -> Self | None:

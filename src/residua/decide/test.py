@@ -1,7 +1,7 @@
 """Interface of tests, which turn residuals into a statistic and an alarm.
 
-A test is two classes in one file. Its *settings* are what users write; they make what *runs* from the noise model of a
-plant, or from fault-free data. A monitor knows no kind of test: it asks for what stands here. A test of a user's own is
+A test is two classes in one file. Its *settings* are written by users; they make the fitted test from the noise model
+of a plant, or from fault-free data. A monitor knows no kind of test: it uses the methods below. A test of your own is
 written the same way, in a file outside of the package (:func:`residua.decide.register`).
 """
 
@@ -34,7 +34,7 @@ class Watched:
     generator : ResidualGenerator
         Sampled.
     parts : mapping of str to tuple of int, or None
-        Residual numbers of what has to be tested by itself, by name, for an isolation that asks which of them fired:
+        Residual numbers of the parts to test separately, by name, for an isolation by the parts that fired:
         the members of a bank. ``None`` if the residual is tested as a whole.
     certified : mapping of str to float
         Thresholds that the design has certified, by member; empty for a design that brings none.
@@ -59,7 +59,7 @@ class FaultFreeRun:
     levels : ndarray, shape (k,)
         For each residual the size of the signals that it is the difference of.
     signals : ndarray, shape (time, channels), or None
-        What they were made from: inputs, then outputs, as deviations from the operating point; NaN where missing.
+        Their source: inputs, then outputs, as deviations from the operating point; NaN where missing.
     """
 
     residuals: NDArray[np.float64]
@@ -88,7 +88,7 @@ class Block:
     bends : sequence
         Where faults have other responses for a while; see :data:`Bends`.
     signals : ndarray, shape (plants, time, channels), or None
-        What the residuals were made from: inputs, then outputs, as deviations; NaN where a value is missing. ``None``
+        Source of the residuals: inputs, then outputs, as deviations; NaN where a value is missing. ``None``
         where residuals come by themselves.
     """
 
@@ -121,9 +121,9 @@ class Tested:
     whitened : ndarray, shape (..., k)
         The residual, zero where not usable, in units in which its direction is judged.
     part_statistics, fired : ndarray, shape (..., parts)
-        Of what is tested by itself: its statistic, and whether it is in alarm. No columns where nothing is.
+        Statistic and alarm of each part tested separately. No columns without such parts.
     likelihood : dataclass or None
-        Of a test that compares hypotheses: what an isolation that goes with it reads.
+        Of a test that compares hypotheses: input of an isolation that belongs to it.
     """
 
     __test__: ClassVar[bool] = False  # no test of pytest's
@@ -175,7 +175,7 @@ class ResidualTest(Record, ABC):
         A pure function, with the same bits however time is cut into blocks, and for any number of plants at once.
         """
 
-    # ----------------------------------------------- what the rest of a monitor asks for
+    # ----------------------------------------------- interface to the rest of a monitor
 
     @property
     def of_residual(self) -> ResidualTest:
@@ -342,10 +342,10 @@ class TestSettings(Record, ABC):
     kind : str
         The mark of its records in files.
     makes : type
-        What runs: a :class:`ResidualTest`.
+        Class of the fitted :class:`ResidualTest`.
     false_alarm_rate : float or None
-        Intended fraction of fault-free samples in alarm, unless ``fit`` gets another one; ``None``: what the log of a
-        fit can carry (:func:`residua.decide.checks.rate_aimed_at`).
+        Intended fraction of fault-free samples in alarm, unless ``fit`` gets another one; ``None``: one that the log of
+        a fit can support (:func:`residua.decide.checks.rate_aimed_at`).
     """
 
     __test__: ClassVar[bool] = False  # no test of pytest's
@@ -366,7 +366,7 @@ class TestSettings(Record, ABC):
     def fitted(self, watched: Watched, run: FaultFreeRun, rate: float) -> ResidualTest:
         """Return the test fitted to fault-free data, for a rate of false alarms."""
 
-    # ----------------------------------------------- what the rest of a monitor asks for
+    # ----------------------------------------------- interface to the rest of a monitor
 
     def check(self, watched: Watched) -> None:
         """Raise :class:`residua.errors.SettingError` if the settings do not suit the watched generator."""

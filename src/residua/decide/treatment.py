@@ -34,9 +34,9 @@ class Treated:
     moving : int
         Independent directions that are left.
     notes : list of str
-        What is said of it.
+        Remarks on it.
     is_heavy : bool
-        Whether what is left has heavy tails.
+        Whether the innovations have heavy tails.
     """
 
     parts: dict[str, Any]

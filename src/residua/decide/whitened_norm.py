@@ -39,7 +39,7 @@ _DEPENDENT = 1e-10
 #: Weights above this overflow when they are squared twice.
 _HEAVIEST = 1e75
 
-#: What the numbers of tests and their settings may be.
+#: Kinds of the numbers in tests and their settings.
 RUNS: Mapping[str, NumberKind] = {"persistence": COUNT, "release": COUNT, "window": WINDOW}
 FITTED: Mapping[str, NumberKind] = {"center": ENTRY, "whitening": ENTRY, "promised": SHARE, "shrinkage": PART}
 
@@ -180,7 +180,7 @@ class NormTest(ResidualTest):
             "norm", self.center, self.whitening, self.threshold, self.window, self.persistence, self.release
         )
 
-    # ----------------------------------------------- what the rest of a monitor asks for
+    # ----------------------------------------------- interface to the rest of a monitor
 
     @property
     def samples(self) -> int:

@@ -9,12 +9,12 @@ from typing import Any
 from residua.words import listing, number
 
 GOOD, EITHER, POOR, TOO_EARLY = "good match", "either", "poor match", "too early"
-#: What nobody listed, where nothing of the kind was tried.
+#: Any unlisted cause, if none was tried.
 ANYTHING = "anything"
 #: Faults that a line names at most.
 _NAMED = 8
 
-#: What the words mean where every fault was fitted to the residual.
+#: Meaning of the words if every fault was fitted to the residual.
 RULES = (
     "Good match: this listed fault, whatever its course over time, leaves only noise in the residual. No other listed "
     "fault and no unlisted sensor or actuator explains about as much, and no unlisted state explains more. Either: "
@@ -38,11 +38,11 @@ class Word:
         What nobody listed and explains it as well, or better: ``"anything"`` where nothing of the kind was tried; empty
         if nothing does.
     why : str
-        What a good match is one by, and what else makes the word; empty where faults were fitted to the residual.
+        Reason for a good match, or for another word; empty if faults were fitted to the residual.
     together : bool
         Whether the faults are there at once, rather than one of them.
     quieter : bool
-        Whether what is left is less than the noise of the fit: a frozen sensor, or other units.
+        Whether the rest is less than the noise of the fit: a frozen sensor, or other units.
     from_start : bool
         Whether it was there when judging began, or too soon after to be compared with what was before.
     after : int
@@ -50,7 +50,7 @@ class Word:
     evidence : float
         Twice the logarithm of the likelihood ratio of the first fault against none, in the colour of the noise.
     share : float
-        Of what the residual has beyond its noise the part that the first fault explains, 0 to 1; NaN where faults were
+        Share of the residual beyond noise that the first fault explains, 0 to 1; NaN where faults were
         not fitted to the residual.
     size, deviation : float
         Of the first fault as one step, with its standard error.

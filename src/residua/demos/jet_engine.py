@@ -40,7 +40,7 @@ class Case:
     ----------
     filter : str
     fault : str
-        What failed; empty for nothing.
+        The fault; empty for none.
     diagnosis : Diagnosis
     distances : dict of str to float
         Normalised projection distance of the last residual from each fault's signature.

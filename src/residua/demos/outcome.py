@@ -15,12 +15,12 @@ class Outcome:
     Attributes
     ----------
     lines : tuple of str
-        What was done and found, in words.
+        Steps and results, as text.
     tables : tuple of Table
     page : Path
         The report page that was written.
     surprises : tuple of str
-        What did not come out as the demo says it should; empty when all did.
+        Results that differ from the expected ones; empty without any.
     """
 
     lines: tuple[str, ...]

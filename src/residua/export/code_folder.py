@@ -48,7 +48,7 @@ def to_c(
         Of the files and in front of all names in them; from the plant when omitted.
     precision : {"double", "float"}
     missing : {"as monitored", "hold"}
-        Of a Kalman filter: ``"hold"`` holds the last value of what is missing, as every other filter does.
+        Of a Kalman filter: ``"hold"`` holds the last value of a missing one, as every other filter does.
     overwrite : bool
         Whether files of an earlier export may be replaced.
 
@@ -60,7 +60,7 @@ def to_c(
     Raises
     ------
     SettingError
-        If the code cannot hold what the monitor does (the message says which part), or an option is none of its values.
+        If the code cannot hold what the monitor does (the message says which part), or an option has an invalid value.
     NotFittedError
         If the monitor has no threshold.
     DataError

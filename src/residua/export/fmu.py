@@ -34,7 +34,7 @@ class FMU(NamedTuple):
     path : Path
         The file.
     platform : str or None
-        What the binary inside is for; ``None`` where there are only sources.
+        Platform of the binary inside; ``None`` if there are only sources.
     why : str
         Why there is no binary; empty where there is one.
     renamed : dict of str to str
@@ -76,7 +76,7 @@ def to_fmu(
     Parameters
     ----------
     monitor : Monitor
-        With a threshold; what can be exported is said at :func:`to_c`.
+        With a threshold; :func:`to_c` lists what can be exported.
     path : path
         A file that ends in ``.fmu``, or a folder for ``NAME.fmu``.
     version : {"2.0", "3.0"}
@@ -93,15 +93,15 @@ def to_fmu(
     Returns
     -------
     FMU
-        The path, what the binary is for, why there is none, and which names were changed.
+        The path, the platform of the binary or the reason for its absence, and the changed names.
 
     Raises
     ------
     SettingError
-        If the unit cannot hold what the monitor does, an option is none of its values, or a binary is asked for and
+        If the unit cannot hold what the monitor does, an option has an invalid value, or a binary is asked for and
         there is no compiler, or it fails.
     AccuracyError
-        If what the compiler makes has not the bits of the monitor.
+        If the compiled code differs from the monitor in any bit.
     NotFittedError
         If the monitor has no threshold.
     DataError

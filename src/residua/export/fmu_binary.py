@@ -98,7 +98,7 @@ def binary_of(made: MonitorProgram, sources: Mapping[str, str], prefix: str, ver
     SettingError
         If the compiler fails.
     AccuracyError
-        If what it makes has not the bits of the monitor.
+        If the compiled code differs from the monitor in any bit.
     """
     place, compiler = platform_of(version), compiler_at_hand()
     if place is None:

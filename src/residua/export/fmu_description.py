@@ -26,7 +26,7 @@ def fmi2_description(
     variables : sequence of FMUVariable
         In the order of their references.
     name, token : str
-        The model's identifier, and what the code checks when it is instantiated.
+        The model's identifier, and the token that the code checks when it is instantiated.
     sources : sequence of str
         The files to compile.
     """

@@ -24,13 +24,13 @@ class FMUVariable:
     role : {"independent", "input", "output", "parameter", "local"}
         ``local`` is a constant.
     words : str
-        What it is.
+        Description.
     unit : str
         Empty where it is not known.
     start : float or None
-        What it is before anything is computed, where it is not computed itself.
+        Start value, if it is not computed.
     original : str
-        What a signal is called in the plant.
+        Name of a signal in the plant.
     """
 
     name: str

@@ -30,7 +30,7 @@ class Parts:
         Whitened residuals of each.
     thresholds : ndarray, shape (parts,)
     whole : ndarray, shape (residuals, k), or None
-        In what the direction of all of it is judged.
+        Units in which the direction of the whole is judged.
     """
 
     names: tuple[str, ...]

@@ -49,7 +49,7 @@ class Precision:
     smallest : float
         States below it become zero at rest.
     largest, largest_whitened : float
-        What a residual may be, before and after whitening, without an overflow of its square.
+        Largest residual, before and after whitening, without an overflow of its square.
     """
 
     name: str
@@ -95,15 +95,15 @@ class MonitorProgram:
     dt : float
         In seconds.
     test : str
-        What is tested, in words.
+        Description of the test.
     notes : tuple of str
         Where the program differs from the monitor.
     specification : Specification
-        What it does, missing values included.
+        Its specification, with the treatment of missing values.
     residuals : tuple of str
         The names of the residuals.
     parts : tuple of str
-        The names of what is tested by itself.
+        Names of the parts tested separately.
     """
 
     program: Program
@@ -137,7 +137,7 @@ def monitor_program(
         With a threshold.
     precision : Precision
     missing : {"as monitored", "hold"}
-        Of a Kalman filter: what it does where outputs are missing; ``"hold"`` as every other filter, the last value.
+        Of a Kalman filter with missing outputs: ``"hold"`` holds the last value, as every other filter.
 
     Raises
     ------

@@ -22,7 +22,7 @@ from residua.export.tensors import Node
 from residua.files import replacing
 from residua.monitor import Monitor
 
-#: What is written: versions that runtimes have had since 2022.
+#: Written versions, supported by runtimes since 2022.
 _OPSET, _IR = 17, 8
 #: Values of a sample, by what they are in the model.
 _OUTPUTS = (
@@ -84,7 +84,7 @@ def to_onnx(
     Parameters
     ----------
     monitor : Monitor
-        With a threshold; what can be exported is said at :func:`to_c`.
+        With a threshold; :func:`to_c` lists what can be exported.
     path : path
         A file that ends in ``.onnx``, or a folder for ``NAME.onnx``.
     name : str, optional
@@ -105,7 +105,7 @@ def to_onnx(
     MissingExtraError
         If the extra ``onnx`` is not installed.
     SettingError
-        If the model cannot hold what the monitor does, an option is none of its values, or nothing can be promised in
+        If the model cannot hold what the monitor does, an option has an invalid value, or nothing can be promised in
         single precision.
     AccuracyError
         If the model's answers are not those of the monitor.

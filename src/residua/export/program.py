@@ -29,7 +29,7 @@ class Variable:
     values : tuple
         Of a constant.
     words : str
-        What it is.
+        Description.
     """
 
     name: str

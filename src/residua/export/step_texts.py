@@ -129,7 +129,7 @@ for attempt in range(2):
                     pending = False
 """
 
-#: What residuals say of the start, and the correction of the state by it; how long the filter has run.
+#: Estimate of the start from residuals, and the correction of the state by it; how long the filter has run.
 LEARN = """
 if FIRST > 0:
     if starting and passed:

@@ -30,7 +30,7 @@ class Tensor:
     axes : tuple of str
         The loops, outer ones first.
     name : str
-        Of what a node makes; empty for what is known.
+        Name of the output of a node; empty for a known value.
     known : ndarray or None
     """
 

@@ -21,7 +21,7 @@ class Writer(ABC):
     program : Program
     """
 
-    #: What comparisons, sums and logic look like.
+    #: Operators of comparisons, sums and logic.
     SIGNS: dict[type, str]
 
     def __init__(self, program: Program) -> None:

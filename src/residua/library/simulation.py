@@ -120,7 +120,7 @@ def filled(value: ArrayLike, shape: tuple[int, ...], what: str) -> NDArray[np.fl
     value : array_like
     shape : tuple of int
     what : str
-        What to call it in messages.
+        Name in messages.
 
     Returns
     -------

@@ -60,7 +60,7 @@ class News:
         ``raised``, ``renamed``, ``confirmed`` or ``ended``.
     alarm : Alarm
     part : ToldAlarm or None
-        Of an ended one that turned out to be part of an earlier one, ``alarm``: what was told of it.
+        Of an ended one that turned out to be part of an earlier one, ``alarm``: its last report.
     """
 
     kind: str

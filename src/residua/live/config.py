@@ -47,7 +47,7 @@ class MonitorSettings:
     Attributes
     ----------
     file : str
-        What ``residua fit`` or ``learn`` wrote.
+        File written by ``residua fit`` or ``learn``.
     name : str
         Of the model, on the page and in the metrics; empty: the name of the file.
     plants : list of str
@@ -184,7 +184,7 @@ def load_settings(path: str | Path) -> LiveSettings:
     FileFormatError
         If it is no TOML, or a key is unknown, missing, or not what it may be: one line with the key and its line.
     MissingExtraError
-        If what an adapter needs is not installed.
+        If a package that an adapter needs is not installed.
     """
     path = Path(path)
     content = read_bytes(path, "configuration")

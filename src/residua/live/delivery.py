@@ -18,7 +18,7 @@ _LOG = logging.getLogger("residua.live")
 class Delivery:
     """Delivery of events to a sink, in its own thread.
 
-    What was delivered is noted after each success; a kill between the two delivers those events again.
+    Deliveries are recorded after each success; a kill between the two delivers those events again.
 
     Parameters
     ----------

@@ -25,7 +25,7 @@ HEADERS = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Permissions-Policy": "camera=(), geolocation=(), microphone=()",
 }
-#: What a page of another origin may not do, beside sending its user here.
+#: Origins of requests whose answers pages elsewhere may not read; they may only send their user here.
 _FOREIGN = ("cross-site", "same-site")
 
 

@@ -28,7 +28,7 @@ class Message:
     time : float or None
         In seconds, where the protocol says it.
     token : object
-        What the source needs to acknowledge it.
+        Data with which the source acknowledges it.
     refused : str
         Why the source does not hand on what came, in a word by which it is counted (``"size"``, ``"topic"``,
         ``"retained"``, ``"null"``): it is dropped, and acknowledged in its turn. Empty: nothing is wrong yet.

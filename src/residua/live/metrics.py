@@ -12,7 +12,7 @@ from prometheus_client.registry import Collector
 
 from residua.live.view import View
 
-#: What is sent.
+#: Content type.
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 #: Names in :meth:`View.counters` that only ever grow, and what they count.
 COUNTERS = {

@@ -28,7 +28,7 @@ _LIMITS: dict[str, Any] = {
     **{"connect_timeout": 10, "tcp_user_timeout": 20_000},
     **{"keepalives": 1, "keepalives_idle": 10, "keepalives_interval": 5, "keepalives_count": 3},
 }
-#: What a server says that another attempt may not hear again: its classes of SQLSTATE.
+#: Temporary errors of a server, by their classes of SQLSTATE.
 _PASSING = ("08", "40", "57", "53")
 _FULL = "53100"
 

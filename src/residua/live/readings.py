@@ -34,7 +34,7 @@ _LARGEST_TIME = 1e12
 _NUMBERS = frozenset({int, float, type(None)})
 #: Channels that a sample has at most: a message may have some of them.
 _SAMPLED = 4
-#: What the kernel says is wrong.
+#: Errors of the kernel.
 _WRONG = ("", "shape", "number")
 _KEYS = (
     frozenset({"plant", "t", "u", "y"}),

@@ -97,7 +97,7 @@ class Server:
     Parameters
     ----------
     view : View
-        What is shown.
+        View to show.
     settings : Settings
 
     Attributes

@@ -28,7 +28,7 @@ from residua.monitor.fused import copied
 from residua.monitor.running import State, initial_state, rows_of, written_rows
 from residua.visible import echo
 
-#: What is asked of every row.
+#: Outputs wanted for every row.
 _ASKED = ("alarm", "missing", "statistic")
 #: Rows after which the running state of a plant is stored again: a restart runs so many at most.
 STORED_EVERY = 1024
@@ -173,7 +173,7 @@ class Watch:
         Returns
         -------
         Changes
-            What is to be stored, events included.
+            Changes for the store, events included.
         """
         batch = _empty_batch()
         waiting: list[tuple[WatchedPlant, NDArray[np.float64], NDArray[np.float64]]] = []
@@ -429,7 +429,7 @@ class Watch:
     def reset(self, plant: str) -> Changes:
         """Reset a plant whose clock has gone back: its filter, its rows, and its known times.
 
-        An alarm that stands has ended with what is known of it.
+        A standing alarm ends with its present attribution.
         """
         one, batch = self.plants[plant], _empty_batch()
         model, block = self.models[one.model], self._blocks[one.model]

@@ -54,7 +54,7 @@ class WatchedModel:
     between : int
         Rows between two looks at a standing alarm at least.
     fingerprint : str
-        What tells that two monitors run the same.
+        Fingerprint, equal for monitors with equal answers.
 
     Raises
     ------

@@ -35,7 +35,7 @@ class Decision:
     fired : tuple of str
         For a bank: the members that are in alarm; for groups of residuals those.
     reading : CodeReading or None
-        For a bank while the alarm is on: what the members that fired over the window say.
+        For a bank while the alarm is on: the reading of the members that fired over the window.
     estimates : mapping of str to float
         For an estimator: the estimated size of every fault now.
     arrived : float or None
@@ -172,7 +172,7 @@ class Decision:
         return put_down_to(self.reading, self.candidates)
 
 
-#: What nobody is named for.
+#: Attribution without a name.
 _NOBODY = Named()
 
 

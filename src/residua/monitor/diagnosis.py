@@ -139,7 +139,7 @@ class Diagnosis(Guessed, Shown):
     fired : ndarray of bool, shape (T, members)
         Which members are in alarm at each sample.
     code : ndarray of bool, shape (T, members)
-        Which members count as fired over the window that ends there: what is read.
+        Which members count as fired over the window that ends there, for the reading.
     match : Match or None
         Of matched filters: likelihood ratio, arrival and size of every fault at every sample, and what a standing
         alarm is attributed to; see :class:`residua.decide.Match`.
@@ -148,7 +148,7 @@ class Diagnosis(Guessed, Shown):
     certified : bool
         Whether its thresholds are certified by the design.
     fit_check : FitCheck or None
-        What the fit says of its own recordings, and of what could have been seen; ``None`` without a fit.
+        Check of the fit on its own recordings, and the faults it could have seen; ``None`` without a fit.
     outside : float
         Fraction of the decided samples that lie outside of what was learnt: where more than half of what the monitor
         compares is not judged for it.
@@ -167,11 +167,11 @@ class Diagnosis(Guessed, Shown):
     signals : ndarray, shape (T, inputs + outputs)
         The measurements, in plant units; NaN for a missing value. No rows if they were not kept.
     isolation : Isolation
-        What names the alarms, and says how sure the names are.
+        Isolation that names the alarms, with the certainty of the names.
     learnt_faults : tuple of LearntRow
         The faults that were learnt from recordings, as the table of the monitor has them.
     explainer : Explainer or None
-        What gives alarms their words, where faults are named by direction or by response.
+        Explainer that gives alarms their words, if faults are named by direction or by response.
     compared : tuple of (int, int)
         Residuals that are a measured output less its prediction from all that was measured before, as pairs (residual,
         output); see ``predictions``.
@@ -550,7 +550,7 @@ class Diagnosis(Guessed, Shown):
         Parameters
         ----------
         whole : bool
-            With all series and the generator. If false, what was found alone: the verdict, the alarms, the notes.
+            With all series and the generator. If false, only the findings: the verdict, the alarms, the notes.
 
         Returns
         -------
@@ -582,8 +582,8 @@ class Diagnosis(Guessed, Shown):
         Raises
         ------
         FileFormatError
-            If the text is no whole diagnosis, an entry is missing, unknown or not what it may be (the message names
-            it), or the content is not what was written, by its checksum.
+            If the text is not a whole diagnosis, an entry is missing, unknown or invalid (the message names it), or the
+            content was changed, by its checksum.
         """
         from residua.report.document import diagnosis_of
 

@@ -30,7 +30,7 @@ class Explained(Record):
 
 @dataclass(frozen=True, repr=False)
 class FitCheck(Shown, Record):
-    """The check of a fit on its own recordings. Prints as one line on false alarms, and what speaks against the fit.
+    """The check of a fit on its own recordings. Prints as one line on false alarms, and objections to the fit.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class FitCheck(Shown, Record):
         The alarms on the last part, which was used neither for the covariance nor for the threshold; ``None`` if none
         was held out.
     changes : tuple of Change
-        Where residuals change, in what was taken for fault-free.
+        Changes of residuals in the recordings taken as fault-free.
     left_out : int
         Samples at the starts of recordings that were left out as transients.
     recordings : int
@@ -48,7 +48,7 @@ class FitCheck(Shown, Record):
     units : tuple of str
         The channels that may be in other units than the model, or in some recordings.
     doubts : tuple of str
-        What contradicts the plant: residuals far larger than its noise makes them, outputs that stand still.
+        Contradictions with the plant: residuals far larger than its noise explains, constant outputs.
     rows : int
         Usable rows that the fit used, without those held out.
     colour : tuple of float
@@ -61,7 +61,7 @@ class FitCheck(Shown, Record):
     explained : tuple of Explained
         The outputs that the filter predicts, and how much of them; empty for other residuals.
     cautions : tuple of str
-        What makes the monitor as a whole doubtful: the first words of every diagnosis.
+        Doubts about the monitor as a whole: the first words of every diagnosis.
     promised : float or None
         The fraction that these rows promise not to be exceeded, with 95 % confidence; ``None`` if nothing is known of
         it, as of a threshold that is not from data.

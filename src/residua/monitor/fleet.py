@@ -416,7 +416,7 @@ class Fleet(Shown):
     def snapshot(self, plants: Iterable[Hashable] | None = None) -> bytes:
         """Return the state of all plants, or of some, as bytes: see :mod:`residua.monitor.snapshot`.
 
-        The monitors are not in it, only what tells that they are the same.
+        The monitors are not in it, only their fingerprints.
         """
         blocks = self._blocks
         if plants is not None:

@@ -25,7 +25,7 @@ from residua.monitor.skipped_samples import SkippedSamples
 from residua.monitor.whole_blocks import Job, Work, Worker
 from residua.visible import echo
 
-#: What a tick says of its records.
+#: Outputs of a tick.
 _TOLD = ("missing", "usable", "statistic", "alarm")
 
 
@@ -243,7 +243,7 @@ class FleetBlock:
         #: Of a new block, as long as no sample of any plant was judged: none can be over its threshold.
         self._is_settling = state is None
         self._worker = Worker()
-        #: What alarms did in a block that was interrupted before that was returned.
+        #: Events of a block that was interrupted before they were returned.
         self._untold: list[AlarmEvent] = []
         self._place(initial_state(self.spec, len(self.ids)) if state is None else state)
 

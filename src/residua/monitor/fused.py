@@ -39,7 +39,7 @@ _TYPES = {
     "fired": bool,
     "code": bool,
 }
-#: What starts of filters need, and what is counted of restarts: zero as a rule.
+#: Fields for starts of filters, and counters of restarts: usually zero.
 _OF_STARTS, _RESTARTS = ("start_sums", "moved"), ("resets", "broken")
 #: What a step returns in one number: alarm, whether it was decided, and whether a value was missing; that the plant was
 #: left, besides.

@@ -22,7 +22,7 @@ from residua.recording.time_axis import regular_step, seconds_from_dates
 from residua.tolerances import ROUNDING
 from residua.visible import echo
 
-#: What is left of the slowest pole once a filter counts as settled: where thresholds come from data or a noise model,
+#: Remainder of the slowest pole once a filter counts as settled: where thresholds come from data or a noise model,
 #: and, for bounds that are known or certified, to the digits that these are computed to.
 SETTLED, SETTLED_FOR_BOUNDS = 1e-2, 1e-6
 #: Samples after which a filter counts as settled, however slow it is.

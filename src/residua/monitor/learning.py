@@ -173,8 +173,8 @@ def learn(
     3. All is fitted anew to all rows. Thresholds that the check exceeds more than three times as often as asked are
        raised above all that it shows.
 
-    Guaranteed: the answers are the same in all units. ``learnt.monitor.fit_check`` tells what the check showed, and
-    every diagnosis repeats what is doubtful.
+    Guaranteed: the answers are the same in all units. ``learnt.monitor.fit_check`` has the results of the check, and
+    every diagnosis repeats the doubts.
 
     Parameters
     ----------
@@ -187,7 +187,8 @@ def learn(
     dt : float, optional
         Step in seconds of arrays.
     false_alarm_rate : float, optional
-        Intended fraction of fault-free samples in alarm; what the rows can carry when omitted, 1e-3 at the rarest.
+        Intended fraction of fault-free samples in alarm; one that the rows can support when omitted, 1e-3 at the
+        rarest.
     form : {"auto", "static", "curve", "lags", "horizon", "innovation", "variates"}
     sensor_faults, actuator_faults : bool
         Whether faults of every output, and of every input that has an effect, can be named.
@@ -208,7 +209,7 @@ def learn(
     DataError
         If the rows are too few, the log looks faulty, or the monitor can see next to nothing, and ``force`` is not set.
     SettingError
-        If an option is none of its values.
+        If an option has an invalid value.
 
     See Also
     --------

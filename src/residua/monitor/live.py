@@ -22,11 +22,11 @@ from residua.visible import echo, listed
 
 #: Samples per piece when a recording is run: bounds memory and lets progress be shown.
 PIECE = 100_000
-#: What users can have of a block: all that decisions have but what they are made from.
+#: Fields that users can request of a block: those of decisions, without their sources.
 KEPT = ("residuals", "missing", "aside", "usable", "statistic", "exceeded", "alarm", "up", "scores")
-#: What a block has of members besides, whatever is kept.
+#: Outputs of members, kept in any case.
 _OF_MEMBERS = ("member_statistics", "fired", "code")
-#: What is not needed of a recording once it is judged.
+#: Outputs not needed once a recording is judged.
 _PASSING = ("whitened", "ready")
 
 
@@ -46,7 +46,7 @@ class Live:
 
     def __init__(self, inputs: int) -> None:
         self.inputs = inputs
-        #: What to go on from: in the hands of the kernel if there is one, else the state.
+        #: State for the next block: in the kernel if there is one, else the state itself.
         self._run: FusedRun | None = None
         self._kept: State | None = None
 

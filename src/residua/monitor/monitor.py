@@ -378,7 +378,7 @@ class Monitor(Guessed, Shown):
         Returns
         -------
         Monitor
-            Itself. What it runs starts anew. A later :meth:`fit` keeps what was learnt.
+            Itself. Its running state restarts. A later :meth:`fit` keeps the learnt faults.
 
         Raises
         ------
@@ -398,7 +398,7 @@ class Monitor(Guessed, Shown):
 
         See Also
         --------
-        learnt_faults : the table of what was learnt, with angles to what the model predicts.
+        learnt_faults : the table of learnt faults, with angles to the predictions of the model.
 
         References
         ----------
@@ -530,7 +530,7 @@ class Monitor(Guessed, Shown):
         y : array_like, shape (time, outputs) or (plants, time, outputs)
             In plant units; NaN where a value is missing.
         keep : sequence of str, optional
-            What is wanted of the decisions, such as ``("alarm", "statistic")``: the rest is ``None``, and is not
+            Wanted fields of the decisions, such as ``("alarm", "statistic")``: the rest is ``None``, and is not
             written. All when omitted.
 
         Returns
@@ -608,8 +608,8 @@ class Monitor(Guessed, Shown):
         Raises
         ------
         FileFormatError
-            If the file is no monitor, an entry is missing, unknown or not what it may be (the message names it), or the
-            content is not what was saved, by its checksum. A file that was edited on purpose says so by
+            If the file is not a monitor, an entry is missing, unknown or invalid (the message names it), or the
+            content was changed, by its checksum. A file that was edited on purpose declares it by
             ``"checksum": null``; its monitor then says so in every diagnosis.
         """
         from residua.monitor.saving import load_monitor

@@ -14,7 +14,7 @@ from residua.monitor.specification import FilterState, Specification
 
 #: A residual beyond is one of a filter that overflows.
 LARGEST = 1e150
-#: What the filter changes of a running monitor's state.
+#: Fields of a running monitor's state that the filter changes.
 FIELDS = ("x", "held", "gap", "running", "age", "resets", "broken", "starting", "start_sums", "moved", "apart")
 #: Likewise, and zero for all plants as a rule: how a Kalman filter is off its stationary one.
 SELDOM = ("spread", "bent")

@@ -83,7 +83,7 @@ class PartialUpdate:
     ages : int
         For how many ages of a fault matched filters look for its response.
     settled : ndarray, shape (p, faults)
-        What the innovations settle to; without columns where nothing is matched.
+        Steady values of the innovations; without columns if nothing is matched.
     whitening : ndarray, shape (p, residuals)
         Of the test.
     """

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 #: Numbers begin at multiples of so many bytes; records of more than a line begin with a line of the cache.
 _ALIGNED, _LINE = 8, 64
-#: What is zero as a rule. Each has an array of its own, whose memory the system provides where something is written;
-#: of plants all of which have zeros it is one zero, broadcast, and room is made when one of them needs it.
+#: Fields that are usually zero. Each has its own array, whose memory the system provides where something is written;
+#: for plants that all have zeros it is one zero, broadcast, and room is made when one of them needs it.
 SELDOM = ("start_sums", "moved", "resets", "broken", "spread", "bent")
 
 

@@ -26,7 +26,7 @@ from residua.recording.time_axis import REGULAR
 from residua.shown import Shown, notes, table
 from residua.visible import echo, listed
 
-#: What is said of a mode that no recording showed.
+#: Remark on a mode that no recording showed.
 NEVER_SEEN = "a mode never seen"
 #: Steps of a recording and of the monitor may differ by that part, as for a :class:`residua.Monitor`.
 SAME_STEP = REGULAR / 10
@@ -47,7 +47,7 @@ class RegimeMonitor(Shown):
     regimes : Regimes
         From :func:`residua.identify.regimes`.
     test : TestSettings, optional
-        When to raise an alarm, in every mode; what each design brings, when omitted (:class:`residua.Monitor`).
+        When to raise an alarm, in every mode; by default the test of each design (:class:`residua.Monitor`).
     isolate : IsolationSettings, None or "auto"
         How to name the fault, as in :class:`residua.Monitor`.
     settle : int, optional
@@ -343,7 +343,7 @@ class RegimeMonitor(Shown):
         Raises
         ------
         FileFormatError
-            If the file is no such monitor, or an entry is not what it may be.
+            If the file is not such a monitor, or an entry is invalid.
         """
         from residua.monitor.regime_files import load_regimes
 

@@ -66,9 +66,9 @@ class Decisions:
     match : Match or None
         Of matched filters: likelihood ratio, arrival and size of every fault.
     tested : Tested
-        What the test says.
+        Results of the test.
     named : Scores
-        What the isolation says.
+        Results of the isolation.
     """
 
     residuals: NDArray[np.float64]
@@ -237,7 +237,7 @@ def judged(
     isolation, named = state.isolation, Scores(np.zeros((*filtered.usable.shape, 0)))
     if name:
         isolation, named = spec.isolation.run(state.isolation, block, tested)
-    if tested.likelihood is not None:  # what the isolation has read
+    if tested.likelihood is not None:  # already read by the isolation
         tested = replace(tested, likelihood=None)
     if filtered.usable.shape[1]:
         state = State(filter_state, test, isolation, state.count + filtered.usable.shape[1])

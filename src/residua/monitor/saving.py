@@ -61,7 +61,7 @@ VERSION = 12
 #: What a monitor says in every diagnosis whose file was edited: nobody but its author can know whether it still holds.
 EDITED = "the file of this monitor was edited after it was saved: its numbers are not those of the design"
 
-#: What is computed from the design before the first sample is right to that.
+#: Relative accuracy of values computed from the design before the first sample.
 _EXACT = 1e-6
 
 _ENTRIES = (

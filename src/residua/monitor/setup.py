@@ -26,7 +26,7 @@ from residua.visible import echo
 
 #: Numbers that the windows of a monitor may keep for each plant; more is a mistake in the window.
 _MOST_NUMBERS = 10**7
-#: What is asked for where ``isolate`` is none of these.
+#: Message for an invalid ``isolate``.
 _KINDS = (
     "isolate must be 'auto', Directional(...), Structured(...), Matched(...), Likelihood(...), one of your own, or None"
 )

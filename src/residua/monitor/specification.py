@@ -26,9 +26,9 @@ class Specification:
     offset : ndarray, shape (channels,)
         Operating point.
     test : ResidualTest
-        What turns the residual into a statistic and an alarm.
+        Test that turns the residual into a statistic and an alarm.
     isolation : Isolation
-        What names the fault.
+        Isolation that names the fault.
     settle : int
         Samples after a start, or after a held value, in which nothing is decided.
     max_hold : int
@@ -37,9 +37,9 @@ class Specification:
         Smallest and largest deviation of each channel from its operating point that is taken for a value; any other is
         missing.
     first : StartFit or None
-        What estimates a start from the first residuals; ``None`` if a start is from rest.
+        Estimator of a start from the first residuals; ``None`` if a start is from rest.
     partial : PartialUpdate or None
-        What a Kalman filter needs to go on where outputs are missing; ``None`` for any other generator.
+        Data of a Kalman filter for missing outputs; ``None`` for any other generator.
     """
 
     A: NDArray[np.float64]
@@ -92,7 +92,7 @@ class FilterState:
     starting : ndarray of bool
         Whether the start is still to be estimated.
     start_sums : ndarray, shape (plants, states)
-        What residuals say of the start so far; zero where none is to be estimated.
+        Sums of residuals for the estimate of the start; zero if none is to be estimated.
     moved : ndarray
         How far an estimate of the start moved a residual, in units of the threshold, at most; zero where it is less
         than :data:`residua.monitor.starting.MOVED_FROM`.

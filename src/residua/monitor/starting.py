@@ -50,7 +50,7 @@ class StartFit:
     ratios : ndarray, shape (residuals, k)
         ``r @ ratios`` are in units of the threshold.
     correction : ndarray, shape (n, n)
-        From the sum of products to what is to be subtracted from the state after these samples.
+        From the sum of products to the correction of the state after these samples.
     """
 
     samples: int

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 #: Seconds after which pages that were read from the disk leave memory: the system would keep them while there is room.
 _MOMENT = 0.02
 Progress = Callable[[int, int], None]
-#: What is said of a file that was not read piece by piece.
+#: Remark on a file that was not read piece by piece.
 AT_ONCE = (
     "the file was read into memory at once: run_file reads Parquet, uncompressed .npz, and CSV with a header, plain "
 )

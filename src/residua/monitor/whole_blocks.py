@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from residua.errors import DataError
 
-#: What a block leaves, in the order of the kernel.
+#: Outputs of a block, in the order of the kernel.
 OUTPUTS = (
     *("residuals", "missing", "aside", "usable", "statistic", "exceeded", "alarm", "up", "whitened", "scores", "ready"),
     *("member_statistics", "fired", "code"),
@@ -141,13 +141,13 @@ class Job:
     ----------
     u, y : ndarray, shape (plants, time, channels)
     outputs : mapping of str to ndarray or None
-        Where to write what the block leaves, by all names of :data:`OUTPUTS`.
+        Arrays for the outputs of the block, by all names of :data:`OUTPUTS`.
     rows : ndarray of int, shape (plants,), optional
         Whose data they are: each row of the state once. All rows in order when omitted.
     threads : int
         The plants are shared among so many.
     then : callable, optional
-        What comes after the kernel; it may be done again.
+        Steps after the kernel; they may be repeated.
     joined : ndarray, shape (plants, time, channels), optional
         Where to put u and y side by side.
 
@@ -217,7 +217,7 @@ class Work:
     steps : sequence of callable
         Each may be begun again where it was interrupted, and after its end: it then does the rest, or nothing.
     jobs : sequence of Job
-        What the kernel runs in them.
+        Jobs of the kernel in them.
     within : sequence of Work
         Work that these steps do.
     undo : callable, optional
@@ -278,7 +278,7 @@ class Worker:
     """Worker for one piece of work after the other; interrupted work is finished before anything else."""
 
     def __init__(self) -> None:
-        #: What is under way, or was interrupted.
+        #: Work in progress, or interrupted.
         self.work: Work | None = None
 
     def do(self, work: Work) -> None:

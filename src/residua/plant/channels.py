@@ -15,7 +15,7 @@ from residua.visible import echo
 #: The roles an input of a plant can have, with the letter behind B and D of its matrices.
 ROLES = {"control": "", "disturbance": "d", "fault": "f", "noise": "w"}
 
-#: What can be noted of a fault besides name, kind and component.
+#: Notes on a fault besides name, kind and component.
 FAULT_NOTES = ("description", "check", "unit")
 
 #: How a fault or disturbance enters: a state vector or ``(state, output)``; ``{name: value}`` for either.
@@ -46,9 +46,9 @@ class Fault:
     ----------
     name, kind, component : str
     description : str
-        What it is, in a sentence.
+        Description, in a sentence.
     check : str
-        What to check first when it is named.
+        First checks when it is named.
     unit : str
         Of its size: that of the numbers in its direction. Empty for a sensor or actuator fault in the unit of its
         output or input.

@@ -56,7 +56,7 @@ class Loewner:
     U, singular_values, Vh : ndarray
         Of ``L`` in these units.
     rounding : float
-        What the last digits of the coefficients do to ``L`` in these units.
+        Effect of the last digits of the coefficients on ``L`` in these units.
     points : ndarray of complex
         Of the columns, and their conjugates.
     """

@@ -75,7 +75,7 @@ class Plant(FaultFacts, Guessed, Shown):
     units : mapping of str to str, optional
         Unit of each input, output or state, for plots and tables.
     description : str
-        What the plant is, in a sentence or two.
+        Description of the plant, in a sentence or two.
     identification : Identification, optional
         How it came from recordings; none for a plant that was given.
 
@@ -410,8 +410,8 @@ class Plant(FaultFacts, Guessed, Shown):
         Parameters
         ----------
         notes : mapping of str to mapping of str to str
-            Fault name to any of ``description`` (what it is), ``check`` (what to check first when it is named) and
-            ``unit`` (of its size). What is not given stays as it was.
+            Fault name to any of ``description``, ``check`` (first checks when it is named) and
+            ``unit`` (of its size). Notes that are not given stay unchanged.
 
         Raises
         ------

@@ -86,7 +86,7 @@ def loads_plant(text: str, *, source: str = "plant") -> Plant:
     ----------
     text : str
     source : str
-        What to call the file in error messages.
+        Name of the file in error messages.
 
     Returns
     -------

@@ -17,7 +17,7 @@ from residua.plant.noise import noise_factors
 from residua.plant.plant import Plant
 from residua.plant.plant_file import FORMAT, loads_plant
 
-#: What must come back bit for bit.
+#: Attributes that must be restored bit for bit.
 ARRAYS = ("A", "C", "E", "B", "D", "Bd", "Dd", "Bf", "Df", "Bw", "Dw")
 VALUES = (
     "dt",

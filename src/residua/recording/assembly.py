@@ -98,7 +98,7 @@ def assembled(
     clock : Clock or None
     options : ReadOptions
     source : str
-        What to call the recording in messages.
+        Name of the recording in messages.
     tally : Tally
         The marks of missing values.
     first_row : int

@@ -18,7 +18,7 @@ from residua.recording.missing import EMPTY, Marks, Tally
 
 #: Characters from which on pyarrow is worth the time that its import takes.
 LARGE = 4_000_000
-#: What a text may consist of: printable ASCII, tabs and line ends.
+#: Characters of a valid text: printable ASCII, tabs and line ends.
 _PLAIN = bytes([9, 10, *range(32, 127)])
 #: Within so many characters there must be a line end: the csv module of Python refuses cells of more than 131,072.
 _LINE = 65_536

@@ -163,7 +163,7 @@ def open_csv(content: bytes, source: str, *, decimal: str = ".") -> CsvTable:
     ----------
     content : bytes
     source : str
-        What to call the file in messages.
+        Name of the file in messages.
     decimal : {".", ","}
 
     Raises

@@ -42,7 +42,7 @@ def seconds_from_text(
     rows : sequence of int
         The line of the file that each is from.
     what : str
-        What to call the column in messages.
+        Name of the column in messages.
     dayfirst : bool, optional
         Of dates such as 3/4/2026. When omitted, what the dates themselves leave open is an error, except for dots
         (20.11.2026), which are written with the day first.

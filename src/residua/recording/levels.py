@@ -55,7 +55,7 @@ def units_between(channels: Sequence[str], sources: Sequence[str], mean: Values,
     Parameters
     ----------
     channels, sources : sequence of str
-        What the channels and the recordings are called.
+        Names of the channels and the recordings.
     mean, spread : ndarray, shape (recordings, channels)
         NaN where nothing is known. A channel that stands still in a recording is not compared there.
     """
@@ -99,7 +99,7 @@ def units_of(channels: Sequence[str], values: Values, mean: Values, spread: Valu
     values : ndarray, shape (time, channels)
         NaN or infinity where a value is missing.
     mean, spread : ndarray, shape (channels,)
-        What they were.
+        Earlier values.
     reference : str
         Where that is from, in words.
     """

@@ -137,11 +137,11 @@ def missing_columns(
     names : sequence of str
         Of all columns.
     source : str
-        What to call the recording.
+        Name of the recording.
     matched : sequence of str
         Columns that other channels have.
     advice : str
-        What to do, where ``columns`` is none of the options.
+        Remedy, if there is no option ``columns``.
     """
     free = [name for name in names[:_COMPARED] if name and len(name) <= MAX_ECHO and name not in set(matched)]
     likely: dict[str, str] = {}

@@ -14,7 +14,7 @@ from residua.errors import FileFormatError
 from residua.recording.unpacked import too_large, unpacked_limit
 from residua.visible import echo
 
-#: What every zip archive begins with, and every single array of NumPy.
+#: First bytes of every zip archive, and of every single array of NumPy.
 _ZIP, _NPY = (b"PK\x03\x04", b"PK\x05\x06"), b"\x93NUMPY"
 
 

@@ -98,7 +98,7 @@ def read_recording(
         How times are written, as :meth:`datetime.datetime.strptime` has it, such as ``"%d-%b-%Y %H:%M:%S"``. ISO 8601
         and dates of three numbers need none.
     decimal : {".", ","}
-        What stands before the decimals in text. A comma in a number is never guessed at.
+        Decimal mark of text. A comma in a number is never interpreted by guess.
     transpose : bool
         Time runs along the rows of the file's matrices, or of text without a header, not down.
     missing : sequence of str or float
@@ -117,7 +117,7 @@ def read_recording(
     SettingError
         If ``decimal`` or ``tolerance`` is none.
     FileFormatError
-        If there is no such file, it cannot be read, or it is not what its ending says.
+        If there is no such file, it cannot be read, or its content does not match its ending.
     MissingExtraError
         If reading Parquet needs pyarrow and it is not installed.
     """
@@ -154,7 +154,7 @@ def recording_from_frame(
     time, dt, columns, tolerance, fill_gaps, dayfirst, time_format, missing
         As in :func:`read_recording`.
     source : str
-        What to call it.
+        Name of it.
 
     Returns
     -------
@@ -183,7 +183,7 @@ def recording_from_frame(
     return _from_arrays(table, options, source)
 
 
-#: What to do with a file that is no recording, by the ending of its name.
+#: Remedies for a file that is not a recording, by the ending of its name.
 _OTHERS = {
     **dict.fromkeys(
         (".xlsx", ".xls", ".xlsm", ".xlsb", ".ods"), "a spreadsheet: save the sheet as CSV (UTF-8), and give that"

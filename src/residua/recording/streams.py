@@ -104,7 +104,7 @@ class Stream:
         Raises
         ------
         NotServedError
-            If a piece may not be what :func:`residua.read_recording` reads.
+            If a piece may differ from the result of :func:`residua.read_recording`.
         """
         self.tally.counts.clear()
         names = [*self.columns.values(), *([self.clock] if self.clock else [])]

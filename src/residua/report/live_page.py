@@ -93,7 +93,7 @@ def live_page(title: str) -> str:
     Parameters
     ----------
     title : str
-        What is watched.
+        Names of the plants.
 
     Returns
     -------

@@ -33,7 +33,7 @@ class Signatures:
     steady : tuple of bool
         Whether the direction of a constant fault stands in for more that the residual can do.
     whitening : ndarray, shape (residuals, residuals)
-        What residuals less their fault-free mean are multiplied with before they are compared; symmetric.
+        Matrix that multiplies residuals less their fault-free mean before they are compared; symmetric.
     whitened : bool
         Whether that does anything.
     """

@@ -28,11 +28,11 @@ BEGAN_RULE = (
     "grows out of the noise in another way."
 )
 
-#: Fraction of the samples outside of what was learnt from which on that is the answer.
+#: Fraction of the samples outside of the learnt range from which on that is the answer.
 _MOSTLY = 0.5
 _UNLIKE = "The data differ from those of the fit: other units, or another operating point."
 
-#: What is said of an alarm by certified thresholds.
+#: Remark on an alarm by certified thresholds.
 CERTAIN = (
     "The thresholds are certified: without a fault, no plant of the uncertainty set exceeds them while the "
     "disturbances keep within their bounds."
@@ -47,7 +47,7 @@ class Verdict:
     ----------
     kind : {"fault", "none", "cannot tell", "outside", "undecided"}
         ``"cannot tell"``: no alarm, of a monitor that sees no fault that lasts; ``"outside"``: no alarm, on data that
-        mostly lie outside of what was learnt; ``"undecided"``: no sample was judged.
+        mostly lie outside of the learnt range; ``"undecided"``: no sample was judged.
     headline : str
     sentences : tuple of str
     confidence : str

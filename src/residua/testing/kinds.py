@@ -48,7 +48,7 @@ def check_test(settings: TestSettings, *, generator: ResidualGenerator | None = 
     Raises
     ------
     AccuracyError
-        Says what does not hold.
+        Names the first violation.
 
     Examples
     --------
@@ -101,7 +101,7 @@ def check_isolation(
     Raises
     ------
     AccuracyError
-        Says what does not hold.
+        Names the first violation.
 
     Examples
     --------

@@ -44,7 +44,7 @@ def check_residual_generator(
     Raises
     ------
     AccuracyError
-        Says what does not hold, with the number.
+        Names the first violation, with the number.
 
     Examples
     --------

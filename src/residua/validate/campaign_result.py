@@ -70,7 +70,7 @@ class Campaign(Shown):
     groups : tuple of tuple of str
         The faults as the monitor names them, those that it cannot tell apart in one group.
     figures : RunFigures
-        What was kept of each run; times in samples.
+        Figures of each run; times in samples.
     runs, samples : int
         How many runs of each case, and how long each is.
     seed : int
@@ -85,7 +85,7 @@ class Campaign(Shown):
     settings : mapping of str to str
         How the runs were simulated and watched, and by which versions, in words.
     draws, watched : str
-        Digests of what the runs are, and of the monitor.
+        Digests of the settings of the runs, and of the monitor.
     confidence : float
         Of all intervals.
     """

@@ -80,16 +80,16 @@ def campaign(
         Run ``k`` draws from children of ``numpy.random.SeedSequence(seed, spawn_key=(k,))``, so that nothing depends on
         how runs are put together, nor on the number of workers.
     noise : NoiseModel, Resampled, optional
-        What drives the plant's noise inputs: white Gaussian when omitted, :func:`coloured`, :func:`heavy_tailed`; or
+        Noise for the plant's noise inputs: white Gaussian when omitted, :func:`coloured`, :func:`heavy_tailed`; or
         :func:`resampled` residuals in their place.
     inputs : number, array_like of shape (samples, inputs), Recording or data frame, optional
         Commands, in plant units, the same in every run; of a longer one the first samples. When omitted random levels,
         held for 25 samples on the average, that move the outputs ten times as far as the noise does; with a
-        controller, nothing is added to what it does.
+        controller, nothing is added to its commands.
     disturbances : mapping of str to number, array_like or NoiseModel, optional
         By name; those that are not named are zero. A noise model is drawn by each run, with its own size.
     plants : Plant, sequence of Plant, or UncertainPlant, optional
-        What is simulated, when not the plant that the monitor is designed for. Of several run ``k`` has number ``k``
+        Simulated plant, if not the one that the monitor is designed for. Of several run ``k`` has number ``k``
         modulo their count; of an uncertain plant each run has a member of its own, drawn evenly from the box of
         parameters.
     controller : StateSpace, optional
@@ -134,7 +134,7 @@ def campaign(
 
     See Also
     --------
-    Scenario : what fails, how and how much.
+    Scenario : the fault, its shape and its size.
     load_scenarios : scenarios from a TOML file.
 
     Examples

@@ -211,7 +211,7 @@ def detectability(
     within : float or sequence of float, optional
         Delays in seconds: a fault that arrives with one sample is detected in time if there is an alarm on that or one
         of the next, as many as this time has steps, rounded. When omitted 1, 3, 10, 30, 100 samples, and so on up to
-        twice what the test sums.
+        twice the window of the test.
     miss_rate : float
         :math:`\beta`, the share that may be missed.
     faults : sequence of str, optional
@@ -360,7 +360,7 @@ class _Trials:
         Parameters
         ----------
         added : ndarray, shape (samples, k)
-            What the fault does to the residual.
+            Response of the residual to the fault.
         """
         residuals = self.residuals[:, : len(added)] + added
         block = Block(residuals, np.ones(residuals.shape[:2], dtype=bool), _BEFORE)

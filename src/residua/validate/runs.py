@@ -60,7 +60,7 @@ class Plan:
     within : int
         Samples after an onset in which a detection counts.
     offset : ndarray, shape (channels,)
-        Operating point of what is simulated.
+        Operating point of the simulated plant.
     """
 
     spec: Specification

@@ -39,7 +39,7 @@ class DetectionProbability:
     a90_95 : float
         Size from which on the lower 95 % confidence bound of the probability is over 0.9; infinite if it never is.
     reason : str
-        Why it cannot be fitted, or what else to mind; else empty.
+        Reason for having no fit, or other cautions; else empty.
 
     References
     ----------

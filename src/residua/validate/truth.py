@@ -150,7 +150,7 @@ def with_acting_fault(
     z : ndarray, shape (runs, time, columns)
         Inputs of the simulation.
     signals : ndarray, shape (runs, time, channels)
-        What is recorded without the fault.
+        Recorded signals without the fault.
     onsets : ndarray of int, shape (runs,)
     share : ndarray, shape (runs, time)
     """

@@ -24,7 +24,7 @@ except ImportError as error:
 
 #: Messages that are read at once, and that may wait for the run, with the bytes of them.
 _BURST, _MOST, _MOST_BYTES = 1000, 10_000, 64_000_000
-#: Kilobytes that librdkafka fetches ahead of what is read.
+#: Kilobytes that librdkafka fetches ahead of the reading.
 _AHEAD = 16_384
 #: Seconds between looks whether there is something to commit, and between commits.
 _LOOK, _COMMIT_EVERY = 0.1, 0.2
@@ -288,7 +288,7 @@ class Kafka(ThreadedSource):
         except KafkaException as error:  # they come again, and the run drops what it has
             self.say(False, f"{self._where}: offsets could not be committed: {_words(error)}")
 
-    # ------------------------------------------------------------------ what librdkafka calls, while reading
+    # ------------------------------------------------------------------ callbacks of librdkafka, while reading
 
     def _assigned(self, consumer: Consumer, parts: list[TopicPartition]) -> None:
         self._assignments += 1

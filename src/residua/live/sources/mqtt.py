@@ -79,7 +79,7 @@ class Settings:
     keepalive : int
         Seconds of silence after which either side asks whether the other is there.
     session_expiry : int
-        Seconds for which the broker keeps what comes while this run is away (version 5).
+        Seconds for which the broker keeps messages while this run is away (version 5).
     receive_maximum : int
         Messages that may be on their way without being acknowledged (version 5; before it the broker's settings say).
     retained : bool
@@ -224,7 +224,7 @@ class Mqtt(ThreadedSource):
     def _comes_again(self, message: Message) -> bool:
         return message.token is not None
 
-    # What a connection calls.
+    # Callbacks of a connection.
 
     def connected(self, resumed: bool, granted: str) -> None:
         """Report the subscriptions."""
@@ -460,7 +460,7 @@ class _Connection:
         if socket is not None:
             socket.close()
 
-    # What paho calls.
+    # Callbacks of paho.
 
     def _on_connect(self, client: paho.Client, _: Any, flags: Any, reason: Any, __: Any) -> None:
         if reason.is_failure:

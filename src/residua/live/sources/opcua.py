@@ -55,7 +55,7 @@ class Settings:
     channels : table
         Of these, from channel to node, with ``{plant}`` in it: ``{"level": "ns=2;s={plant}.level"}``.
     interval : float
-        Seconds between what the server sends.
+        Seconds between notifications of the server.
     sampling : float
         Seconds between the server's looks at a node; 0: as fast as it can.
     queue : int
@@ -63,7 +63,7 @@ class Settings:
     username : str
     password_file, password_env : str
     policy : {"", "Basic256Sha256", "Aes128Sha256RsaOaep", "Aes256Sha256RsaPss"}
-        How what is sent is protected; empty: not at all, and a password neither.
+        Protection of messages; empty: none, not even for a password.
     mode : {"SignAndEncrypt", "Sign"}
     cert_file, key_file : str
         The certificate of this client, and its key; with a policy.
