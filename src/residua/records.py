@@ -186,7 +186,7 @@ def values_in(
     """Return the dataclass of a record.
 
     Each entry is of the type that its field declares, and its numbers are of the kind that the class names
-    (:class:`Record`), else of the ``usual`` kind of that type. Fields that are ``known`` already are no entries of the
+    (:class:`Record`), else of the ``usual`` kind of that type. Fields that are ``known`` already are not entries of the
     record.
     """
     out = dict(known or {})

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-#: Nothing is divided by less, so that a size of zero is no error: what it is compared with is zero as well then.
+#: Nothing is divided by less, so that a size of zero is not an error: its comparand is then zero as well.
 TINY = 1e-300
 
 #: An entry this far below the largest of its row, in comparable units, is what a factorisation leaves of nothing.

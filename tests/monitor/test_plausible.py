@@ -126,7 +126,7 @@ def test_an_overflow_is_told() -> None:
     y[200, 0] = 1.7e308
     with np.errstate(all="ignore"):
         found = one.run(u, y)
-    assert "the filter overflowed and was started anew" in str(found)
+    assert "the filter overflowed and was restarted" in str(found)
     assert found.decided[400:].all()  # type: ignore[union-attr]
 
 

@@ -82,7 +82,7 @@ def test_later_dates_tell_day_from_month(tmp_path: Path) -> None:
         read_recording(tmp_path / "data.csv", dayfirst=True)
     with pytest.raises(DataError, match=r"no order of day and month fits both '13/3/2026' \(line 2\) and '3/14/2026'"):
         read_recording(written(tmp_path / "data.csv", ["13/3/2026", "3/14/2026"]))
-    with pytest.raises(DataError, match=r"line 3: '31/2/2026', read as day/month/year, is no time"):
+    with pytest.raises(DataError, match=r"line 3: '31/2/2026', read as day/month/year, is not a time"):
         read_recording(written(tmp_path / "data.csv", ["30/1/2026", "31/2/2026"]))
     with pytest.raises(DataError, match=r"line 3: '14/1/2026 25:00', read as"):
         read_recording(written(tmp_path / "data.csv", ["14/1/2026 00:00", "14/1/2026 25:00"]))

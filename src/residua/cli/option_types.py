@@ -183,7 +183,7 @@ def parse_poles(text: str) -> tuple[complex, ...]:
     Raises
     ------
     ValueError
-        If an entry is no number.
+        If an entry is not a number.
 
     Examples
     --------

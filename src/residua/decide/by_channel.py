@@ -46,7 +46,7 @@ class ChannelNames(Isolation):
     parts : ndarray of int, shape (groups,)
         The part of the test that is its channel.
     unjudged : tuple of str
-        Faults that are no single channel's.
+        Faults that do not belong to a single channel.
     """
 
     NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {"parts": INDEX}

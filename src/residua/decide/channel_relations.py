@@ -484,7 +484,7 @@ class ChannelRelations(TestSettings):
     false_alarm_rate : float, optional
         Intended fraction of fault-free samples in alarm: half of it for the residual, half for the channels.
     unseen : float
-        Part of each recording that the model is from: its residual there is no measure of what it is elsewhere, and
+        Part of each recording that the model is from: its residual there does not represent the rest, and
         thresholds of residuals are from the rest.
     raised : mapping of str to float, or sequence of Raised
         Factors on thresholds, by channel or :data:`MODEL` (``"prediction of the model"``), from a check on other rows.

@@ -1,6 +1,6 @@
 """One word for an alarm, from the fit of each listed fault beside every fault with a free course.
 
-An unlisted state stands beside a single listed fault only if it explains more. It is no component, and with a free
+An unlisted state stands beside a single listed fault only if it explains more. It is not a component, and with a free
 course it often acts as a sensor does. This was chosen by ``benchmarks/verdicts.py`` on its plants of even number, with
 seeds 101, 202 and 303; ``docs/how-sure.rst`` has the alternatives and the check.
 """

@@ -324,7 +324,7 @@ class FaultFree:
     def scaled(self, moments: Moments, whole: Moments) -> Moments:
         """Return moments in the scale of those of all samples.
 
-        The scale is no part of what is held out: a threshold goes with it, whatever it is.
+        The scale is not held out, since a threshold scales with it.
         """
         inverse = np.linalg.inv(moments.whitening)
         size = np.sqrt(np.sum((inverse @ whole.whitening) ** 2) / len(inverse))

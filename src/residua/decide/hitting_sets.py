@@ -108,7 +108,7 @@ def minimal_hitting_sets(
     DataError
         If a conflict set is empty: then no fault explains its residual. If there are too many sets.
     SettingError
-        If a rate does not lie between 0 and 1 or is that of no fault here, or ``most_faults`` is no number of faults.
+        If a rate does not lie between 0 and 1 or is for an unknown fault, or ``most_faults`` is not a number of faults.
 
     See Also
     --------

@@ -166,7 +166,7 @@ def _occurrence(name: str, q: NDArray[np.float64], window: int, number: int, of:
     away = q - mean
     if not np.any(mean):
         raise DataError(f"{which} of {name!r} shows no fault: the mean of its residuals is the fault-free one")
-    # What a fault that grows or wavers does along its own direction is no error of the direction.
+    # What a fault that grows or wavers does along its own direction is not an error of the direction.
     direction = mean / np.linalg.norm(mean)
     values, vectors = np.linalg.eigh(across(direction, away.T @ away / (count - 1)))
     vectors[:, 0] = direction  # at right angles to all others, where nothing is left

@@ -122,7 +122,7 @@ def hold_block(
     that begins with a settled fault, one that arrived before the window, has no arrival. Nor can an arrival explain
     an alarm that was raised before it: those of a fault that still grows, or of a filter that settles more slowly than
     the window is long, are not taken. Nor is a sample at which the likelihood has fallen by more than noise does: the
-    fault has gone, and what is left is no step any more.
+    fault has gone, and the rest is no longer a step.
 
     Parameters
     ----------

@@ -410,8 +410,8 @@ class MultiscaleEWMA(TestSettings):
 
     Notes
     -----
-    Assumes: fault-free residuals are as in the data of the fit. A wander slower than the recording is no part of these:
-    the notes of a fit and of a run say where they see one.
+    Assumes: fault-free residuals are as in the data of the fit. A wander slower than the recording is not part of
+    these: the notes of a fit and of a run say where they see one.
 
     References
     ----------

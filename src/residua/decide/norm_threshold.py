@@ -45,7 +45,7 @@ class NormThreshold(NormSettings):
     window : int
         Samples ``N`` over which the residual is summed. A longer window sees smaller and slower faults, and
         sees large ones no more than that later. It holds the last ``N`` judged samples: those where something is
-        missing or the filter settles again are no part of it, and it reaches further back instead.
+        missing or the filter settles again do not count, and it reaches further back instead.
     whiten : {"auto", "data", "model", "none"}
         Whose covariance :math:`\Sigma_N` is used: that of the fault-free data, that of the plant's noise
         model, or the identity. ``"auto"`` takes the data when fitted, else the model, else none.

@@ -187,7 +187,7 @@ class PeakThreshold(TestSettings):
 
     Assumes that the filter has settled: a certified threshold holds from an initial error of zero, or once the
     transient of the start has decayed (``Monitor(settle=...)``). Samples that are not judged, because values are
-    missing or the filter settles again, are no part of the window: it holds the last ``window`` judged samples and
+    missing or the filter settles again, do not belong to the window: it holds the last ``window`` judged samples and
     reaches further back in time over a gap. Meanwhile an alarm neither begins nor ends.
 
     Parameters

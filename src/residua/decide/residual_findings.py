@@ -134,7 +134,7 @@ class ResidualReport(Shown):
     changes : tuple of Change
         Where the residuals begin to be others.
     independent : int
-        How many residuals are no combination of others.
+        Number of residuals that are not combinations of others.
     least_rate : float
         The smallest rate of false alarms that so many samples can promise with 95 % confidence by themselves.
     recommendations : tuple of str

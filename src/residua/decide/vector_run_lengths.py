@@ -15,7 +15,7 @@ from residua.errors import SettingError
 _ON_RADIUS, _ON_ARC, _FEWEST, _MOST = 1.7, 1.2, 12, 96
 #: Residuals up to which run lengths after a shift are computed on the way to something else: it takes seconds beyond.
 MOST_DIMENSIONS = 3
-#: Sums of more samples than that many over the square of the allowance are no chance any more.
+#: Sums of more samples than that many over the square of the allowance are beyond chance.
 _LONGEST_SUM = 60.0
 #: A step whose density is less than the exponential of minus this is none: 1e-20, far below what settles.
 _NEVER = 46.0

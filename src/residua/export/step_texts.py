@@ -3,7 +3,7 @@
 Names in capitals are sizes, and settings that are known when a monitor is exported.
 """
 
-#: Deviations from the operating point; what lies outside the plausible range, or is no number, is missing.
+#: Deviations from the operating point; what lies outside the plausible range, or is not a number, is missing.
 TAKE = """
 complete = True
 for j in range(INPUTS):

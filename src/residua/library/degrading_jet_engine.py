@@ -141,7 +141,7 @@ def degrading_jet_engine_controller(
     Raises
     ------
     ModelError
-        If the engine is no sampled uncertain plant.
+        If the engine is not a sampled uncertain plant.
     SettingError
         If a weight is not positive.
 

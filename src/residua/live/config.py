@@ -182,7 +182,7 @@ def load_settings(path: str | Path) -> LiveSettings:
     Raises
     ------
     FileFormatError
-        If it is no TOML, or a key is unknown, missing, or not what it may be: one line with the key and its line.
+        If it is not TOML, or a key is unknown, missing, or invalid: one line with the key and its line.
     MissingExtraError
         If a package that an adapter needs is not installed.
     """

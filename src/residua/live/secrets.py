@@ -32,7 +32,7 @@ def secret(settings: Any, name: str) -> str | None:
     ------
     SettingError
         If both are there; the file cannot be read, may be read by every user of the machine (POSIX), or is too large;
-        the variable is not set; or the secret is empty, has more lines than one or is no text. What is said never has
+        the variable is not set; or the secret is empty, has more lines than one or is not text. The message never has
         the secret in it.
 
     Examples

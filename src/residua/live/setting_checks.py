@@ -65,7 +65,7 @@ def file(settings: Any, key: str) -> None:
     text(settings, key)
     value = getattr(settings, key)
     if value and not Path(value).is_file():
-        raise SettingError(f"{key}: {value} is no file")
+        raise SettingError(f"{key}: {value} is not a file")
 
 
 def table_of_texts(value: Any, key: str) -> dict[str, str]:

@@ -32,7 +32,7 @@ class SqliteStore(SqlStore):
     Raises
     ------
     StoreError
-        When it is opened: if the file is no store, another run has it, or the folder does not exist.
+        When it is opened: if the file is not a store, another run has it, or the folder does not exist.
     """
 
     def __init__(self, path: str | Path) -> None:

@@ -30,7 +30,7 @@ def with_estimator(bank: ResidualGenerator, estimator: ResidualGenerator) -> Res
     Raises
     ------
     ModelError
-        If the first is no bank, the second no estimator, or their plants differ.
+        If the first is not a bank, the second not an estimator, or their plants differ.
     """
     if bank.codes is None:
         raise ModelError("an estimator runs beside a bank, whose members are tested one by one; this is not a bank")

@@ -34,7 +34,7 @@ from residua.words import counted, listing
 
 #: Largest part that may be held out.
 MOST_HELD_OUT = 0.5
-#: Residuals this many times as large as the noise of the plant makes them are no matter of its size.
+#: Residuals this many times as large as the noise of the plant makes them are not explained by its size.
 _FAR_LARGER = 10.0
 
 
@@ -239,7 +239,7 @@ def _far_larger(generator: ResidualGenerator, run: FaultFreeRun) -> list[str]:
         (rows.std(axis=0) / expected, "moves {} times as much as the noise of the plant explains", _MOVES),
         (
             np.abs(rows.mean(axis=0)) / expected,
-            "lies {} of the plant's noise deviations off zero",
+            "lies {} standard deviations of the plant's noise off zero",
             _OFF,
         ),
     ):

@@ -95,7 +95,7 @@ def _plan(spec: Specification, test: CompiledTest) -> Plan:
     parts = 0 if test.sizes is None else len(test.sizes)
     channels, k = spec.B.shape[1], test.whitening.shape[1]
     largest = np.finfo(np.float64).max
-    plausible = np.clip(spec.plausible, -largest, largest)  # infinity is no measurement, however wide the range
+    plausible = np.clip(spec.plausible, -largest, largest)  # infinity is not a measurement, however wide the range
     first = spec.first
     integers = [
         len(spec.A), channels, 0, len(spec.C), spec.settle, spec.max_hold,
@@ -422,7 +422,7 @@ class FusedRun:
     def step(self, u: Any, y: Any) -> tuple[int, float]:
         """Process one sample of one plant, and return a sum of flags, and the statistic.
 
-        Raises an error of Python where u or y is no array of floats with as many numbers as there are channels.
+        Raises a Python error unless u and y are arrays of floats with one number per channel.
         """
         if self._on[2] is None:
             one = self.outputs(1, 1)

@@ -69,7 +69,7 @@ def load_regimes(path: str | Path) -> RegimeMonitor:
     path = Path(path)
     content = loads(read_bytes(path, "monitor"), path.name)
     if content.get("format") != REGIMES:
-        raise FileFormatError(f'{path.name} is no monitor by operating mode (no "format": {REGIMES!r} in it)')
+        raise FileFormatError(f'{path.name} is not a monitor by operating mode (no "format": {REGIMES!r} in it)')
     if content.get("version") != VERSION:
         raise FileFormatError(
             other_version(path.name, content.get("version"), VERSION, "design and fit the monitor again")

@@ -75,7 +75,7 @@ def residual_report(
     DataError
         If a recording does not fit the plant, or is too short, or holds no noise.
     SettingError
-        If this is no generator.
+        If this is not a generator.
 
     See Also
     --------

@@ -150,7 +150,7 @@ def monitor_from(content: Mapping[str, Any], source: str) -> Monitor:
             other_version(source, content.get("version"), VERSION, "design and fit the monitor again")
         )
     try:
-        with np.errstate(all="ignore"):  # what overflows is refused; that it did is no news
+        with np.errstate(all="ignore"):  # overflow is refused later; a warning adds nothing
             return _monitor_in(record(_ABSENT | dict(content), "", (*_ENTRIES, *_ABSENT, CHECKSUM)))
     except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError, MemoryError, ResiduaError) as error:
         raise FileFormatError(f"{source}: {shortened(str(error), 1000)}") from error

@@ -130,7 +130,7 @@ def _kept_states(p: ScaledPencil, X1: NDArray, X2: NDArray, B2: NDArray) -> tupl
     """Return the old states that become new ones (None: a new direction) and their rows of ``z``."""
     r = X1.shape[1]
     terms = np.abs(X2) @ np.abs(B2)
-    # A state that an input reaches at once is no function of z, and has no derivative to speak of.
+    # A state that an input reaches at once is not a function of z, and has no useful derivative.
     free = np.flatnonzero(
         np.abs(X2 @ B2).max(axis=1, initial=0.0) <= ROUNDING * np.maximum(terms.max(initial=0.0), TINY)
     )

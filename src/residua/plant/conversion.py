@@ -45,7 +45,7 @@ def plant_from_state_space(
     Raises
     ------
     ModelError
-        If the object is no state-space system, its time base is open and ``dt`` is not given, or ``dt``
+        If the object is not a state-space system, its time base is open and ``dt`` is not given, or ``dt``
         contradicts it.
 
     Examples

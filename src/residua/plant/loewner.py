@@ -37,7 +37,7 @@ _FEWEST = 10
 _ROUNDS = 4
 #: Copies, and by how many units in the last place their entries differ at most.
 _COPIES, _LAST_PLACES = 2, 4
-#: What is as many times as large as what copies differ by is no rounding.
+#: Beyond so many times the difference between copies, a value is not rounding.
 _SURELY = 4.0
 
 

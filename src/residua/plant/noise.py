@@ -113,7 +113,7 @@ def joint_factors(
     smallest = _smallest_correlation(joint, np.concatenate(spread))
     if smallest < -1e-8:
         raise ModelError(
-            "cross: process, measurement and cross together are no covariance: the correlation matrix of "
+            "cross: process, measurement and cross together are not a covariance: the correlation matrix of "
             f"[[process, cross], [cross', measurement]] has the eigenvalue {smallest:.3g}"
         )
     L = factor(joint)

@@ -219,7 +219,7 @@ def reachable_part(system: StateSpace) -> ReachablePart:
 def response_points(poles: NDArray[np.complex128], dt: float, *, count: int = 60) -> NDArray[np.complex128]:
     """Return points on the stability boundary that span the dynamics of some poles, away from round numbers."""
     if dt:
-        slow = np.abs(np.log(poles[np.abs(poles) > 0.5]))  # poles at one itself are no reason to look nearer
+        slow = np.abs(np.log(poles[np.abs(poles) > 0.5]))  # poles at one itself do not need a closer look
         slow = slow[slow > 1e-12]
         low = 0.1 * float(np.min(slow, initial=1e-3)) / np.pi
         return np.exp(1j * np.pi * np.concatenate([np.geomspace(low, 0.97, count - 1), [0.37]]))

@@ -317,7 +317,7 @@ def _as_number(text: str, decimal: str) -> str:
 
 
 def is_text(cells: Iterable[str], marks: Marks) -> bool:
-    """Return whether no cell is a number in any notation, and some are no mark of a missing value either."""
+    """Return whether no cell is a number in any notation, and some are not marks of a missing value either."""
     kinds = {cell.strip() for cell in cells}
     return not any(map(_is_digits, kinds)) and any(cell not in marks for cell in kinds)
 

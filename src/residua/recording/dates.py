@@ -62,7 +62,7 @@ def seconds_from_text(
             if all(cell[:1].isdigit() for cell in stripped):  # NumPy also takes "now", and "" for no time
                 return seconds_from_dates(np.array(stripped, dtype="datetime64[ns]"))
     except (ValueError, UserWarning, DeprecationWarning):
-        pass  # a time zone, or a cell that is no time: the slow way tells which
+        pass  # a time zone, or a cell that is not a time: the slow way finds which
     return _one_by_one(stripped, rows, what, datetime.fromisoformat, "")
 
 
@@ -126,7 +126,7 @@ def _numbers(cells: list[str], rows: Sequence[int], what: str, dayfirst: bool | 
     except ValueError:
         k = next(i for i in range(len(cells)) if not _is_moment(lambda i=i: moment(i)))
         order = "day/month/year" if by_day else "month/day/year"
-        raise DataError(f"{what}, line {rows[k]}: {echo(cells[k])}, read as {order}, is no time") from None
+        raise DataError(f"{what}, line {rows[k]}: {echo(cells[k])}, read as {order}, is not a time") from None
 
 
 def _is_moment(text: Callable[[], str]) -> bool:

@@ -111,7 +111,7 @@ def read_recording(
     Raises
     ------
     DataError
-        If a column is missing (the message has the ``columns`` to give), a cell is no number (with its line), times
+        If a column is missing (the message has the ``columns`` to give), a cell is not a number (with its line), times
         are missing, repeated, backwards or irregular (with the row and both steps), or stand on no grid, the step is
         not the plant's, or there are no data.
     SettingError
@@ -314,7 +314,7 @@ def _from_named_arrays(read: Callable[[Path], dict[str, NDArray]]) -> Callable[[
     return reader
 
 
-#: Readers of files that are no text, by the ending of the name.
+#: Readers of files that are not text, by the ending of the name.
 _READERS: dict[str, Callable[[Path, ReadOptions], Recording]] = {
     ".parquet": _from_parquet,
     ".mat": _from_named_arrays(read_mat),

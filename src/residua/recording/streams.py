@@ -238,7 +238,7 @@ def _text(path: Path, options: ReadOptions) -> Stream:
                 body = csv_arrow.body_of(lines, len(table.names), table.delimiter, options.decimal)
                 columns = None if body is None else body.numbers(places, options.marks)
                 if body is None or columns is None:
-                    raise NotServedError("a cell is no number, or a line is not as the others")
+                    raise NotServedError("a cell is not a number, or a line differs from the others")
                 for name, place, values in zip(names, places, columns, strict=True):
                     if name != stream.clock and np.isnan(values).any():
                         body.count_marks(place, options.marks, name, stream.tally)

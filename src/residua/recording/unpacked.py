@@ -19,7 +19,7 @@ def unpacked_limit() -> int:
     Raises
     ------
     SettingError
-        If the environment says something that is no number of bytes.
+        If the environment says something that is not a number of bytes.
     """
     text = os.environ.get(VARIABLE, "")
     if not text:

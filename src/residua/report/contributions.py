@@ -102,7 +102,7 @@ def channels_by_reconstruction(diagnosis: Diagnosis) -> list[tuple[str, float]]:
     main, plant = diagnosis.main_alarm, diagnosis.generator.plant
     if main is None or plant.n_states or plant.inputs or not diagnosis.signatures:
         return []
-    channels = len(diagnosis.groups) - len(diagnosis.learnt_faults)  # what was learnt is no channel
+    channels = len(diagnosis.groups) - len(diagnosis.learnt_faults)  # learnt faults are not channels
     rows = diagnosis.scores[main.start : main.stop, :channels]
     rows = rows[np.isfinite(rows).all(axis=1)]
     if not len(rows):

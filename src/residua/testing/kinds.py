@@ -129,7 +129,7 @@ def check_isolation(
         raise AccuracyError(f"a score is {np.nanmax(found.scores):.3g}: the best is 1")
     for alarm in monitor.run(*_recording(generator, rng, _RUN, faulty=True)).alarms:  # pyright: ignore
         if any(candidate.faults not in isolation.groups for candidate in alarm.candidates):
-            raise AccuracyError(f"a candidate of {alarm.candidates} is no group")
+            raise AccuracyError(f"a candidate of {alarm.candidates} is not a group")
         _check_statement(isolation.statement(alarm, Clock(step=generator.dt), isolation.samples))
 
 

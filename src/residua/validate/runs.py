@@ -27,7 +27,7 @@ from residua.validate.noise import NoiseModel, Resampled
 from residua.validate.scenario import Case, channel_of
 from residua.validate.truth import ActingFault, Truth, truth_of, with_acting_fault
 
-#: Codes of names that are no group: no alarm was raised; nobody was named; several faults at once.
+#: Codes of names that are not groups: no alarm was raised; nobody was named; several faults at once.
 NO_ALARM, UNKNOWN, SEVERAL = -1, -2, -3
 #: Numbers in the arrays of runs that are simulated together, about: bounds memory.
 _NUMBERS = 10_000_000

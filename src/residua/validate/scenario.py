@@ -178,7 +178,7 @@ def load_scenarios(path: str | Path) -> tuple[Scenario, ...]:
     Raises
     ------
     FileFormatError
-        If the file is no TOML, or an entry is missing, unknown or not what it may be; the message names it.
+        If the file is not TOML, or an entry is missing, unknown or invalid; the message names it.
 
     Examples
     --------

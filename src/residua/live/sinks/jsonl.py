@@ -39,7 +39,7 @@ class Settings:
     Raises
     ------
     SettingError
-        If there is no path, its folder does not exist, or it is something else than a file.
+        If there is no path, its folder does not exist, or it is not a file.
     """
 
     path: str
@@ -91,7 +91,7 @@ class JsonLines(Sink):
         ------
         DeliveryError
             If the file cannot be written (the disk is full, say), another process is writing it, or it ends in
-            something that is no event.
+            something that is not an event.
         """
         lines, size = [], 0
         for event in events:

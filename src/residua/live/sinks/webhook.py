@@ -102,7 +102,7 @@ def checked_address(text: str, key: str) -> httpx.URL:
     Raises
     ------
     SettingError
-        If it is no address, has a user or a password in it, or is neither HTTPS nor on this machine.
+        If it is not an address, has a user or a password in it, or is neither HTTPS nor on this machine.
 
     Examples
     --------

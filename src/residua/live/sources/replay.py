@@ -92,7 +92,7 @@ class Settings:
             raise SettingError("file: name the recording that is replayed, or one for each plant in files")
         for plant, path in self.files.items():
             if not Path(path).is_file():
-                raise SettingError(f"files: {path}, of {plant}, is no file")
+                raise SettingError(f"files: {path}, of {plant}, is not a file")
 
 
 @dataclass(frozen=True, eq=False)
