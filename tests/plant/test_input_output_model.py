@@ -177,7 +177,7 @@ def test_properness_does_not_depend_on_how_equations_are_combined() -> None:
         rtol=1e-10,
     )
     assert good.to_plant().n_states == 1
-    with pytest.raises(ModelError, match="no proper function"):
+    with pytest.raises(ModelError, match="not a proper function"):
         InputOutputModel(H, [[[1, 2]], [[1, 0]]])
     assert InputOutputModel([[[1, 0], [1]], [[1, 0, 1], [1, 0]]], [[[1]], [[1, 0]]]).to_plant().n_states == 0
 

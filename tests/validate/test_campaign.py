@@ -575,7 +575,7 @@ def test_what_does_not_fit_the_monitor(plant: rs.Plant, monitor: rs.Monitor) -> 
         v.campaign(monitor, ["leak"], **SMALL)  # pyright: ignore
     with pytest.raises(SettingError, match="scenarios must be"):
         v.campaign(monitor, None, **SMALL)  # pyright: ignore
-    with pytest.raises(SettingError, match="for a Monitor"):
+    with pytest.raises(SettingError, match="takes a Monitor"):
         v.campaign(plant, **SMALL)  # pyright: ignore
     with pytest.raises(NotFittedError, match="no threshold"):
         v.campaign(rs.Monitor(rs.design.kalman_filter(plant), test=rs.decide.PeakThreshold()), **SMALL)
