@@ -247,9 +247,9 @@ class Adaptive(NormSettings):
 
     .. math:: J_k > a + \sum_j b_j\, |\varphi_{j,k}|, \qquad \varphi_j = W\, G_{ry}\, \Delta G_j\, u
 
-    with the norm :math:`J` of :class:`residua.decide.NormThreshold`, and what an error :math:`\Delta G_j` of the model
-    would make of the inputs that were given, through the residual generator :math:`G_{ry}` and the whitening :math:`W`.
-    A plant that does not move is judged as sharply as its noise allows, and large inputs raise no alarm by themselves.
+    with the norm :math:`J` of :class:`residua.decide.NormThreshold`, and the effect of an error :math:`\Delta G_j` of
+    the model on it for the given inputs, through the residual generator :math:`G_{ry}` and the whitening :math:`W`. A
+    plant that does not move is judged as sharply as its noise allows, and large inputs raise no alarm by themselves.
 
     The errors are
 
@@ -292,7 +292,7 @@ class Adaptive(NormSettings):
     Notes
     -----
     Assumes: the plant is stable; errors are constant in time; the noise is as the model or the fit says. A fit holds
-    for inputs like those of its recordings. What inputs before the first one did is not known: the plant is taken to
+    for inputs like those of its recordings. The effect of inputs before the first one is unknown: the plant is taken to
     have settled to the first. Where it moves as the monitor starts, errors of the model raise alarms until the plant
     itself has forgotten that, which may take longer than the filter does: ``Monitor(settle=...)`` with as many samples.
 

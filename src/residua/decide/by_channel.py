@@ -154,10 +154,10 @@ def _relative(values: NDArray[np.float64]) -> NDArray[np.float64]:
 class ByChannel(IsolationSettings):
     """Name the sensor or actuator whose channel deviates most from its prediction by the others.
 
-    For :class:`residua.decide.ChannelRelations`. An alarm that moves the residual of the model enough has a word by
-    what faults do to that, as by :class:`residua.decide.Directional`. Of any other, channels are compared in their own
-    thresholds over its first hundred samples; nothing then tells a sensor from something that is not listed. Faults
-    that move several channels at once are never named by channel.
+    For :class:`residua.decide.ChannelRelations`. An alarm that moves the residual of the model enough gets a
+    word by the responses to faults, as with :class:`residua.decide.Directional`. For any other, channels are compared
+    in their own thresholds over its first hundred samples; a sensor is then not distinguishable from an unlisted cause.
+    Faults that move several channels at once are never named by channel.
 
     Examples
     --------

@@ -458,7 +458,7 @@ class ChannelRelations(TestSettings):
     r"""Alarm where a channel deviates from its prediction by the others, or the residual from zero.
 
     A prediction from the past follows a sensor that stays wrong: its residual shows the moment in which it goes wrong
-    and little of what comes after. So each channel is compared, beside the residual, with
+    and little afterwards. So each channel is compared, beside the residual, with
 
     .. math::
 

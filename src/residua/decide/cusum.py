@@ -182,9 +182,9 @@ class CUSUM(StreamSettings):
         Runger's sums about: an alarm is taken to end as its allowance takes it down). When omitted, one that the log of
         a fit can support; see :class:`residua.decide.NormThreshold`.
     threshold : float, optional
-        h, where it is to be neither.
+        h, instead of both.
     form : {"auto", "page", "crosier", "pignatiello-runger"}
-        ``"auto"``: Page's of one residual, Crosier's of several. Page's sees best what moves one residual alone.
+        ``"auto"``: Page's of one residual, Crosier's of several. Page's is best for changes of one residual alone.
     source : {"auto", "design", "data", "quantile", "tail", "conformal"}
         Where the threshold is from after a fit: designed, for white Gaussian residuals; from the fault-free data
         themselves, for a fraction of samples in alarm, in one of the ways of

@@ -82,8 +82,8 @@ class Promise:
     aimed : float
         The fraction expected with this threshold.
     promised : float
-        The fraction not exceeded, with 95 % confidence, on other data that are like these: what is normal on another
-        day and is not in them is not covered. 1 if the data say nothing.
+        The fraction not exceeded, with 95 % confidence, on other data that are like these; normal operation on another
+        day that is not in them is not covered. 1 if the data say nothing.
     extended : str
         Model by which the rate is extended if the data are too few to show it; else empty.
     """

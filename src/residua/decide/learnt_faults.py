@@ -110,8 +110,8 @@ def learnt_direction(
        \qquad \tan \alpha = \frac{\varrho_{95}(\operatorname{cov} \hat s_\perp)}{\|s\|}
 
     with eigenvalues :math:`\lambda_i`, 1 or more, and vectors :math:`v_i` of the covariance of the whitened residual,
-    and the correlation time :math:`\tau_i` of each component. Of several recordings, the larger of this and of what
-    their own directions say of their mean.
+    and the correlation time :math:`\tau_i` of each component. Of several recordings, the larger of this and of
+    the spread of their own directions about their mean.
 
     Parameters
     ----------

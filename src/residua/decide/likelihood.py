@@ -355,13 +355,13 @@ class Likelihood(IsolationSettings):
 
     .. math:: e_t = \theta H_a + \nu_t, \qquad \nu_t \sim N(0, I), \qquad H_a \to h \ell
 
-    at its age :math:`a`; :math:`H_a` is what the autoregression of the test leaves of a step. A filter over the faults
-    and their arrivals has the probability of each fault, of one that is not listed and of none; see
+    at its age :math:`a`; :math:`H_a` is the response of the autoregression of the test to a step. A filter over the
+    faults and their arrivals has the probability of each fault, of one that is not listed and of none; see
     :class:`residua.decide.fault_posterior.FaultFilter` for the equations. Over the alarm, :math:`z = \sum e / \sqrt n`,
     the generalised likelihood ratio of a fault against none is :math:`2 \ln \Lambda = (\ell^T z)^2`; the *p-value* of a
-    fault is the probability that noise leaves as much of :math:`z` beside it,
-    :math:`|z|^2 - (\ell^T z)^2 \sim \chi^2_{m-1}`, and that of a fault against the first one the probability that noise
-    makes the first explain as much that this one does not, :math:`\chi^2_1`. Both hold whatever the size is.
+    fault is the probability that noise leaves as much of :math:`z` beside it, :math:`|z|^2 - (\ell^T z)^2 \sim
+    \chi^2_{m-1}`, and that of a fault against the first one the probability that noise makes the first explain as much
+    that this one does not, :math:`\chi^2_1`. Both hold whatever the size is.
 
     Guaranteed: of faults that are drawn from the prior rates, with sizes of N(0, size²) standard deviations, those of a
     probability p are right in a fraction p of cases. Assumes: a fault is a step, its direction is the steady one of the

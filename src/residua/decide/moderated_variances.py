@@ -39,9 +39,9 @@ def moderated_variances(variances: ArrayLike, freedom: ArrayLike) -> ModeratedVa
     r"""Return shrunk variances, for residuals with few observations each.
 
     A limit from three fault-free days has two degrees of freedom: at one in a thousand it is 22 times the scatter.
-    Where many residuals have few observations, all variances together say what the variance of such a residual is
-    like. With the prior :math:`d_0 s_0^2 / \sigma^2 \sim \chi^2_{d_0}`, of which both numbers are estimated from the
-    mean and the variance of the logarithms,
+    If many residuals have few observations, all variances together show the usual variance of such a residual. With the
+    prior :math:`d_0 s_0^2 / \sigma^2 \sim \chi^2_{d_0}`, of which both numbers are estimated from the mean and the
+    variance of the logarithms,
 
     .. math:: \tilde s_i^2 = \frac{d_0 s_0^2 + d_i s_i^2}{d_0 + d_i}, \qquad
               r_i / \tilde s_i \sim t_{d_0 + d_i}

@@ -66,7 +66,7 @@ class NormThreshold(NormSettings):
         like that of chi-squared. ``"quantile"``: an order statistic, so that the rate is at most ``false_alarm_rate``
         with 95 % confidence, whatever the distribution. ``"conformal"``: mean and covariance of the first half of the
         data, an order statistic of the second: at most the rate on average over fits. ``"tail"``: a generalised Pareto
-        tail, of any weight. All say in ``basis`` what the samples at hand can promise, and how many more it takes.
+        tail, of any weight. All state in ``basis`` the rate that the samples can promise, and the number required.
 
     References
     ----------

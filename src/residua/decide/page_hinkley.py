@@ -111,12 +111,12 @@ class PageHinkley(StreamSettings):
 
     See Also
     --------
-    residua.decide.CUSUM : Where the mean of the fault-free residual is known: sees what is there from the start.
+    residua.decide.CUSUM : With a known mean of the fault-free residual: also detects faults present from the start.
     residua.decide.SPRT : With the rate of misses designed as well.
 
     Notes
     -----
-    What the mean so far leaves of white Gaussian samples of any mean is independent, with a variance that is known,
+    White Gaussian samples of any mean less their running mean are independent, with a known variance,
 
     .. math:: e_k - m_k = \sqrt{1 - 1/k}\; w_k, \qquad w_k \sim N(0, 1) \text{ independent}
 
@@ -129,7 +129,7 @@ class PageHinkley(StreamSettings):
     References
     ----------
     Page (1954), Biometrika 41; Hinkley (1971), Biometrika 58(3); Brown, Durbin and Evans (1975), Journal of the Royal
-    Statistical Society B 37(2), for the independence of what the mean so far leaves.
+    Statistical Society B 37(2), for the independence of these deviations.
 
     Examples
     --------

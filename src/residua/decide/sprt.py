@@ -156,7 +156,7 @@ class SPRT(StreamSettings):
     ----------
     false_alarm_rate : float, optional
         :math:`\alpha`, of each decision of each side of each residual, by Wald's bound: **not** a fraction of samples.
-        What it comes to as a time between false alarms is in ``basis`` and in :meth:`run_length`. When omitted, 1e-4,
+        The resulting time between false alarms is in ``basis`` and in :meth:`run_length`. When omitted, 1e-4,
         and a fit finds A for the fraction of samples in alarm that its log can support instead
         (:class:`residua.decide.NormThreshold`).
     miss_rate : float

@@ -35,16 +35,15 @@ class Word:
     faults : tuple of tuple of str
         The one that explains it, those that do, or the nearest; each with those that look the same here.
     unlisted : str
-        What nobody listed and explains it as well, or better: ``"anything"`` where nothing of the kind was tried; empty
-        if nothing does.
+        Unlisted cause that explains it as well, or better: ``"anything"`` if none was tried; empty without one.
     why : str
         Reason for a good match, or for another word; empty if faults were fitted to the residual.
     together : bool
-        Whether the faults are there at once, rather than one of them.
+        Whether the faults are present at once, rather than one of them.
     quieter : bool
         Whether the rest is less than the noise of the fit: a frozen sensor, or other units.
     from_start : bool
-        Whether it was there when judging began, or too soon after to be compared with what was before.
+        Whether it was present when judging began, or too soon after for a comparison with earlier samples.
     after : int
         Samples of the alarm that it rests on.
     evidence : float

@@ -28,8 +28,9 @@ def to_c(
 ) -> Path:
     """Write a monitor as C99: ``NAME.h``, ``NAME.c``, a self-test and a Makefile.
 
-    ``NAME_init(&state)`` and ``NAME_step(&state, u, y, &decision)`` do what :meth:`residua.Monitor.step` does: filter,
-    operating point, missing values, settling, test, persistence, and the direction that names a group of faults.
+    ``NAME_init(&state)`` and ``NAME_step(&state, u, y, &decision)`` do the same as :meth:`residua.Monitor.step`:
+    filter, operating point, missing values, settling, test, persistence, and the direction that names a group of
+    faults.
 
     Guaranteed: in double precision, compiled without contraction of products and sums (``-std=c99`` with gcc and clang,
     else ``-ffp-contract=off``), the bits of the monitor, at any optimisation that keeps to IEEE 754. In single
@@ -60,7 +61,7 @@ def to_c(
     Raises
     ------
     SettingError
-        If the code cannot hold what the monitor does (the message says which part), or an option has an invalid value.
+        If the code cannot represent the monitor (the message names the part), or an option has an invalid value.
     NotFittedError
         If the monitor has no threshold.
     DataError

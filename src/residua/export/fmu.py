@@ -66,7 +66,7 @@ def to_fmu(
 
     A sample is taken at the start time t0 and every dt from there on: by the communication step that starts at
     t0 + k dt, of the inputs that are set then. After that step the outputs are those of :meth:`residua.Monitor.step` on
-    that sample; what is set later has no part in them. A step that passes a sample (one longer than dt, or one that
+    that sample; inputs set later do not affect them. A step that passes a sample (one longer than dt, or one that
     begins before a sample and ends after it) is refused, since the inputs of that sample are not known; with the
     parameter ``hold_inputs`` it takes the inputs of its beginning.
 
@@ -98,7 +98,7 @@ def to_fmu(
     Raises
     ------
     SettingError
-        If the unit cannot hold what the monitor does, an option has an invalid value, or a binary is asked for and
+        If the unit cannot represent the monitor, an option has an invalid value, or a binary is requested and
         there is no compiler, or it fails.
     AccuracyError
         If the compiled code differs from the monitor in any bit.
@@ -113,7 +113,7 @@ def to_fmu(
 
     Notes
     -----
-    Assumes that the importer calls every step once, and sets what is missing to NaN. Instances share nothing; the state
+    Assumes that the importer calls every step once, and sets missing values to NaN. Instances share nothing; the state
     of one can be read, set and kept as bytes, which are refused where they are those of another monitor. It comes
     without a certificate.
 

@@ -144,7 +144,7 @@ def monitor_program(
     NotFittedError
         If the monitor has no threshold.
     SettingError
-        If the program cannot hold what the monitor does; the message says which part.
+        If the program cannot represent the monitor; the message names the part.
     """
     if not isinstance(monitor, Monitor):
         raise ModelError(f"only a Monitor can be exported, got {type(monitor).__name__}")

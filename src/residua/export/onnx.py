@@ -65,8 +65,8 @@ def to_onnx(
     r"""Write a monitor as an ONNX model, ``NAME.onnx``.
 
     The model takes recordings of one sample or more, ``u`` (samples, inputs; absent where the plant has none) and ``y``
-    (samples, outputs), and where it goes on from, ``state`` and ``counts``: zeros at first, later what the call before
-    gave as ``next_state`` and ``next_counts``. It gives ``residual`` (samples, residuals), ``statistic``, ``known``,
+    (samples, outputs), and its state, ``state`` and ``counts``: zeros at first, later ``next_state`` and
+    ``next_counts`` of the call before. It gives ``residual`` (samples, residuals), ``statistic``, ``known``,
     ``decided``, ``alarm``, and where faults are named ``scored``, ``score`` (samples, groups) and ``best``, as
     :func:`to_c` does. Inside is one ``Scan`` over the samples.
 
@@ -105,7 +105,7 @@ def to_onnx(
     MissingExtraError
         If the extra ``onnx`` is not installed.
     SettingError
-        If the model cannot hold what the monitor does, an option has an invalid value, or nothing can be promised in
+        If the model cannot represent the monitor, an option has an invalid value, or nothing can be promised in
         single precision.
     AccuracyError
         If the model's answers are not those of the monitor.
@@ -120,7 +120,7 @@ def to_onnx(
 
     Notes
     -----
-    Assumes that samples are ``dt`` apart and that what is missing is NaN. A decision about a statistic that is as near
+    Assumes that samples are ``dt`` apart and that missing values are NaN. A decision about a statistic that is as near
     to its threshold as rounding reaches may be another one. It comes without a certificate.
 
     References

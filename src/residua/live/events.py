@@ -31,8 +31,8 @@ class Event:
     clock : str
         The same as ISO 8601 in UTC, where times are dates; else empty.
     content : mapping
-        Of an alarm: what :meth:`residua.monitor.Alarm.to_dict` says, ``name`` (the faults it is put down to, in
-        words), ``text`` (the statement about it, sentence by sentence), and ``plant_name``; of missing values
+        Of an alarm: the entries of :meth:`residua.monitor.Alarm.to_dict`, ``name`` (the faults it is attributed to, as
+        text), ``text`` (the statement about it, sentence by sentence), and ``plant_name``; of missing values
         ``channels``. Of plain values for JSON.
     """
 

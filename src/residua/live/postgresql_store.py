@@ -37,7 +37,7 @@ class PostgresqlStore(SqlStore):
     """A store in tables of a database, owned by one run at a time.
 
     A commit is as safe as the server makes it (``synchronous_commit`` on, as it is by default). While the server is
-    away the run waits; what it was writing is written again, which leaves the same.
+    away the run waits; its changes are written again, with the same effect.
 
     Parameters
     ----------

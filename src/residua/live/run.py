@@ -235,7 +235,7 @@ class Run:
         Raises
         ------
         StoreError
-            If the store is full or damaged: what was not committed was not acknowledged.
+            If the store is full or damaged: uncommitted messages were not acknowledged.
         DataError
             If a source has ended because it could not go on.
         """

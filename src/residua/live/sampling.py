@@ -1,7 +1,7 @@
 """Rows on the grid of the sample step from readings: a pure function from state and readings to state and rows.
 
 A row is released when every channel of it has been stated and all rows before it are out; or ``wait`` seconds after
-it should have been, by the times of later readings or by the clock, with NaN for what is missing. Rows come out in
+it should have been, by the times of later readings or by the clock, with NaN for missing values. Rows come out in
 order, each once. The grid follows the plant's clock slowly, so that a step that is stated a little wrong does no harm.
 """
 

@@ -25,10 +25,10 @@ class Sink(ABC):
     kind : str
         As in the configuration.
     name : str
-        Which sink it is: by it the store knows what was delivered, so it must stay the same from run to run; never with
-        a secret in it.
+        Name under which the store records deliveries, so it must stay the same from run to run; never with a secret
+        in it.
     dropped : int
-        Events that the receiver refuses for good and that were given up, so that those after them go on; counted as
+        Events that the receiver refuses for good and that were given up, so that later ones follow; counted as
         delivered. Only where the settings of a sink say ``drop_refused``.
 
     Notes

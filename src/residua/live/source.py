@@ -20,7 +20,7 @@ class Health:
     good : bool
         Whether it is connected.
     text : str
-        In words: to what it is connected, or why it is not and what is being done.
+        Text: its connection, or the reason for having none, and the remedy under way.
     """
 
     good: bool
@@ -35,12 +35,12 @@ class Source(ABC):
     kind : str
         As in the configuration.
     name : str
-        Which source it is, for the page and the log; never with a secret in it.
+        Name for the page and the log; never with a secret in it.
     finite : bool
         Whether it ends by itself, as a recording does: the run ends when all sources have.
     rereads : bool
-        Whether it brings again what it has brought before, as a file does that is read from its beginning: that
-        readings are old then says nothing of the clock of a plant.
+        Whether it repeats earlier messages, as a file does that is read from its beginning: old readings are then no
+        sign of a clock set back.
 
     Notes
     -----

@@ -51,7 +51,7 @@ _POSITION = (
 
 
 class SqlStore(Store):
-    """A store in tables. A kind of database says how it is reached, and which of its errors mean what."""
+    """A store in tables. Subclasses define the connection to a database, and the meaning of its errors."""
 
     @abstractmethod
     def _transaction(self) -> AbstractContextManager[Any]:

@@ -141,8 +141,8 @@ class Diagnosis(Guessed, Shown):
     code : ndarray of bool, shape (T, members)
         Which members count as fired over the window that ends there, for the reading.
     match : Match or None
-        Of matched filters: likelihood ratio, arrival and size of every fault at every sample, and what a standing
-        alarm is attributed to; see :class:`residua.decide.Match`.
+        Of matched filters: likelihood ratio, arrival and size of every fault at every sample, and the
+        attribution of a standing alarm; see :class:`residua.decide.Match`.
     horizon : int
         Samples of the window of a finite-horizon test (:class:`residua.decide.PeakThreshold`); 0 for any other.
     certified : bool
@@ -150,10 +150,10 @@ class Diagnosis(Guessed, Shown):
     fit_check : FitCheck or None
         Check of the fit on its own recordings, and the faults it could have seen; ``None`` without a fit.
     outside : float
-        Fraction of the decided samples that lie outside of what was learnt: where more than half of what the monitor
-        compares is not judged for it.
+        Fraction of the decided samples outside of the learnt range: more than half of the relations are not judged
+        there.
     is_unlike_the_fit : bool
-        Whether a channel never comes near what it was in the recordings of the fit; the notes say which.
+        Whether a channel never comes near its values in the recordings of the fit; the notes name it.
     predicted : bool
         Whether the filter, a Kalman filter, went on with those outputs of a sample that were there; else values were
         held.

@@ -33,8 +33,8 @@ class Fleet(Shown):
     Parameters
     ----------
     monitors : Monitor, or mapping of str to (Monitor, sequence of ids)
-        What watches the plants, with its thresholds: one monitor for all, or several models by name. What the monitors
-        themselves have seen is not taken over.
+        Monitors with thresholds: one for all plants, or several models by name. The state of the monitors themselves
+        is not used.
     plants : sequence of hashable, optional
         The ids of the plants, such as their numbers or names, for one monitor.
     threads : int
@@ -44,15 +44,15 @@ class Fleet(Shown):
     Raises
     ------
     DataError
-        If an id is there twice.
+        If an id occurs twice.
     NotFittedError
         If a monitor has no threshold.
 
     Notes
     -----
     A fleet belongs to one thread of the caller at a time. A tick, or a block, that is interrupted (by Ctrl-C, or for
-    want of memory) happens whole or not at all: what is left of it is done before the fleet does, or says, anything. In
-    a process that is forked while another thread is within a block, the fleet refuses to go on.
+    want of memory) happens whole or not at all: it is finished before any other operation of the fleet. In a process
+    that is forked while another thread is within a block, the fleet refuses to continue.
 
     See Also
     --------

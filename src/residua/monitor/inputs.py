@@ -221,7 +221,7 @@ def _seconds(time: ArrayLike) -> tuple[NDArray[np.float64], str]:
 def settling_samples(generator: ResidualGenerator, test: ResidualTest | None = None) -> int:
     """Return the number of samples in which the slowest pole of a sampled generator decays to 1 %.
 
-    To a millionth for a test by bounds: 1 % of what a start leaves in the residual is in no certified threshold. And
+    To a millionth for a test by bounds: 1 % of the effect of a start on the residual is in no certified threshold. And
     until the residual itself has forgotten the start as far: poles that are near to each other, or zero, take longer.
     """
     if test is None or not test.is_bound:

@@ -169,9 +169,9 @@ def learn(
        through the same check: the innovation alone by the default test, and
        :func:`residua.identify.canonical_variates`. Forms with more than five times the rate asked are left out, and
        these two with more than three times. Of the others the first in that order is taken that is within .02 of the
-       best; relations see what the innovation sees as well, and come before it.
-    3. All is fitted anew to all rows. Thresholds that the check exceeds more than three times as often as asked are
-       raised above all that it shows.
+       best; relations also see the innovation, and come before it.
+    3. All is fitted again to all rows. Thresholds that the check exceeds more than three times as often as requested
+       are raised above all its values.
 
     Guaranteed: the answers are the same in all units. ``learnt.monitor.fit_check`` has the results of the check, and
     every diagnosis repeats the doubts.
@@ -182,7 +182,7 @@ def learn(
         Fault-free, as :func:`residua.identify.subspace` takes them.
     y : array_like, shape (time, outputs), optional
     inputs, outputs : sequence of str, optional
-        Channels by name. Inputs are what drives the plant; when omitted, they are guessed: columns that hold their
+        Channels by name. Inputs drive the plant; when omitted, they are guessed: columns that hold their
         values over most rows, where others do not. ``[]`` for none.
     dt : float, optional
         Step in seconds of arrays.
@@ -512,7 +512,7 @@ def with_channel_fault(rows: Rows, column: int, kind: str, size: float, begin: i
 def _choose(tried: Sequence[Tried], rate: float) -> str:
     """Return the route to use: the first good one, or that with the fewest false alarms if none is good.
 
-    A monitor with relations sees what the innovation sees as well.
+    A monitor with relations also sees the innovation.
     """
     made = [one for one in tried if not one.failed]
     if not made:

@@ -95,30 +95,30 @@ class Monitor(Guessed, Shown):
     settle : int, optional
         Samples after a start or a gap in which nothing is decided. By default until the slowest pole of the filter
         has decayed to 1 %; to a millionth, which takes three times as long, if the thresholds of
-        :class:`residua.decide.PeakThreshold` are certified or set by the user: no certified threshold covers what a
-        start or a held value leaves in the residual. Fewer samples decide earlier, at that price.
+        :class:`residua.decide.PeakThreshold` are certified or set by the user: no certified threshold covers the
+        effect of a start or a held value on the residual. Fewer samples decide earlier, at that price.
     max_hold : int
         Longest gap in samples that is bridged by holding values.
     plausible : float, mapping of str to (float, float), or None
         Values outside are missing: marks for "no value" such as ``1e300``, not faults. A number: each channel from the
         middle of the recording that was fitted up to so many times its size there (its range, or its largest absolute
         value where that is more). A mapping: the smallest and largest value of the channels that it names, in plant
-        units; the others as by default. ``None``, or without a recording: only what would move the residual by more
-        than 1e30 standard deviations (thresholds of :class:`residua.decide.PeakThreshold`) is missing. A sensor that
-        fails to an end of its scale must stay within: what is missing raises no alarm.
+        units; the others as by default. ``None``, or without a recording: only values that would move the residual by
+        more than 1e30 standard deviations (thresholds of :class:`residua.decide.PeakThreshold`) is missing. A sensor
+        that fails to an end of its scale must stay within: missing values raise no alarm.
     start : {"estimated", "rest"}
         How the filter finds its state after a start, and after a gap longer than ``max_hold``. ``"rest"``: as if the
-        plant had been at rest at the first sample; what is wrong with that decays, and no more than 1 % of it is left
-        after ``settle`` samples. ``"estimated"``: besides, what the residuals of these samples (2,000 at most) show of
-        it by least squares is taken out of the state after them. A fault that is there from the first sample on is
-        partly taken out with it: as far as its residual looks like that of a wrong start. Thresholds that are bounds,
+        plant had been at rest at the first sample; the error of that decays, to 1 % at most after ``settle`` samples.
+        ``"estimated"``: in addition, its least-squares estimate from the residuals of these samples (2,000 at most) is
+        removed from the state after them. A fault present from the first sample on is partly removed with it, as far as
+        its residual looks like that of a wrong start. Thresholds that are bounds,
         certified or set by the user, hold from rest, or once every start has died away: there a start is always from
         rest. The notes of a diagnosis say where the estimate moved the residual by more than a tenth of its threshold.
 
     Notes
     -----
     Threads: :meth:`run` works on a state of its own, so one monitor may run several recordings at once in several
-    threads; what :meth:`step` goes on from is then the end of the one that finished last. :meth:`update` and
+    threads; :meth:`step` then continues from the end of the one that finished last. :meth:`update` and
     :meth:`step` belong to one stream of data: calls from several threads are done one after the other, each complete,
     but the order of samples is the caller's to keep. Give each stream a monitor of its own
     (``copy.deepcopy(monitor)`` shares nothing that changes). :meth:`fit` waits for samples of a stream, they for it.
@@ -392,7 +392,7 @@ class Monitor(Guessed, Shown):
 
         Notes
         -----
-        Assumes: the fault moves the residual along one line; what changes over the interval counts as scatter, and
+        Assumes: the fault moves the residual along one line; changes over the interval count as scatter, and
         widens the cone. One recording does not say how much one occurrence differs from the next, and the diagnosis
         says so.
 

@@ -40,9 +40,9 @@ def residual_report(
 
         .. math:: Q = n^2 \sum_{l=1}^{20} \frac{\hat\varrho_l^2}{n - l} \sim \chi^2_{20}
     bursts
-        The same for the ranks of the sizes of what an autoregression leaves: noise that becomes larger and smaller.
+        The same for the ranks of the sizes of the innovations of an autoregression: noise of varying size.
     tails, light tails, skewness
-        Kurtosis and skewness of what an autoregression leaves, by D'Agostino and Pearson's transformations; with the
+        Kurtosis and skewness of the innovations, by D'Agostino and Pearson's transformations; with the
         shape of the tail by a generalised Pareto distribution.
     quantised
         Few different values.
@@ -54,7 +54,7 @@ def residual_report(
         Residuals that are combinations of others, or that the past of all predicts exactly.
 
     Each kind is found on residuals without such a thing with a probability of 1 % or less (``Finding.level``), for all
-    residuals together; what is too small to matter is not found, however many samples show it.
+    residuals together; effects too small to matter are not reported, however many samples show them.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def residual_report(
 
     See Also
     --------
-    residua.Monitor.fit : Does what this recommends by itself with ``treatment="auto"``, and says so in its basis.
+    residua.Monitor.fit : Follows these recommendations with ``treatment="auto"``, and states so in its basis.
 
     Notes
     -----

@@ -125,7 +125,7 @@ def monitor_out(monitor: Monitor) -> dict[str, Any]:
 def load_monitor(path: str | Path) -> Monitor:
     """Read a monitor; :class:`FileFormatError` names the wrong entry.
 
-    Every number must be what it may be (:class:`residua.records.Record`), the parts must fit together, and the
+    Every number must be valid (:class:`residua.records.Record`), the parts must fit together, and the
     content must be what was saved, by its checksum. With ``"checksum": null`` in the file, which says that it was
     edited, the monitor is as the file says, and its notes say that.
     """

@@ -280,7 +280,7 @@ def run_file(
     """Run a monitor over a file that may be larger than memory, from a fresh start.
 
     Alarms, names, sizes and notes are those of :meth:`residua.Monitor.run`, to the last bit. Memory does not grow with
-    the recording; what is decided is kept on the disk meanwhile, some 200 bytes a sample, in the folder for temporary
+    the recording; decisions are stored on disk meanwhile, some 200 bytes a sample, in the folder for temporary
     files.
 
     Parameters

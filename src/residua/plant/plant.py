@@ -497,10 +497,10 @@ class Plant(FaultFacts, Guessed, Shown):
     def with_assumed_noise(self) -> Plant:
         """Return the plant with noise assumed from the size of its signals, if it has none.
 
-        The standard deviation of a measurement is a tenth of what inputs of size one make of that output in the end,
-        and that of the noise of a state 0.3 % of what they make of it. What no control input moves is measured by
-        disturbances, then by faults; a plant that integrates, by a hundred samples. A continuous plant is taken to be
-        sampled ten times in the time constant of its mean rate.
+        The standard deviation of a measurement is a tenth of the steady effect of inputs of size one on that output,
+        and that of the noise of a state 0.3 % of their effect on it. For signals that no control input moves the
+        effects of disturbances count, then of faults; for a plant that integrates, those within a hundred samples. A
+        continuous plant is taken to be sampled ten times in the time constant of its mean rate.
 
         Returns
         -------
@@ -510,7 +510,7 @@ class Plant(FaultFacts, Guessed, Shown):
         Raises
         ------
         ModelError
-            If it has noise already, or its equations do not say what an input does in the end.
+            If it has noise already, or its equations do not determine the steady effect of an input.
 
         Examples
         --------
@@ -602,7 +602,7 @@ class Plant(FaultFacts, Guessed, Shown):
         """Return the plant sampled with step ``dt``.
 
         Exact for control inputs that are held between samples. Disturbances and faults are assumed to be
-        held too; what they do between samples beyond that is not represented. Noise stays white: the
+        held too; their course between samples is not represented. Noise stays white: the
         state noise over one step has the covariance of the continuous noise, integrated; the measurement
         noise of intensity ``V`` becomes covariance ``V / dt`` (a sensor that averages over the step).
         Algebraic equations are eliminated first, exactly, which lowers the order; a plant of index 2 or more

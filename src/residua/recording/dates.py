@@ -44,7 +44,7 @@ def seconds_from_text(
     what : str
         Name of the column in messages.
     dayfirst : bool, optional
-        Of dates such as 3/4/2026. When omitted, what the dates themselves leave open is an error, except for dots
+        Of dates such as 3/4/2026. When omitted, ambiguous dates are an error, except for dots
         (20.11.2026), which are written with the day first.
     time_format : str, optional
         As of :meth:`datetime.datetime.strptime`; nothing else is then tried.

@@ -49,7 +49,7 @@ class _Pipe:
 def read_mat(path: Path) -> dict[str, NDArray]:
     """Return the arrays of a .mat file (versions 4 to 7).
 
-    Numbers and text; of what else is in the file (cells, structures) there is the name, with an array of no numbers.
+    Numbers and text; other contents (cells, structures) appear by name, with an array of no numbers.
     """
     limit = unpacked_limit()
     if getattr(sys, "frozen", False) or not sys.executable:
@@ -96,7 +96,7 @@ def received(stream: Stream, source: str, limit: int) -> dict[str, NDArray] | No
     Raises
     ------
     FileFormatError
-        If it says what is wrong with the file.
+        If it reports an error in the file.
     """
     arrays: dict[str, NDArray] = {}
     while True:

@@ -1,8 +1,7 @@
 """Recordings read piece by piece: Parquet by batches of a row group, text by blocks of lines, .npz by memory map.
 
-What is read is what :func:`residua.read_recording` reads, bit for bit, or nothing: a file, or a piece of one, that is
-not plainly the same either way raises :class:`NotServedError`, and is then read by that function, which says what is
-wrong.
+The result equals that of :func:`residua.read_recording`, bit for bit: a file, or a piece of one, that might read
+otherwise raises :class:`NotServedError`, and is then read by that function, which reports any error.
 """
 
 from __future__ import annotations

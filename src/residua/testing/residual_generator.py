@@ -33,13 +33,13 @@ def check_residual_generator(
     ----------
     generator : ResidualGenerator
     decoupled : bool, optional
-        Whether disturbances are claimed to be decoupled; by default what its observer says, else ``False``.
+        Whether disturbances are claimed to be decoupled; by default as its observer states, else ``False``.
     samples : int
         Length of the simulated data.
     seed : int
     tolerance : float
-        Of leaks: relative to the terms that have to cancel. Of what of a fault's response lies outside its subspace:
-        a fraction of the response at the same frequency, beyond twice what the evidence says was left out.
+        Of leaks: relative to the terms that have to cancel. Of the part of a fault's response outside its subspace:
+        a fraction of the response at the same frequency, beyond twice the stated omission in the evidence.
 
     Raises
     ------

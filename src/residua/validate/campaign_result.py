@@ -190,8 +190,8 @@ class Campaign(Shown):
     def confusion(self) -> FigureTable:
         """Return the share of a case's runs in which each group was named, a row for each case.
 
-        A run counts for what its longest alarm from the onset on is put down to. ``several``: several faults at once,
-        by code; ``unknown``: an alarm that is put down to none, by likelihood where a fault that is not listed, or
+        A run counts by the attribution of its longest alarm from the onset on. ``several``: several faults at once, by
+        code; ``unknown``: an alarm attributed to none, by likelihood where a fault that is not listed, or
         none, is more probable than each that is; ``none``: no alarm.
         """
         shown = [*range(len(self.groups)), SEVERAL, UNKNOWN, NO_ALARM]

@@ -93,7 +93,7 @@ def campaign(
         modulo their count; of an uncertain plant each run has a member of its own, drawn evenly from the box of
         parameters.
     controller : StateSpace, optional
-        From outputs to inputs, as deviations, without a direct term: what is simulated is the closed loop, in which a
+        From outputs to inputs, as deviations, without a direct term: the simulation is of the closed loop, in which a
         faulty sensor misleads the controller too. (A monitor for a plant that *is* a closed loop needs none.)
     within : float, optional
         Seconds after the onset in which a detection counts; to the end of the run when omitted.

@@ -220,9 +220,8 @@ def detectability(
         Of the fault over time: a step when omitted; :func:`residua.validate.ramp` and others that add to a signal and
         are the same in each run. Times count from its onset.
     residuals : array_like of shape (time, k), or from :func:`residua.validate.resampled`, optional
-        Fault-free ones to draw from, in blocks. When omitted, those that the noise model of the plant makes; of a
-        monitor that was fitted, such as its test takes them to be by what the fit says of mean, covariance, memory and
-        tails, if it does.
+        Fault-free ones to draw from, in blocks. When omitted, those of the noise model of the plant; for a fitted
+        monitor those of the residual model of its test (mean, covariance, memory and tails), if it has one.
     runs : int
         How many: the intervals are as wide as the inverse root of it.
     seed : int

@@ -194,7 +194,7 @@ def resampled(residuals: Any, *, block: int | None = None) -> Resampled:
     """Return a block bootstrap of fault-free residuals: noise for runs without a credible noise model.
 
     A campaign then draws residuals instead of measurements: every run has blocks of the recorded residuals, one after
-    the other, and on top what the plant does without noise, faults included, through the filter of the monitor.
+    the other, plus the response of the plant without noise, faults included, through the filter of the monitor.
     Exact for additive faults in a linear loop. A stuck or weakened channel is that of the noise-free signal.
 
     Parameters

@@ -31,8 +31,8 @@ class Scenario:
         :func:`step`, :func:`ramp`, :func:`drift`, :func:`intermittent`, :func:`oscillation`, :func:`noise_growth`,
         :func:`stuck_at` or :func:`loss_of_effectiveness`.
     size : float or sequence of float
-        In the unit of the fault: what is multiplied with its direction. Not zero. Of a loss of effectiveness the part
-        that is lost; a stuck channel has none.
+        In the unit of the fault: the factor of its direction. Not zero. Of a loss of effectiveness the lost part; a
+        stuck channel has none.
 
     Raises
     ------
@@ -169,7 +169,8 @@ def load_scenarios(path: str | Path) -> tuple[Scenario, ...]:
     Parameters
     ----------
     path : str or Path
-        With a table ``[[scenario]]`` for each: ``fault``, ``shape`` (a name), what that shape takes, and ``size``.
+        With a table ``[[scenario]]`` for each: ``fault``, ``shape`` (a name), the parameters of that shape, and
+        ``size``.
 
     Returns
     -------

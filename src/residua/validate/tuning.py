@@ -151,7 +151,7 @@ def tune(
     Notes
     -----
     Assumes
-        Simulated runs are what normal operation is like, and false alarms are so rare that few runs are detected by
+        Simulated runs represent normal operation, and false alarms are so rare that few runs are detected by
         chance: else candidates with many short false alarms look quick (the notes of the best one say so).
 
     The best of many candidates on one set of runs looks a little better than it is; :meth:`Campaign.compare` tells the

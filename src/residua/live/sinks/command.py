@@ -59,8 +59,8 @@ class Settings:
 class Command(Sink):
     """Sink that runs a program for each event, one line of JSON on its standard input; status 0 means delivered.
 
-    What the program prints goes to the standard error of the run. Together with what it has started itself it is ended
-    when its time is over (on Windows only the program itself).
+    The output of the program goes to the standard error of the run. The program and its children are ended when their
+    time is over (on Windows only the program itself).
 
     Parameters
     ----------

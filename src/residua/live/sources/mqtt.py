@@ -52,22 +52,22 @@ class Settings:
     Attributes
     ----------
     client_id : str
-        By it the broker knows this run again, and keeps what comes while it is away: the same from run to run, and no
-        other's.
+        Name by which the broker recognises this run, and keeps messages while it is away: the same from run to run,
+        and unique.
     topics : list of str
         Such as ``"plants/{plant}/data"`` for whole messages (with or without ``{plant}``), and
         ``"plants/{plant}/{channel}"`` for one channel a topic; ``+`` and ``#`` as in MQTT.
     plant : str
-        The plant of topics without ``{plant}``, where messages do not say it.
+        The plant of topics without ``{plant}``, if messages do not name it.
     host : str
     port : int
         0: 1883, with TLS 8883.
     version : {"5", "3.1.1"}
         Of the protocol.
     qos : {1, 0}
-        1: a message comes until it is acknowledged, which it is when saved. 0: nothing is acknowledged, and what comes
-        while this run is away or has no room is lost. (2 would be acknowledged before it is saved, by the protocol; and
-        the run drops what comes twice. What is published with 2 arrives with 1.)
+        1: a message is repeated until it is acknowledged, once saved. 0: nothing is acknowledged, and messages that
+        arrive while this run is away or has no room are lost. (2 would be acknowledged before it is saved, by the
+        protocol; and the run drops repeats. Messages published with 2 arrive with 1.)
     username : str
     password_file, password_env : str
     tls : bool
@@ -146,9 +146,10 @@ class Mqtt(ThreadedSource):
     """Source that subscribes to topics of a broker.
 
     One thread reads, acknowledges and keeps the connection alive, whatever the run is doing; another puts. With QoS 1
-    what waits is bounded by ``receive_maximum``: the broker sends no more until some are acknowledged. With QoS 0 the
-    socket is not read while there is no room, and when the connection would end of it, what comes is dropped and said.
-    Of messages so large that 64 MB of them wait no more are read; if the connection ends of it, they come again.
+    the queue is bounded by ``receive_maximum``: the broker sends no more until some are acknowledged. With QoS 0 the
+    socket is not read while there is no room, and when the connection would end, messages are dropped, which is
+    reported. Of messages so large that 64 MB of them wait no more are read; if the connection ends of it, they come
+    again.
 
     Parameters
     ----------
@@ -162,7 +163,7 @@ class Mqtt(ThreadedSource):
     Notes
     -----
     A message is acknowledged once: not on a connection that was made after it came, for there its number may be
-    another's. It then comes again, and the run drops what it has already.
+    another's. It then comes again, and the run drops the repeat.
     """
 
     kind: ClassVar[str] = "mqtt"

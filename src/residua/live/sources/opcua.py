@@ -59,7 +59,7 @@ class Settings:
     sampling : float
         Seconds between the server's looks at a node; 0: as fast as it can.
     queue : int
-        Values of one node that the server keeps until it sends them: at least what comes in an interval.
+        Values of one node that the server keeps until it sends them: at least those of an interval.
     username : str
     password_file, password_env : str
     policy : {"", "Basic256Sha256", "Aes128Sha256RsaOaep", "Aes256Sha256RsaPss"}
@@ -165,7 +165,7 @@ class OpcUa(ThreadedSource):
 
     Notes
     -----
-    OPC UA knows no acknowledgement: what the server sends while the connection is away, or a run is killed, is gone.
+    OPC UA has no acknowledgement: values sent while the connection is away, or a run is killed, are lost.
     """
 
     kind: ClassVar[str] = "opcua"

@@ -61,8 +61,8 @@ class JsonLines(ThreadedSource):
     """Source with one message a line. It ends with its input, unless it follows it.
 
     A line of more than :data:`residua.live.messages.LARGEST` bytes is refused, and never held whole; empty lines are
-    nothing. Nothing is acknowledged: what was read and not saved when a run ended is gone with a pipe; a file is read
-    from its beginning again, and rows that the store has are dropped by the run.
+    ignored. Nothing is acknowledged: lines read but not saved when a run ends are lost with a pipe; a file is read from
+    its beginning again, and rows that the store has are dropped by the run.
 
     Parameters
     ----------

@@ -101,7 +101,7 @@ class ThreadedSource(Source):
 class HandOver:
     """Messages on their way from a thread that must not wait (it answers a broker) to a run that may be busy.
 
-    A thread of its own puts them one after another. What waits is bounded: :attr:`full` says when to stop reading.
+    A thread of its own puts them one after another. The queue is bounded: :attr:`full` tells when to stop reading.
 
     Parameters
     ----------
