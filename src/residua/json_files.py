@@ -21,7 +21,7 @@ CHECKSUM = "checksum"
 def loads(content: bytes, source: str) -> dict[str, Any]:
     """Return the table in a JSON file, empty if the file holds something else.
 
-    NaN and infinity, which are no JSON, are refused, and so is an entry that is there twice.
+    NaN and infinity, which are not JSON, are refused, and so is an entry that occurs twice.
     """
 
     def refuse(constant: str) -> NoReturn:
@@ -44,7 +44,7 @@ def _table(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     out = dict(pairs)
     if len(out) < len(pairs):
         names = [name for name, _ in pairs]
-        raise ValueError(f"the entry {echo(next(name for name in names if names.count(name) > 1))} is there twice")
+        raise ValueError(f"the entry {echo(next(name for name in names if names.count(name) > 1))} occurs twice")
     return out
 
 

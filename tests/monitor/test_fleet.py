@@ -255,7 +255,7 @@ def test_several_models() -> None:
         (lambda f, u, y: f.remove([7]), "no plant 7"),
         (lambda f, u, y: f.decision(3), "3 has had no sample yet"),
         (lambda f, u, y: f.snapshot([7]), "no plant 7"),
-        (lambda f, u, y: rs.Fleet(monitor("norm"), plants=[1, 1]), "1 is there twice"),
+        (lambda f, u, y: rs.Fleet(monitor("norm"), plants=[1, 1]), "1 occurs twice"),
     ],
 )
 def test_what_does_not_fit_is_refused_and_nothing_is_applied(call: Any, words: str) -> None:
@@ -283,7 +283,7 @@ def test_settings_that_do_not_fit_are_refused() -> None:
     one, other = rs.Fleet(monitor("norm"), plants=[1]), rs.Fleet(monitor("CUSUM"), plants=[2])
     with pytest.raises(DataError, match="different monitors"):
         rs.Fleet.joined([one, other])
-    with pytest.raises(DataError, match="is there twice"):
+    with pytest.raises(DataError, match="occurs twice"):
         rs.Fleet.joined([one, one])
 
 
@@ -421,7 +421,7 @@ def test_following_refuses_what_does_not_fit() -> None:
     fleet = rs.Fleet(monitor("norm"), plants=[1, 2])
     with pytest.raises(DataError, match="no plant 3"):
         fleet.follow([3], np.zeros((1, 2, 1)), np.zeros((1, 2, 2)))
-    with pytest.raises(DataError, match="plant 1 is there twice"):
+    with pytest.raises(DataError, match="plant 1 occurs twice"):
         fleet.follow([1, 1], np.zeros((2, 2, 1)), np.zeros((2, 2, 2)))
     with pytest.raises(DataError, match=r"2 plants, time, 2"):
         fleet.follow([1, 2], np.zeros((1, 2, 1)), np.zeros((1, 2, 2)))

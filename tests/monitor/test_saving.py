@@ -419,7 +419,7 @@ def test_an_entry_that_is_there_twice_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "m.json"
     fitted().save(path)
     path.write_text(path.read_text().replace('"max_hold": 10', '"max_hold": 10, "max_hold": 10'))
-    with pytest.raises(FileFormatError, match="'max_hold' is there twice"):
+    with pytest.raises(FileFormatError, match="'max_hold' occurs twice"):
         rs.Monitor.load(path)
 
 

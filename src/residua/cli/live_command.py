@@ -153,7 +153,7 @@ def _started(run: Run, server: Any) -> None:
 
 @contextmanager
 def _ended_by_signals(run: Run) -> Iterator[threading.Event]:
-    """Let SIGINT and SIGTERM end a run in order; yield an event that is set by then."""
+    """Let SIGINT and SIGTERM shut a run down; yield an event that is set by then."""
     stopped = threading.Event()
 
     def stop() -> None:

@@ -135,7 +135,7 @@ def _plain(plant: Any) -> Any:
 
 
 def _whole(column: Any) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return whole numbers, 0 where there is none, and their mask."""
+    """Return whole numbers, 0 for missing ones, and their mask."""
     array = np.asarray(column)
     if array.dtype.kind in "iu":
         return array.astype(np.int64), np.ones(len(array), dtype=bool)

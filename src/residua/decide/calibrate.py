@@ -1,4 +1,4 @@
-"""Thresholds by simulation: worlds of the fitted residual model, each fitted anew, and an allowance from held-out data.
+"""Thresholds by simulation: worlds of the fitted residual model, each refitted, and an allowance from held-out data.
 
 A fit knows the residual only as well as its rows show it. So the model that was fitted is simulated many times with as
 many rows, fitted anew to each, and run over new rows of the same world: errors of means, covariances and memory need no
@@ -89,7 +89,7 @@ class Worlds:
 
 
 def simulated_worlds(model: ResidualModel, *, seed: int = 0) -> Worlds:
-    """Simulate the model, fit each world anew, and return its whitened rows and new rows of the same world.
+    """Simulate the model, refit each world, and return its whitened rows and new rows of the same world.
 
     Mean, memory and covariance are fitted anew. Of more than a thousand rows the errors are those of a thousand,
     reduced by the root of their number.

@@ -62,7 +62,7 @@ def word_by_code(
 
 
 def statement_by_code(alarm: Alarm, clock: Clock, word: Word, *, dedicated: bool) -> Statement:
-    """Return the statement about an alarm that was read by code; ``dedicated``: every fault has a member of its own."""
+    """Return the statement about an alarm that was read by code; ``dedicated``: every fault has its own member."""
     reading = alarm.reading
     assert reading is not None
     sentences = [f"Fired: {listing(reading.fired) or 'none'}; {reading.meaning}."]

@@ -161,7 +161,7 @@ def _bound(over: int, samples: int, together: float) -> float:
 
 
 def _quantile_exceedances(samples: int, together: float, asked: float) -> int:
-    """Return the most samples over a level that still promise a rate with 95 % confidence; 0 where none do."""
+    """Return the most samples over a level that still promise a rate with 95 % confidence; 0 if none do."""
     low, high = 0, min(int(asked * samples) + 1, samples - 1)
     while low < high:  # the bound grows with them
         middle = (low + high + 1) // 2

@@ -121,7 +121,7 @@ class Whitening:
 
 @dataclass(frozen=True, eq=False)
 class Explainer:
-    """Responses of the whitened residual of a monitor to listed faults and to others that nobody listed.
+    """Responses of the whitened residual of a monitor to listed and unlisted faults.
 
     Attributes
     ----------

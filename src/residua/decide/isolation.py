@@ -149,7 +149,7 @@ class Isolation(Record, ABC):
 
     @abstractmethod
     def run(self, state: Any, block: Block, tested: Tested) -> tuple[Any, Scores]:
-        """Run over a block of samples, and return the state to go on with and the outcome for each sample.
+        """Run over a block of samples, and return the next state and the outcome for each sample.
 
         A pure function, with the same bits however time is cut into blocks, and for any number of plants at once.
         """

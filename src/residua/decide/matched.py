@@ -365,7 +365,7 @@ class Matched(IsolationSettings):
         object.__setattr__(self, "alike", float(self.alike))
 
     def isolation(self, generator: ResidualGenerator, test: ResidualTest) -> MatchedNames:
-        """Return the isolation by the responses of the test, or beside it by responses whitened alike."""
+        """Return the isolation by the responses of the test, or beside it by responses under the same whitening."""
         if test.responses is not None:
             return MatchedNames(test.responses)
         scale = scale_beside(generator, test)

@@ -155,7 +155,7 @@ class MultiscaleEWMATest(StreamTest):
     def _squares(
         self, sums: NDArray[np.float64], e: NDArray[np.float64], seen: NDArray[np.bool_]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the square of the longest mean of each part, (plants, time, parts), and the means to go on with."""
+        """Return the square of the longest mean of each part, (plants, time, parts), and the next means."""
         plants, time, k = e.shape
         largest = np.zeros((plants, time, len(self.sizes)))
         entering = clipped(e, self.columns, self.clips)

@@ -101,7 +101,7 @@ def _white(parts: Mapping[str, Any], run: FaultFreeRun) -> list[NDArray[np.float
 
 
 def means_of(weight: float, series: Sequence[NDArray[np.float64]], fit: MeansFit) -> list[NDArray[np.float64]]:
-    """Return the means of white residuals, of one or several series (..., time, k), each from a start of its own."""
+    """Return the means of white residuals, of one or several series (..., time, k), each with its own start."""
     if weight == 1:
         return list(series)
     out = []

@@ -366,7 +366,7 @@ class PeakThreshold(TestSettings):
 
 
 def tested_members(watched: Watched) -> list[str]:
-    """Return the members that have a threshold of their own; a single member is tested as a whole."""
+    """Return the members with their own thresholds; a single member is tested as a whole."""
     generator = watched.generator
     names = [member.name for member in generator.members]
     alone = len(names) == 1 and len(generator.members[0].residuals) == generator.n_residuals

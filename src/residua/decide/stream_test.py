@@ -115,7 +115,7 @@ class StreamTest(ResidualTest):
     def statistic(
         self, sums: NDArray[np.float64], e: NDArray[np.float64], seen: NDArray[np.bool_]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the statistic for each sample, shape (plants, time), and the sums to go on with.
+        """Return the statistic for each sample, shape (plants, time), and the next sums.
 
         Samples that are not seen change nothing.
         """

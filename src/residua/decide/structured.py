@@ -393,7 +393,7 @@ def settled_codes(generator: ResidualGenerator) -> NDArray[np.bool_]:
 
 
 def codes_of(generator: ResidualGenerator, isolate: Structured, *, at_once: bool = False) -> CodeTest:
-    """Return the codes of a bank: those of its faults, and those of constant faults where they differ."""
+    """Return the codes of a bank: those of its faults, and those of constant faults if they differ."""
     assert generator.codes is not None
     names = [member.name for member in generator.members]
     made = code_test(isolate, generator.codes, generator.faults, names, settled=settled_codes(generator))

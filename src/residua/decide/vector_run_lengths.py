@@ -67,7 +67,7 @@ class LengthChain(Chain):
 
 @lru_cache(maxsize=256)
 def shifted_run_length(chain: LengthChain, threshold: float, shift: float) -> float:
-    """Return the mean number of samples to the threshold from a start at zero, where the vectors have a mean.
+    """Return the mean number of samples to the threshold from a start at zero, for vectors with a mean.
 
     By a quadrature over the part of the vector along the mean and the length of the rest: as polar coordinates, in
     which the density is smooth where an allowance leaves a hole in the middle.

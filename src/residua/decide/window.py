@@ -92,7 +92,7 @@ def moving_sum(
 def _sums_of_judged(
     values: NDArray[np.float64], state: WindowState, judged: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float64], WindowState]:
-    """Return the moving sum if samples are left out: for each such plant by itself, for all others at once."""
+    """Return the moving sum if samples are left out: separately for each such plant, for all others at once."""
     sums = np.zeros_like(values)
     after = WindowState(state.values.copy(), state.begun.copy(), state.filled.copy())
     whole = judged.all(axis=1)

@@ -130,7 +130,7 @@ class Inbox:
             self._some.notify_all()
 
     def close(self) -> None:
-        """Refuse further messages; threads that wait to put one are told."""
+        """Refuse further messages, and notify threads that wait to put one."""
         with self._lock:
             self._closed = True
             self._room.notify_all()

@@ -1,4 +1,4 @@
-"""Interface of sources, which bring messages and are told when these are safe."""
+"""Interface of sources, which bring messages and learn when these are safe."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ class Filtered:
 
 
 def filter_block(spec: Specification, state: FilterState, data: NDArray[np.float64]) -> tuple[FilterState, Filtered]:
-    """Run the generator over a block; return the state to go on with, and the residuals."""
+    """Run the generator over a block; return the next state, and the residuals."""
     changed, filtered = _filter_block(spec, state, data)
     return replace(state, **changed), filtered
 

@@ -275,7 +275,7 @@ def _check_recordings(recordings: Sequence[NDArray[np.float64]], n_inputs: int) 
 def _run(
     blank: Specification, generator: ResidualGenerator, recordings: Sequence[NDArray[np.float64]], reason: str
 ) -> FaultFreeRun:
-    """Run over each recording from a start of its own."""
+    """Run over each recording from its own start."""
     runs = [run_block(blank, initial_state(blank, 1), data)[1] for data in recordings]
     if len(recordings) > 1:
         for number, (one, data) in enumerate(zip(runs, recordings, strict=True), 1):

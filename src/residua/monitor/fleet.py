@@ -24,7 +24,7 @@ from residua.words import counted
 
 
 class Fleet(Shown):
-    """Many plants that run at once, each with a state of its own.
+    """Many plants that run at once, each with its own state.
 
     Each plant gives the same bits as a :class:`residua.Monitor` of its own would, whatever the order of records, and
     however the fleet is split. A value that is missing, or an overflow, stays in its own plant. Each plant counts its
@@ -320,7 +320,7 @@ class Fleet(Shown):
         Raises
         ------
         DataError
-            If a plant is not known, is there twice, or is of another model than the first; or the shapes do not fit:
+            If a plant is unknown, occurs twice, or is of another model than the first; or the shapes do not fit:
             nothing is applied then.
 
         Examples
@@ -345,7 +345,7 @@ class Fleet(Shown):
             rows = np.arange(len(keys))
         if len(np.unique(rows)) < len(rows):
             twice = next(plant for k, plant in enumerate(keys) if plant in keys[:k])
-            raise DataError(f"the plant {echo(twice)} is there twice")
+            raise DataError(f"the plant {echo(twice)} occurs twice")
         shape = np.shape(y)
         if len(shape) != 3 or shape[0] != len(keys):
             outputs = block.generator.plant.n_outputs

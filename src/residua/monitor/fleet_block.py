@@ -237,7 +237,7 @@ class FleetBlock:
         self.rows = {plant: row for row, plant in enumerate(self.ids)}
         if len(self.rows) < len(self.ids):
             twice = next(plant for row, plant in enumerate(self.ids) if self.rows[plant] != row)
-            raise DataError(f"the plant {echo(twice)} is there twice")
+            raise DataError(f"the plant {echo(twice)} occurs twice")
         self.standing = StandingAlarms(len(self.ids)) if standing is None else standing
         self.skipped = SkippedSamples() if skipped is None else skipped
         #: Of a new block, as long as no sample of any plant was judged: none can be over its threshold.

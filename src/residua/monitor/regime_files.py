@@ -101,7 +101,7 @@ def _made(content: Mapping[str, Any]) -> RegimeMonitor:
         key = tuple(float_in(value, where_key) for value in list_in(one["key"], where_key, len(signals.names)))
         name = signals.label(key)
         if name in modes:
-            raise FileFormatError(f"{where}: the mode {echo(name)} is there twice")
+            raise FileFormatError(f"{where}: the mode {echo(name)} occurs twice")
         monitor = monitor_from(
             {**table_in(one["monitor"], joined(where, "monitor")), CHECKSUM: None}, joined(where, "monitor")
         )

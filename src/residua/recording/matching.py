@@ -90,7 +90,7 @@ def _bare(name: str) -> str:
 
 
 def _unit_of(name: str) -> str:
-    """Return the unit behind the name of a column; empty where there is none."""
+    """Return the unit behind the name of a column; empty without one."""
     found = _UNIT.search(name.strip(" \"'"))
     return found["unit"].strip() if found else ""
 

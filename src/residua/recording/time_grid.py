@@ -50,7 +50,7 @@ class Grid:
         return len(self.time) - len(self.rows)
 
     def filled(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return values, one row each, on the grid; NaN where there is no row."""
+        """Return values, one row each, on the grid; NaN for missing rows."""
         out = np.full((len(self.time), *values.shape[1:]), np.nan)
         out[self.places] = values[self.rows]
         return out

@@ -102,7 +102,7 @@ def campaign(
     workers : int
         Processes, by ``joblib`` where more than one; within ``joblib.parallel_config(backend=...)`` those of a cluster.
     resume : str or Path, optional
-        A file that runs are saved to now and then. Where it is there already the campaign goes on from it.
+        A file to which runs are saved now and then. If it exists already the campaign continues from it.
     progress : callable, bool or None
         Told of (stage, runs done, runs in all); ``None``: a bar on terminals; ``False``: nothing.
 

@@ -267,7 +267,7 @@ class Mqtt(ThreadedSource):
                 self.connected(True, "")
 
     def safe(self) -> list[int]:
-        """Return the numbers of messages that are to be acknowledged on this connection, in order."""
+        """Return the numbers of messages to acknowledge on this connection, in order."""
         out: list[int] = []
         while self._safe:
             messages = self._safe.popleft()
