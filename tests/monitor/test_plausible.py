@@ -61,7 +61,7 @@ def test_one_mark_for_no_value_changes_nothing_for_long(kind: str, mark: float, 
     assert found.decided[300:].all()
     assert (found.alarm[500:] == clean.alarm[500:]).all()
     assert found.fault_detected
-    assert "1 value was no plausible measurement" in str(found)
+    assert "1 value was not plausible" in str(found)
     name = (*plant().inputs, *plant().outputs)[channel]
     assert f"{name!r} 1 (plausible from" in str(found)
 

@@ -352,7 +352,7 @@ class ChannelRelationsTest(ResidualTest):
     def leads(
         self, residuals: NDArray[np.float64], changes: NDArray[np.float64], signals: NDArray[np.float64]
     ) -> NDArray[np.float64] | None:
-        """Return the lead of each fault over the threshold of any part, by small changes to fault-free signals."""
+        """Return the responses of the parts to small faults, for a size of one, relative to the threshold."""
         best = self.model.leads(residuals, changes, signals)
         assert best is not None
         spread = np.where(self.relations.spread > 0, self.relations.spread, np.inf)

@@ -205,7 +205,7 @@ class BankTest(ResidualTest):
     def leads(
         self, residuals: NDArray[np.float64], changes: NDArray[np.float64], signals: NDArray[np.float64]
     ) -> NDArray[np.float64] | None:
-        """Return the lead of each fault over the threshold of the nearest part; ``None`` for peaks."""
+        """Return the responses of the parts to faults of size one, relative to the thresholds; ``None`` for peaks."""
         if type(self) not in (BankTest, GroupTest):
             return None
         white = residuals @ self.whitening

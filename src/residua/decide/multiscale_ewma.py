@@ -288,7 +288,7 @@ class MultiscaleEWMATest(StreamTest):
     def leads(
         self, residuals: NDArray[np.float64], changes: NDArray[np.float64], signals: NDArray[np.float64]
     ) -> NDArray[np.float64] | None:
-        """Return the lead of each fault over the threshold of the longest mean of any part.
+        """Return the responses of the longest mean to faults of size one, relative to the threshold.
 
         What enters the long means is clipped as it is where a fault is just seen.
         """

@@ -272,7 +272,7 @@ class ResidualTest(Record, ABC):
     def leads(
         self, residuals: NDArray[np.float64], changes: NDArray[np.float64], signals: NDArray[np.float64]
     ) -> NDArray[np.float64] | None:
-        """Return the lead of each fault over the threshold of the test; ``None`` if unknown.
+        """Return the responses of the test to faults of size one, relative to the threshold; ``None`` if unknown.
 
         At each sample: the inverse of the size that is over the threshold in nine of ten runs.
 

@@ -233,7 +233,7 @@ class NormTest(ResidualTest):
     def leads(
         self, residuals: NDArray[np.float64], changes: NDArray[np.float64], signals: NDArray[np.float64]
     ) -> NDArray[np.float64] | None:
-        """Return the lead of each fault over the threshold; ``None`` for peaks."""
+        """Return the responses of the norm to faults of size one, relative to the threshold; ``None`` for peaks."""
         if type(self) is not NormTest:
             return None
         return leads_of_sums(residuals @ self.whitening, self.window, self.threshold)

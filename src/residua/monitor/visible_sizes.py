@@ -142,7 +142,7 @@ def _responses(generator: ResidualGenerator) -> tuple[NDArray[np.float64], NDArr
 
 
 def _places(signals: NDArray[np.float64], run: FaultFreeRun, rows: int) -> NDArray[np.float64]:
-    """Return stretches of the fault-free signals, (places, time, channels), as many as the rows allow."""
+    """Return stretches of the fault-free signals, (places, time, channels), each of so many rows."""
     if not len(signals):
         return signals[None]
     bounds = [0, *run.seams, len(signals)]
