@@ -12,12 +12,12 @@ from itertools import count
 from threading import RLock, local
 from weakref import WeakValueDictionary
 
-#: How long a fork waits for one lock with others in hand, at first: a thread may hold that one and want these.
+#: First wait of a fork for one lock while holding others: a thread may hold that one and want these.
 _PATIENCE = 0.1
 
 _numbers = count()
 _locks: WeakValueDictionary[int, RLock] = WeakValueDictionary()
-#: Who has either may ask for it: Python may call the handler of a signal meanwhile, which makes a lock, or forks.
+#: Reentrant, since Python may call a signal handler meanwhile, which makes a lock, or forks.
 _listing, _forking = RLock(), RLock()
 
 
@@ -67,7 +67,7 @@ def _take_all() -> None:
 
 def _take(locks: dict[int, RLock], held: list[RLock], patience: float, first: int | None = None) -> int | None:
     """Take locks one after the other; return the number of one that could not be taken, if any."""
-    # The latest first, as threads do: a monitor's, and within that what everybody shares.
+    # The latest first, as threads do: a monitor's, and within it the shared ones.
     for number in sorted(locks, key=lambda number: (number != first, -number)):
         if not locks[number].acquire(timeout=patience if len(held) > 1 else -1):
             return number

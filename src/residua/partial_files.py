@@ -54,7 +54,7 @@ class PartialFile:
         finally:
             os.close(file)
         if fcntl is None:
-            self._close()  # Windows does not rename what is open
+            self._close()  # Windows does not rename open files
         os.replace(self.path, target)
         _sync_folder(target.parent)
 

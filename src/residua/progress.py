@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
-#: Told of what is under way: its name, how much is done, of how much.
+#: Callback for progress: name of the work, amount done, and total.
 Progress = Callable[[str, int, int], None]
 #: Seconds after which a computation is long enough to be shown.
 _PATIENCE = 2.0

@@ -35,7 +35,7 @@ def shortened(text: str, most: int = MAX_ECHO) -> str:
 
 def echo(value: object, most: int = MAX_ECHO) -> str:
     """Return a value from a file for a message: as Python writes it, short, on one line."""
-    if isinstance(value, str):  # of a text of a gigabyte only what is shown is written out
+    if isinstance(value, str):  # of a text of a gigabyte only the shown part is formatted
         value = value[: most + 1]
     return shortened(visible(repr(value)), most)
 

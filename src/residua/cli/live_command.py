@@ -161,7 +161,7 @@ def _ended_by_signals(run: Run) -> Iterator[threading.Event]:
         run.stop()
 
     def end(number: int, frame: FrameType | None) -> None:
-        threading.Thread(target=stop).start()  # the thread that is interrupted here may hold what stopping needs
+        threading.Thread(target=stop).start()  # the interrupted thread may hold a lock that stopping needs
 
     before = {one: signal.signal(one, end) for one in (signal.SIGINT, signal.SIGTERM)}
     try:

@@ -17,7 +17,7 @@ from residua.monitor.diagnosis import Diagnosis
 from residua.monitor.monitor import Monitor
 from residua.visible import echo, shortened
 
-#: Batches of recordings that a worker has before what came back is safe from the end of another worker.
+#: Batches of recordings for a worker, after which results are safe from the end of another worker.
 _BATCHES_TO_EACH = 8
 #: The classes of errors that say that a worker has ended: of loky and processes, and of Ray. Dask tries again itself.
 _ENDED = {"BrokenExecutor", "RayActorError", "WorkerCrashedError"}

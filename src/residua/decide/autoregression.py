@@ -202,7 +202,7 @@ def whiteness(e: NDArray[np.float64], seen: NDArray[np.bool_], parts: Sequence[s
     pairs = _products(seen[:, None].astype(float), parts, lags)[1:, 0, 0]
     there = pairs > 0
     later, pairs, lags = products[1:][there], pairs[there], int(there.sum())
-    if 2 * k * k * lags > n:  # too few to know what each has of every other
+    if 2 * k * k * lags > n:  # too few for all cross-correlations
         own = np.diagonal(later, axis1=1, axis2=2)
         shares = (own / np.maximum(np.diagonal(products[0]), np.finfo(float).tiny)) ** 2
         return float(chdtrc(k * lags, n**2 * np.sum(shares / pairs[:, None])))

@@ -15,7 +15,7 @@ JUMP_QUANTILE = -2.0 * float(np.log(1.0 - np.sqrt(0.95)))
 #: Confidence that is stated; simulated steps and ramps keep it to 0.90 at least.
 CONFIDENCE = 0.95
 #: A change that raises twice the logarithm of the likelihood by less is not dated; one that raises it by more than
-#: the second number is dated without further samples: what follows depends more and more on the shape.
+#: the second number is dated without further samples: later ones depend more and more on the shape.
 LEAST_EVIDENCE, ENOUGH_EVIDENCE = 30.0, 60.0
 #: Samples before a change that are needed to know the noise, and the most that are looked at together.
 LEAST_BEFORE, MOST_TOGETHER = 40, 1024
@@ -191,7 +191,7 @@ def _profile(
     g = shapes[:, :m].copy()
     for k, lag in enumerate(lags, 1):
         g[:, k:] -= lag * shapes[:, : m - k]
-    energy = (np.cumsum(g**2, axis=1) - np.cumsum(g, axis=1) ** 2 / m)[:, ::-1]  # less what a baseline takes
+    energy = (np.cumsum(g**2, axis=1) - np.cumsum(g, axis=1) ** 2 / m)[:, ::-1]  # less the fit of a baseline
     usable = (along > 0) & (energy > DATA_ROUNDING * energy.max(axis=1, keepdims=True))
     usable[:, last + 1 - p :] = False
     gain = np.where(usable, along**2 / np.where(usable, energy, 1.0), 0.0)

@@ -33,7 +33,7 @@ SAME_SIGNATURE = 1e-3
 #: Bases from a file are orthonormal to that.
 _ORTHONORMAL = 1e-6
 _COSINE = "The score is the cosine of the angle between the residual and a signature, judged over the monitor's window."
-#: Of what runs; 0 for the clear mean.
+#: Of the fitted isolation; 0 for the clear mean.
 _WINDOW = NumberKind(f"a whole number from 0 to {MAX_WINDOW}", "i", lambda n: (n >= 0) & (n <= MAX_WINDOW))
 
 

@@ -31,15 +31,15 @@ BEFORE, _LEAST_BEFORE = 100, 75
 FIRST, FINAL = 50, 200
 #: A course may begin so many samples before the alarm at any of them, and earlier at every fourth.
 _CLOSE, _EACH = 24, 4
-#: Terms of a course at most, what each must gain, and what each beyond the first is charged.
+#: Largest number of terms in a course, least gain of each, and charge for each beyond the first.
 _TERMS, _GAIN, _CHARGE = 12, 16.0, 10.0
 #: Responses whose cosine is larger are those of one fault; samples that it is taken over.
 _SAME, _COMPARED = 0.9995, 200
 #: Groups of faults that are named together at most.
 _MOST_CLOSE = 3
-#: Evidence from which a fault is judged; what another may fall short of the best, of its evidence, and yet count.
+#: Evidence from which a fault is judged; shortfall from the best, of its evidence, at which another still counts.
 _EVIDENCE, _APART, _PART = 80.0, 20.0, 0.01
-#: What is left may be so many deviations more than noise, or that part of the evidence, or so many less.
+#: Limits on the rest: so many deviations more than noise, or that part of the evidence, or so many less.
 _MORE, _LESS = 3.5, -4.5
 #: Lengths of the sums by which the colour of fault-free residuals is measured.
 BLOCKS = (1, 5, 20, 100, 250)

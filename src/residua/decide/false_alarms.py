@@ -16,7 +16,7 @@ from residua.words import one_in
 
 #: How sure a promise is.
 CONFIDENCE = 0.95
-#: Over this multiple of the rate that is aimed at, what can be promised is said beside it.
+#: Over this multiple of the target rate, the promised rate is stated beside it.
 TOLERATED = 1.5
 #: Where the data cannot tell, the threshold is set for at least this share of the rate.
 _LEAST_AIM = 0.6
@@ -265,7 +265,7 @@ def _promise(
             break
         aim = wanted
     promised = min(1.0, aim * float(np.exp(min(beyond, 700.0))))
-    if aim > 1.01 * _LEAST_AIM * asked and promised > TOLERATED * asked:  # what the iteration left
+    if aim > 1.01 * _LEAST_AIM * asked and promised > TOLERATED * asked:  # remainder of the iteration
         aim, promised = aim * TOLERATED * asked / promised, TOLERATED * asked
     return Promise(float(level(aim)), asked, float(aim), promised, extended)
 

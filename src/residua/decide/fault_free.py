@@ -252,8 +252,8 @@ class FaultFree:
         if not summed.any():
             return Moments(self.middle + center, first, 1.0)
         z = (self.sums[summed] - self.window * center) @ first / np.sqrt(self.window) * self.without_holes[summed]
-        # What the first whitening raised to its floor never moved: sums of it count as those of independent samples do,
-        # or the second whitening would take the floor away again.
+        # Directions that the first whitening raised to its floor never moved: their sums count as those of independent
+        # samples do, or the second whitening would take the floor away again.
         raised = 1 - np.sum(first * (covariance @ first), axis=0)
         raised = np.where(raised > VARIANCE_FLOOR, raised, 0.0)
         second, later = shrunk_to_one(z.T @ z / len(z) + np.diag(raised), len(z) / self.worth[1])

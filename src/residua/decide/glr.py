@@ -186,7 +186,7 @@ class GLR(StreamSettings):
 
     window: int = 50
     directions: str | None = None
-    #: Of a copy that is made for what is watched: the steady responses of faults, and their whitened directions.
+    #: Of a copy for a watched generator: the steady responses of faults, and their whitened directions.
     _steady: ClassVar[NDArray[np.float64] | None] = None
     _along: ClassVar[NDArray[np.float64] | None] = None
 

@@ -166,7 +166,7 @@ def _occurrence(name: str, q: NDArray[np.float64], window: int, number: int, of:
     away = q - mean
     if not np.any(mean):
         raise DataError(f"{which} of {name!r} shows no fault: the mean of its residuals is the fault-free one")
-    # What a fault that grows or wavers does along its own direction is not an error of the direction.
+    # Variation of a fault along its own direction is not an error of the direction.
     direction = mean / np.linalg.norm(mean)
     values, vectors = np.linalg.eigh(across(direction, away.T @ away / (count - 1)))
     vectors[:, 0] = direction  # at right angles to all others, where nothing is left
@@ -267,7 +267,7 @@ def cone_angle(
     radius = max(
         square_at(sideways, CONE_SHARE, independent), occurrence_square(between, recordings, CONE_SHARE, new=False)
     )
-    length = size**2 - float(np.trace(sideways))  # errors lengthen what is measured
+    length = size**2 - float(np.trace(sideways))  # errors lengthen the measured shift
     return math.degrees(math.atan2(math.sqrt(radius), math.sqrt(max(length, 0.0))))
 
 

@@ -480,7 +480,7 @@ class Likelihood(IsolationSettings):
         assert isinstance(test, StreamTest)
         live = moving(test)
         gain = test.steady_gain[:, live]
-        # Directions are compared where they are judged: in what the test leaves of a settled fault.
+        # Directions are compared as they are judged: in the steady innovations under a fault.
         found = direction_test(
             Directional(1, "steady"), generator.subspaces, generator.steady_directions, test.whitening @ gain
         )

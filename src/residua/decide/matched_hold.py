@@ -153,7 +153,7 @@ def hold_block(
     start = np.maximum.accumulate(np.where(begun, at, 0), axis=1)
     raised = np.where(start > 0, count + start - 1, held[:, 4:5])
     ratio = np.take_along_axis(likelihoods["ratios"], best[..., None], axis=2)[..., 0]
-    before = np.where(was, held[:, 5], 0.0)  # what an alarm has reached that nothing explains yet counts too
+    before = np.where(was, held[:, 5], 0.0)  # the peak of an alarm without an explanation counts too
     ratio = np.concatenate([before[:, None], np.where(judged[:, 1:], ratio, 0.0)], axis=1)
     peak = _peak(ratio, start)
     dated = judged & (arrival <= raised) & (ratio >= peak - FALLEN * np.sqrt(peak))

@@ -129,7 +129,7 @@ class LikelihoodTest(NormTest):
         for name, array, shape in (("responses", test.responses, wanted), ("settled", test.settled, wanted[1:])):
             if array.shape != shape:
                 raise FileFormatError(f"{where}.{name} must be finite numbers of shape {shape}")
-        for group in test.groups:  # of what leaves no trace there is nothing to look for
+        for group in test.groups:  # a fault without a response cannot be found
             columns = [faults.index(name) for name in group]
             if not (test.responses[..., columns].any() or test.settled[:, columns].any()):
                 raise FileFormatError(f"{where}.responses: those of {echo(group[0])} must not all be zero")
@@ -380,7 +380,7 @@ def _cross_fitted(
             inside = np.flatnonzero(held[part])
             if len(inside):
                 first, last = part.start + int(inside[0]), part.start + int(inside[-1]) + 1
-                begin = max(part.start, first - test.samples)  # what came before is remembered that long
+                begin = max(part.start, first - test.samples)  # earlier samples matter that long
                 out[first:last] = _statistic(own_test, own, data, slice(begin, last))[first - begin :]
     return out
 

@@ -58,7 +58,7 @@ def fit_means(weights: Sequence[float], treatment: str, rows: Sequence[Sequence[
     series = _white(parts, run)
     e = np.concatenate(series)
     covariance = e.T @ e / max(1, len(e))
-    for part in columns:  # each is white by itself; what never moves is left out
+    for part in columns:  # each is white by itself; directions without noise are left out
         covariance[part, part] = np.diag((np.diag(covariance[part, part]) > _STILL).astype(float))
     radii = tuple(
         np.sort(np.sqrt(row_squares(e[:, part]))) if one.is_heavy else None
@@ -185,7 +185,7 @@ def held_out_levels(
         mine = replace(run, usable=run.usable & ~others)
         try:
             fit = fit_means(weights, treatment, rows, replace(run, usable=others))
-        except DataError:  # what is left is too little for a fit
+        except DataError:  # too few samples remain for a fit
             return np.zeros(0)
         for e in _white(fit.parts, mine):
             if len(e):

@@ -191,7 +191,7 @@ def _checked_groups(groups: object) -> Groups:
         pairs = list(groups.items())
     elif isinstance(groups, Sequence) and not isinstance(groups, str):
         if all(isinstance(one, tuple) and len(one) == 2 and isinstance(one[0], str) and isinstance(one[1], tuple)
-               for one in groups):  # what this function returns  # fmt: skip
+               for one in groups):  # the form that this function returns  # fmt: skip
             pairs = list(groups)
         else:
             pairs = [(None, one) for one in groups]

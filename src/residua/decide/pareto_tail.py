@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from residua.tolerances import SAME
 
-#: Shapes of tails that are thought of, and what is known of them before any data: lighter than an exponential one to
+#: Shapes of tails under consideration, and their prior: lighter than an exponential one to
 #: one without a variance; mean and deviation.
 _SHAPES, _PRIOR = np.arange(-10, 20) / 20, (0.1, 0.25)
 #: Scales that are thought of, in means of the excesses.

@@ -33,9 +33,9 @@ _PENALTIES = tuple(10.0**-k for k in (5, 4, 3, 2, 1))
 _KNOTS = 13
 #: Rows ahead of a prediction over a horizon, and its largest response to an innovation of one.
 _AHEAD, _EXPLODES = 50, 1e3
-#: What a second driver has to save of the error, how many are tried, and the least scale of a curve in parts of it.
+#: Least saving of the error by a second driver, number of drivers tried, and the least scale of a curve in parts of it.
 _SAVES, _TRIED, _LEAST_SCALE = 0.03, 10, 0.14
-#: Deviations of a relation that driving it outside of what was learnt may add before it is not judged.
+#: Deviations that a relation outside of the learnt range may add before it is not judged.
 _OUTSIDE = 2.0
 _DRIVER = NumberKind("a whole number, -1 or more", "i", lambda n: n >= -1)
 

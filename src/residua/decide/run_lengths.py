@@ -178,7 +178,7 @@ def _at_most(run_length: Callable[[float], float], threshold: float, wanted: flo
     """Tell whether a threshold has a run length within a limit."""
     try:
         return run_length(threshold) <= wanted
-    except SettingError:  # beyond what is computed
+    except SettingError:  # too long to compute
         return False
 
 
@@ -244,7 +244,7 @@ def _lasting(chain: Chain, threshold: float, release: float, factor: float) -> f
     values = np.concatenate([low + release, high + threshold])
     weights = np.concatenate([low_weights, high_weights])
     stay = chain.density(values[:, None], values[None, :]) * weights
-    stay[:, -1] += chain.above(values, top)  # what would go beyond stays at the top: it comes back as soon, nearly
+    stay[:, -1] += chain.above(values, top)  # values beyond stay at the top: they return nearly as soon
     mean = np.linalg.solve(np.eye(len(values)) - stay, np.ones(len(values)))
     entry = below.visits() @ chain.density(below.values[:, None], high[None, :] + threshold) * high_weights
     return float(entry @ mean[len(low) :] / entry.sum())

@@ -100,7 +100,7 @@ def treated(data: FaultFree, treatment: str, harmless_offset: float, *, scores: 
     if is_heavy and scores:
         knots, values = knots_of(e[:, varies])
         notes.append("heavy tails: each value is replaced by its normal score")
-        # what never moves, or is predicted exactly, stays as it is: that is rounding, and the ends of recordings
+        # directions that never move, or are predicted exactly, stay unchanged: rounding, and the ends of recordings
         everywhere = np.tile(values, (len(parts["center"]), 1))
         everywhere[live[varies]] = knots
         parts = {**parts, "knots": everywhere, "scores": values}

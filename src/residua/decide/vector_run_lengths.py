@@ -17,7 +17,7 @@ _ON_RADIUS, _ON_ARC, _FEWEST, _MOST = 1.7, 1.2, 12, 96
 MOST_DIMENSIONS = 3
 #: Sums of more samples than that many over the square of the allowance are beyond chance.
 _LONGEST_SUM = 60.0
-#: A step whose density is less than the exponential of minus this is none: 1e-20, far below what settles.
+#: A step whose density is less than the exponential of minus this is none: 1e-20, far below any effect.
 _NEVER = 46.0
 #: Most samples in a sum that are followed one by one.
 _MOST_IN_A_SUM = 20_000

@@ -34,7 +34,7 @@ BAND_SHARE, BAND_DEVIATIONS = 0.999, 3.2905267314918945
 #: Deviations of a normal number that nine of ten are above, below its mean.
 NINE_OF_TEN = 1.28
 #: Columns of a whitening matrix this near to being dependent, in units of their own rows, see some residuals no more;
-#: what is fitted stays above 1e-5.
+#: fitted values stay above 1e-5.
 _DEPENDENT = 1e-10
 #: Weights above this overflow when they are squared twice.
 _HEAVIEST = 1e75

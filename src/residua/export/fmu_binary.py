@@ -78,7 +78,7 @@ def compiler_at_hand() -> list[str] | None:
         if one and shutil.which(one[0]):
             return one
         if one and one is asked:
-            return None  # what was asked for is not there: nothing else is taken in its place
+            return None  # the requested compiler does not exist: no other is used in its place
     return None
 
 

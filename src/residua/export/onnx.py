@@ -24,7 +24,7 @@ from residua.monitor import Monitor
 
 #: Written versions, supported by runtimes since 2022.
 _OPSET, _IR = 17, 8
-#: Values of a sample, by what they are in the model.
+#: Values of a sample, by their names in the model.
 _OUTPUTS = (
     "residual", "statistic", "known", "decided", "alarm", "scored", "score", "best", "part_statistic", "fired", "code",
     "answer",
@@ -187,7 +187,7 @@ def _check(onnx: Any, model: Any, made: MonitorProgram, one: Comparison, bound: 
     if made.inputs:
         feed["u"] = one.u[:_CHECKED].astype(real)
     evaluator = onnx.reference.ReferenceEvaluator(model)
-    with np.errstate(all="ignore"):  # of what is computed and not chosen
+    with np.errstate(all="ignore"):  # of computed values that are not selected
         given = dict(zip(evaluator.output_names, evaluator.run(None, feed), strict=True))
     decided = one.decided[:_CHECKED]
     off = np.abs(given["residual"].astype(float) - one.residuals[:_CHECKED])[decided]

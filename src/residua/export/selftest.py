@@ -17,11 +17,11 @@ from residua.monitor.specification import Specification
 
 #: Samples of the comparison, and of a gap in the middle of it.
 _SAMPLES, _GAP = 400, 5
-#: Sizes that a signal has, in units of what moves the statistic to its threshold.
+#: Sizes of a signal, in units that move the statistic to its threshold.
 _SIZES = 3.0
 
 
-#: Samples over which a filter forgets its start, at most, and what is left of it then.
+#: Largest number of samples in which a filter forgets its start, and the remainder then.
 _LONGEST, _LEFT = 100_000, 2.0**-10
 #: Rounding of a number in single precision, and in double precision.
 _UNIT, DOUBLE_UNIT = 2.0**-24, 2.0**-53
@@ -141,7 +141,7 @@ def rounding_bound(spec: Specification, sizes: NDArray[np.float64], rounding: fl
     steady = H @ (unit * (A @ reached + B @ sizes)) + (on_residual + D) @ taken + unit * residuals
     start = np.abs(spec.start) @ (unit * sizes + taken)
     begun, first = 0, spec.first
-    if first is not None:  # its residuals correct the start, with what they are off by themselves
+    if first is not None:  # its residuals correct the start, with their own errors
         begun, rows = first.samples, np.abs(first.rows).reshape(-1, len(spec.C), n).sum(axis=0)
         off = steady + H @ start + (first.samples + len(spec.C)) * rounding * residuals
         start = states @ start + np.abs(first.correction) @ (np.sum(off[:, None] * rows, axis=0))
@@ -161,7 +161,7 @@ def _sums_of_powers(
         total += np.abs(now)
         gains += np.abs(now @ B)
         power = power @ A
-        if np.abs(power).sum() <= _LEFT / n:  # of all that comes: H <= H_N + H |A^N|, and what B adds to it
+        if np.abs(power).sum() <= _LEFT / n:  # bound on the remainder: H <= H_N + H |A^N|, and the part of B
             every = np.asarray(np.linalg.solve(np.eye(n) - np.abs(power).T, total.T).T, dtype=float)
             return every, gains + (every @ np.abs(power)) @ np.abs(B)
     raise SettingError("this filter forgets too slowly for single precision: export it in double precision")

@@ -3,7 +3,7 @@
 Names in capitals are sizes, and settings that are known when a monitor is exported.
 """
 
-#: Deviations from the operating point; what lies outside the plausible range, or is not a number, is missing.
+#: Deviations from the operating point; values outside of the plausible range, or NaN, are missing.
 TAKE = """
 complete = True
 for j in range(INPUTS):

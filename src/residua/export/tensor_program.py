@@ -17,7 +17,7 @@ _BINARY = {ast.Add: "Add", ast.Sub: "Sub", ast.Mult: "Mul", ast.Div: "Div"}
 _COMPARE = {ast.Lt: "Less", ast.LtE: "LessOrEqual", ast.Gt: "Greater", ast.GtE: "GreaterOrEqual", ast.Eq: "Equal"}
 #: Nodes of both branches of a condition up to which both are computed and one is chosen.
 _CHEAP = 24
-#: What a variable is that has no value that could be used: of a lane that may not have run.
+#: Mark of a variable without a usable value: of a lane that may not have run.
 _LOST = Tensor("lost")
 
 
@@ -186,7 +186,7 @@ class TensorProgram:
         branches = []
         for values, nodes in results:
             given = []
-            for one in names:  # what a branch gives has to be made in it
+            for one in names:  # results of a branch have to be made in it
                 given.append(self.tensors.new_name())
                 nodes.append(Node("Identity", (self.tensors.named(values[one]),), (given[-1],), {}))
             branches.append((nodes, given))
@@ -218,7 +218,7 @@ class TensorProgram:
         if any(name in loop.read or name in loop.summed for loop in inner):
             raise _CarriedError
         if not self._masks or (kind == "real" and new.known is not None):
-            # where conditions hold it is only of use to what follows under them
+            # under conditions it is only usable by statements under the same ones
             self._values[name], self._depths[name] = new, now
             self._valid.pop(name, None)
             if self._masks:

@@ -14,7 +14,7 @@ from residua.live.view import View
 
 #: Content type.
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
-#: Names in :meth:`View.counters` that only ever grow, and what they count.
+#: Names in :meth:`View.counters` that only grow, with their help texts.
 COUNTERS = {
     "messages": "Messages that sources have brought.",
     "dropped": "Messages or readings that were dropped.",
@@ -25,7 +25,7 @@ COUNTERS = {
     "delivery_failures": "Deliveries that failed, each to be tried again.",
     "given_up": "Events that a receiver refused for good and that were given up.",
 }
-#: Names of other numbers, what they are called outside, and what they are.
+#: Names of other numbers, with their outside names and help texts.
 GAUGES = {
     "plants": ("plants", "Plants that are watched."),
     "plants_in_alarm": ("plants_in_alarm", "Plants with an alarm that lasts."),

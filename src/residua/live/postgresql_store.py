@@ -146,7 +146,7 @@ class PostgresqlStore(SqlStore):
                 raise StoreError(f"the database refuses: {said or type(error).__name__}") from None
             connection = getattr(self._local, "connection", None)
             if connection is not None and not state:
-                connection.close()  # what is left of it is not to be trusted
+                connection.close()  # its state is not to be trusted
             raise StoreAwayError(f"the database cannot be reached: {said or 'no answer'}") from None
 
     def commit(self, changes: Changes) -> None:

@@ -174,7 +174,7 @@ class Routes:
         last = await self.ask(self._last_place)
         yield b"retry: 2000\n\n"
         if after is None or after > last:
-            # Another store than that of which the place is: what was seen of it is void.
+            # Another store than that of the place: events seen from it do not count.
             yield b"event: anew\nid: %d\ndata: {}\n\n" % last if after is not None else beat(last)
             after = last
         while not self._stopping.is_set():

@@ -31,7 +31,7 @@ from residua.visible import echo, visible
 
 #: Messages that are committed together at most, and bytes of them, unless one alone has more.
 AT_ONCE, BYTES_AT_ONCE = 4000, 4_000_000
-#: Seconds between two looks at rows that wait, and at what else depends on the clock.
+#: Seconds between two checks of waiting rows, and of everything else that depends on the clock.
 _TICK, _SLOW_TICK = 0.1, 2.0
 #: Rows of a plant that are looked through for a reading that comes again.
 _LOOKED_THROUGH = 4096
@@ -267,7 +267,7 @@ class Run:
         while not self.stopping.is_set():
             over = all(one.finite and one.over for one in self.sources)  # asked first: they put before they are over
             messages = self.inbox.take(AT_ONCE, _TICK)
-            self._whole = False  # until what is done in memory is in the store
+            self._whole = False  # until changes in memory are in the store
             if messages:
                 self.apply(messages)
             now = time.monotonic()
@@ -376,7 +376,7 @@ class Run:
                 one.arrived, one.past = message.arrived, message.source.rereads
                 out.append(one)
             except MessageError as error:
-                if len(new) > before:  # a plant is taken in by what can be used of it
+                if len(new) > before:  # a plant is added with its first usable message
                     new.popitem()
                 self._drop(error.reason, message.source.name, self._quoted(message, error), now)
         if new:

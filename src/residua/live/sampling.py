@@ -246,7 +246,7 @@ def _one(
         state = replace(state, grid=time - dt, last=time - dt, dated=readings.dated)
     number = round((time - state.grid) / dt)
     values = readings.values[k]
-    if state.back and number <= longest_gap:  # what follows is another stretch: the filter restarts after the gap
+    if state.back and number <= longest_gap:  # later rows are another stretch: the filter restarts after the gap
         remarks.append(Remark("refused", time))
         return state
     if number <= 0:

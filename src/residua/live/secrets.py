@@ -52,7 +52,7 @@ def secret(settings: Any, name: str) -> str | None:
     if variable:
         value = os.environ.get(variable)
         if value is None:
-            # What is no name may be the secret itself.
+            # An invalid name may be the secret itself.
             shown = f" {variable}" if variable.isidentifier() else " with an invalid name"
             raise SettingError(f"{name}_env: the environment variable{shown} is not set")
         return _checked(value, f"{name}_env: the environment variable {variable}")
@@ -87,7 +87,7 @@ def _of_file(path: str, key: str) -> str:
     try:
         text = content.decode("utf-8")
     except UnicodeDecodeError:
-        raise SettingError(f"{key}: {path} is not text in UTF-8") from None  # the cause repeats what is in it
+        raise SettingError(f"{key}: {path} is not text in UTF-8") from None  # the cause repeats its content
     return text.removesuffix("\n").removesuffix("\r")
 
 

@@ -13,7 +13,7 @@ from residua.decide.change_time import CONFIDENCE, LEAST_BEFORE, ChangeTime, cha
 from residua.decide.statement import SHOWN_ALARMS, longest_alarms
 from residua.tolerances import DATA_ROUNDING
 
-#: Alarms less than this many samples apart are looked at together: what raised the last one may have begun before them.
+#: Alarms less than this many samples apart are dated together: the cause of the last one may precede them all.
 APART = 200
 #: Samples of an alarm from which the direction of the change is taken at most.
 _MOST_ALARM = 2000
@@ -21,7 +21,7 @@ _MOST_ALARM = 2000
 MOST_ROWS = 10_000
 #: Samples that are looked through at once.
 _PIECE = 1 << 17
-#: Least squared distance that the residual has moved, in units of what noise alone moves it, to know its direction.
+#: Least squared move of the residual, in units of that by noise alone, from which its direction is known.
 CLEAR_DIRECTION = 10.0
 
 

@@ -92,7 +92,7 @@ class Decision:
         cls, residual: NDArray[np.float64], statistic: float, decided: bool, missing: bool, generator: ResidualGenerator
     ) -> Decision:
         """Return the decision on a sample without an alarm; its estimates are computed on demand."""
-        one = cls.__new__(cls)  # it is what a step takes longest for
+        one = cls.__new__(cls)  # the slowest part of a step
         one._residual, one._statistic = residual, statistic
         one._alarm, one._decided, one._missing = False, decided, missing
         one._fired, one._named = (), _NOBODY

@@ -252,7 +252,7 @@ def _far_larger(generator: ResidualGenerator, run: FaultFreeRun) -> list[str]:
     return found
 
 
-#: What may make residuals far larger than the noise of the plant, and what follows.
+#: Causes of residuals far larger than the noise of the plant, and consequences.
 _MOVES = (
     "check for swapped columns, other units, a dead sensor, or a wrong model. A threshold that "
     "covers this hides faults; residual_report shows more"

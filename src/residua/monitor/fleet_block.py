@@ -230,7 +230,7 @@ class FleetBlock:
         standing: StandingAlarms | None = None,
         skipped: SkippedSamples | None = None,
     ) -> None:
-        monitor._specification()  # what runs is made once for all blocks
+        monitor._specification()  # the specification is made once for all blocks
         self.monitor = copy(monitor)  # as it is now: it may be fitted anew while the plants run
         self.monitor.reset()
         self.spec, self.generator, self.ids = self.monitor._specification(), self.monitor.generator, list(ids)
@@ -528,7 +528,7 @@ class FleetBlock:
     def _follow_block(self, decisions: Decisions, before: NDArray[np.int64]) -> None:
         """Record the standing alarms after a block."""
         alarm, standing = decisions.alarm, self.standing
-        standing.stands &= np.asarray(alarm.all(axis=1))  # what has stood all the time goes on standing
+        standing.stands &= np.asarray(alarm.all(axis=1))  # alarms that stood all the time still stand
         new, ended = standing.changed(None, alarm[:, -1])
         off = ~alarm[new, ::-1]
         raised = np.where(off.any(axis=1), alarm.shape[1] - off.argmax(axis=1), 0)

@@ -41,8 +41,8 @@ _TYPES = {
 }
 #: Fields for starts of filters, and counters of restarts: usually zero.
 _OF_STARTS, _RESTARTS = ("start_sums", "moved"), ("resets", "broken")
-#: What a step returns in one number: alarm, whether it was decided, and whether a value was missing; that the plant was
-#: left, besides.
+#: Flags in the number that a step returns: alarm, whether it was decided, and whether a value was missing; that the
+#: plant was left, besides.
 ALARM, DECIDED, MISSING, _IS_LEFT = 1, 2, 4, 8
 
 
@@ -276,7 +276,7 @@ class FusedRun:
         #: Whether it runs single samples, with their isolation.
         self.steps = plan.names and self.plants == 1
         self._last = np.empty(0)  # the residual that single samples are written to
-        #: The state, the kernel on its arrays, and what it writes of single samples: changed together, at once.
+        #: The state, the kernel on its arrays, and its outputs of single samples: changed together, at once.
         self._on: tuple[State, Any, dict[str, NDArray | None] | None] = (state, self._runner(state), None)
 
     @property

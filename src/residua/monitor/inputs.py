@@ -262,7 +262,7 @@ def _forgotten(generator: ResidualGenerator, left: float) -> int:
 
 def _samples_until(generator: ResidualGenerator, left: float) -> int:
     slowest = float(np.abs(generator.system.poles()).max(initial=0.0))
-    if slowest < 1e-6:  # a moving average: what it was before the start is gone with the last sample that it reads
+    if slowest < 1e-6:  # a moving average: samples before the start leave it with the last one that it reads
         return _last_read(generator)
     return int(np.ceil(np.log(left) / np.log(min(slowest, 1 - 1e-9))))
 

@@ -100,7 +100,7 @@ class Live:
         try:
             flags, statistic = run.step(u, y)
         except (TypeError, ValueError, BufferError):
-            return None  # what is wrong with them is said where they are checked
+            return None  # errors in them are reported by their checks
         if flags & ALARM:
             return decision_from(run.last_decisions(), spec, generator, run.state)
         return Decision.quiet(run.last_residual(), statistic, flags & DECIDED != 0, flags & MISSING != 0, generator)

@@ -215,7 +215,7 @@ def _gap_notes(
     spec: Specification, generator: ResidualGenerator, decisions: Decisions, recorded: Recorded
 ) -> tuple[str, ...]:
     """Return a remark on the share not judged because of missing values, the worst channel, and a remedy."""
-    if not np.any(decisions.missing):  # as a rule; what follows needs memory for every sample
+    if not np.any(decisions.missing):  # as a rule; the rest needs memory for every sample
         return ()
     own = np.ones(len(decisions.missing), dtype=bool) if recorded.own is None else recorded.own
     missing, usable = decisions.missing & own, decisions.tested.usable

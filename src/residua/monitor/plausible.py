@@ -14,7 +14,7 @@ from residua.errors import SettingError
 from residua.visible import echo, listed
 
 #: Sizes of a signal in a fault-free recording that its plausible values reach from the middle, unless set otherwise.
-#: Far above what a sensor reads that fails to the end of its scale: that is a fault, which must be seen.
+#: Far above the reading of a sensor that fails to the end of its scale: that is a fault, which must be seen.
 TIMES = 1e6
 #: Without limits from data: standard deviations, or thresholds, that the largest value may move the residual by.
 _GUARD = 1e30

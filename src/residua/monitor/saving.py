@@ -58,7 +58,7 @@ FORMAT = "residua-monitor"
 REGIMES = "residua-regime-monitor"
 VERSION = 12
 
-#: What a monitor says in every diagnosis whose file was edited: nobody but its author can know whether it still holds.
+#: Caution in every diagnosis of a monitor whose file was edited: only its author can know whether it still holds.
 EDITED = "the file of this monitor was edited after it was saved: its numbers are not those of the design"
 
 #: Relative accuracy of values computed from the design before the first sample.
@@ -81,7 +81,7 @@ _ENTRIES = (
     "running",
     "state",
 )
-#: Entries of a file only where there are any, and what stands for them elsewhere.
+#: Optional entries of a file, and their defaults.
 _ABSENT: dict[str, Any] = {"bounds": {}, "fit_check": None, "normal": None, "learnt": []}
 
 
@@ -256,7 +256,7 @@ def _plausible_in(value: Any) -> Plausible:
     return out
 
 
-# --------------------------------------------------------------------- what runs
+# --------------------------------------------------------------------- the running state
 
 
 def _running_out(spec: Specification) -> dict[str, Any]:

@@ -121,9 +121,9 @@ def start_fit(generator: ResidualGenerator, test: ResidualTest, settle: int) -> 
         blocks.append(block)
         block = block @ A
     seen = np.concatenate(blocks)
-    units = np.linalg.norm(seen, axis=0)  # states in units of what is seen of them
+    units = np.linalg.norm(seen, axis=0)  # states in units of their effect on residuals
     units = np.where(units > 0, 1 / np.where(units > 0, units, 1.0), 0.0)
-    after = [block]  # what a state at the start does to a residual after them, at ever longer intervals
+    after = [block]  # effect of the initial state on later residuals, at ever longer intervals
     power = A
     for _ in range(24):
         after.append(after[-1] @ power)

@@ -23,7 +23,7 @@ OUTPUTS = (
     *("residuals", "missing", "aside", "usable", "statistic", "exceeded", "alarm", "up", "whitened", "scores", "ready"),
     *("member_statistics", "fired", "code"),
 )
-#: What the kernel writes down of a part: that it has run, how many of its plants stopped for want of room, whether one
+#: Receipt of the kernel for a part: that it has run, how many of its plants stopped for want of room, whether one
 #: did for want of gains, and how many notes there are.
 RAN, STOPPED, WANTS_GAINS, NOTED = range(4)
 #: Plants of a part that are noted, and numbers of a note before the sums of a start, as in the kernel.
@@ -76,7 +76,7 @@ class Parts:
             if self._claims.setdefault(k, None) is None:
                 self._run(run, k)
         self.wait()
-        for k in range(len(self._ends)):  # what a thread did not do for an error, which is met again
+        for k in range(len(self._ends)):  # parts left by a thread with an error, which occurs again here
             self._run(run, k)
 
     def help(self, helper: _Helper, run: Callable[..., object], k: int) -> None:

@@ -10,7 +10,7 @@ from residua.linear.poles.spectrum import mean_rate
 from residua.plant.plant import Plant
 from residua.tolerances import RANK
 
-#: Standard deviations: of a measurement relative to its output, and of what moves a state in one sample to that state.
+#: Standard deviations: of a measurement relative to its output, and of process noise in one sample to its state.
 MEASUREMENT, PROCESS = 0.1, 0.003
 #: Samples in the time constant of the mean rate, and those over which the signals of a plant that integrates are taken.
 _SAMPLES, _INTEGRATED = 10, 100

@@ -20,7 +20,7 @@ from residua.visible import echo
 DELIMITERS = (",", ";", "\t")
 BLANKS = " "
 _DATE = re.compile(r"\d{1,4}([/.\-])\d{1,2}\1\d{1,4}(?!\d)")
-#: How spreadsheets say what stands between the cells, in a line of its own before all others.
+#: Declaration of the separator by spreadsheets, in a first line of its own.
 _SEPARATOR = re.compile(r"sep=([,;\t])", re.IGNORECASE)
 #: Characters in which the header is looked for before all lines are.
 _BEGINNING = 1 << 16

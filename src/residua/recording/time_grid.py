@@ -187,7 +187,7 @@ def _fitted(time: NDArray[np.float64], step: float, tolerance: float) -> _Fit:
         return simple
     steps = np.diff(time)
     counts = np.rint(steps / step)
-    short = (counts > 0) & (counts <= 3)  # the step of the rows themselves; a long gap multiplies what that is off
+    short = (counts > 0) & (counts <= 3)  # the step of the rows themselves; a long gap multiplies its error
     if short.any():
         step = float(steps[short].sum() / counts[short].sum())
     places = np.concatenate([[0.0], np.cumsum(np.rint(steps / step))])

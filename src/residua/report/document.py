@@ -102,7 +102,7 @@ def diagnosis_of(text: str | bytes) -> Diagnosis:
     if content.get("whole") is None:
         raise FileFormatError(f"{source} has what was found alone, and no series: write it by to_json(whole=True)")
     try:
-        with np.errstate(all="ignore"):  # what overflows is refused
+        with np.errstate(all="ignore"):  # overflow is refused later
             made = _diagnosis_in(content["whole"])
     except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError, MemoryError, ResiduaError) as error:
         raise FileFormatError(f"{source}: {shortened(str(error), 1000)}") from error

@@ -33,7 +33,7 @@ class Shape(ABC):
         Time at which the fault is gone again; ``None``: it stays.
     """
 
-    #: What it does: ``adds`` the size through the plant's fault input, ``holds`` or ``weakens`` the channel itself.
+    #: Action: ``adds`` the size through the plant's fault input, ``holds`` or ``weakens`` the channel itself.
     acts: ClassVar[str] = "adds"
     #: Whether the course differs from run to run, whatever the onset.
     drawn: ClassVar[bool] = False

@@ -120,7 +120,7 @@ class JsonLines(Sink):
                     left = left[os.write(file, left) :]
                 os.fsync(file)
             except OSError:
-                os.ftruncate(file, end)  # what is there of it would be a torn line
+                os.ftruncate(file, end)  # a partial write would be an incomplete line
                 raise
         finally:
             os.close(file)

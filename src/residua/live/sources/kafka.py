@@ -285,7 +285,7 @@ class Kafka(ThreadedSource):
             return
         try:
             consumer.commit(offsets=offsets, asynchronous=asynchronous)
-        except KafkaException as error:  # they come again, and the run drops what it has
+        except KafkaException as error:  # they come again, and the run drops repeats
             self.say(False, f"{self._where}: offsets could not be committed: {_words(error)}")
 
     # ------------------------------------------------------------------ callbacks of librdkafka, while reading

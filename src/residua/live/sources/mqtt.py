@@ -36,7 +36,7 @@ _BURST_BYTES = 4_000_000
 _PIECE = 1 << 16
 #: Bytes of messages that may wait for the run.
 _MOST_BYTES = 64_000_000
-#: Bytes of a packet that a broker is told not to exceed: what is larger than a message may be is counted, up to here.
+#: Limit on packets given to the broker: messages over the usual limit are counted, up to this size.
 _LARGEST_PACKET = 8 * LARGEST
 #: Seconds that connecting may take, and that the last acknowledgements may take.
 _CONNECTING, _LEAVING = 5.0, 2.0
@@ -313,7 +313,7 @@ class _Client(paho.Client):
         if buf[0] >> 4 == _PUBACK:
             self._acknowledgements += buf
             return len(buf)
-        if not self.flush():  # what is begun must be ended first
+        if not self.flush():  # a packet in progress must be finished first
             raise BlockingIOError
         return super()._sock_send(buf)
 

@@ -250,7 +250,7 @@ def _read(track: _Track, settings: Settings) -> Iterator[_Rows]:
                 done += len(rows.times)
                 yield rows
             return
-        except NotServedError:  # it is read at once, which says what is wrong if anything is
+        except NotServedError:  # it is read at once, which reports any error
             pass
     recording = read_recording(
         track.path,

@@ -130,7 +130,7 @@ class JsonLines(ThreadedSource):
             elif not self._settings.follow:
                 return
             else:
-                self.stopping.wait(0.2)  # of what is at its end, a system only says that it can be read
+                self.stopping.wait(0.2)  # at the end of a file a system only reports that it is readable
 
 
 def _is_file(path: str) -> bool:

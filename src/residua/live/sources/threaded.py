@@ -92,7 +92,7 @@ class ThreadedSource(Source):
             self.work()
         except RunStoppedError:
             return
-        except Exception as error:  # a source never raises: what is wrong is said where the others are said
+        except Exception as error:  # a source never raises: errors are reported with its health
             logger.exception("%s: it has ended", self.name)
             self.say(False, f"it has ended: {error}")
         self._over = not self.stopping.is_set()
