@@ -313,7 +313,7 @@ def codes(generator: ResidualGenerator, isolate: Structured) -> _Seen:
 
 
 def responses(matched: MatchedFilters) -> _Seen:
-    """Return the responses of matched filters to each fault, and the faults that look the same."""
+    """Return the deviations of fault sizes by matched filters, and the faults that look the same."""
     half, whole = matched.deviation(matched.window // 2), matched.deviation()
     plant = matched.generator.plant
     rows = []

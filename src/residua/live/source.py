@@ -115,5 +115,5 @@ class Pauses:
         self._now = self.first
 
     def wait(self, stopping: threading.Event) -> bool:
-        """Wait, but not while the run is ending; return whether it is."""
+        """Wait, unless the run is ending; return whether it is."""
         return stopping.wait(self.next())

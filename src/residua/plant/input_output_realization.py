@@ -160,7 +160,7 @@ def _is_clear(decided: RankDecision, tolerance: float) -> bool:
 
 
 def _margin(part: ReachablePart) -> float:
-    """Return the ratio of the weakest coupling that counts to the tolerance."""
+    """Return the smallest ratio of a coupling that counts to the tolerance."""
     return min(
         (
             decided.smallest_kept / max(decided.tolerance, np.finfo(float).tiny)

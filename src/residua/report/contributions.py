@@ -54,7 +54,7 @@ def shares_of_statistic(diagnosis: Diagnosis) -> NDArray[np.float64] | None:
 
 
 def inside_band(diagnosis: Diagnosis, start: int, stop: int) -> NDArray[np.float64]:
-    """Return the fraction of judged samples of a stretch with each residual inside its band; NaN for none."""
+    """Return for each residual the fraction of judged samples of a stretch inside its band; NaN for none."""
     rows = averaged_residuals(diagnosis)[start:stop]
     rows = rows[np.isfinite(rows).all(axis=1)]
     if not len(rows):

@@ -172,7 +172,7 @@ def candidate_table(diagnosis: Diagnosis) -> str:
 
 
 def learnt_faults_html(diagnosis: Diagnosis) -> str:
-    """Return the table of learnt faults, and the position of the main alarm to each."""
+    """Return the table of learnt faults, with the angle of the main alarm to each."""
     table = LearntFaults(diagnosis.learnt_faults)
     if not table:
         return ""

@@ -229,7 +229,7 @@ class _Pace:
         self._begin: float | None = None
 
     def wait_until(self, elapsed: float, stopping: Any) -> bool:
-        """Wait, but not while the run is ending; return whether it is."""
+        """Wait, unless the run is ending; return whether it is."""
         if not self._speed:
             return stopping.is_set()
         due, now = elapsed / self._speed, time.monotonic()
