@@ -302,7 +302,7 @@ def test_a_session_that_the_broker_has_lost_is_said(mosquitto: Mosquitto) -> Non
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
-        ({"client_id": ""}, "client_id: name this run"),
+        ({"client_id": ""}, "client_id: a name for this run"),
         ({"topics": []}, "topics: name at least one"),
         ({"topics": "plants/{plant}/data"}, "topics: a list of different texts"),
         ({"topics": ["$share/a/b"]}, "topics: "),
