@@ -50,7 +50,7 @@ print(f"first alarm at {run.time[first]:g} s, named at the end: {live[-1].named}
 
 # %%
 # Through the short gap the filter went on with what was there. After the long one, more than ``max_hold`` samples without
-# any output, it started anew and decided nothing until it had settled; both are grey below.
+# any output, it restarted and decided nothing until it had settled; both are grey below.
 figure = plt.figure(figsize=(8, 7.5), layout="constrained")
 plot_diagnosis(recorded, figure=figure)
 plt.show()

@@ -1,7 +1,6 @@
 """Model-based fault detection and isolation.
 
-From a plant model and the list of what may fail to residual generators, alarms and the name of the faulty
-component.
+From a plant model and a list of faults to residual generators, alarms and the name of the faulty component.
 """
 
 from typing import TYPE_CHECKING

@@ -1,4 +1,4 @@
-"""Checked conversion of what users pass in: finite matrices of the right shape, unique names, valid steps."""
+"""Checked conversion of user input: finite matrices of the right shape, unique names, valid steps."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ LARGEST = 1e100
 
 
 def aligned(array: NDArray) -> NDArray:
-    """Return an array whose numbers begin where C may read them: itself, or a copy.
+    """Return an array aligned for C: itself, or a copy.
 
     A view into the middle of some bytes, such as ``np.frombuffer(content, offset=1)``, need not be so.
     """
@@ -32,7 +32,7 @@ def frozen(M: NDArray) -> NDArray[np.float64]:
 
 
 def matrix(value: ArrayLike, name: str, shape: tuple[int | None, int | None], *, what: str = "") -> NDArray[np.float64]:
-    """Return ``value`` as a read-only matrix of the given shape, or say what is wrong with it.
+    """Return ``value`` as a read-only matrix of the given shape, or raise with the mistake.
 
     Every entry is finite and at most ``LARGEST`` in size.
 
@@ -58,7 +58,7 @@ def matrix(value: ArrayLike, name: str, shape: tuple[int | None, int | None], *,
 
 
 def _numbers(value: ArrayLike, name: str) -> NDArray[np.float64]:
-    """Return ``value`` as an array of floats, or say that it is none."""
+    """Return ``value`` as an array of floats, or raise."""
     try:
         if np.iscomplexobj(value):  # NumPy would only warn, and drop the imaginary parts
             raise ModelError(f"{name} must be real, got complex entries")
@@ -121,7 +121,7 @@ def _names(given: Iterable[str] | str, count: int, what: str) -> tuple[str, ...]
 
 
 def unique(given: tuple[str, ...], what: str) -> None:
-    """Raise when a name occurs twice."""
+    """Raise if a name occurs twice."""
     seen: set[str] = set()
     for name in given:
         if name in seen:
@@ -130,7 +130,7 @@ def unique(given: tuple[str, ...], what: str) -> None:
 
 
 def index_of(name: str | int, known: tuple[str, ...], what: str) -> int:
-    """Return the position of a channel given by name or number, or list the names that exist."""
+    """Return the position of a channel given by name or number, or raise with the names that exist."""
     if isinstance(name, (int, np.integer)) and not isinstance(name, bool):
         if -len(known) <= name < len(known):
             return int(name) % len(known)
@@ -147,7 +147,7 @@ def runs(flags: NDArray[np.bool_]) -> NDArray[np.int64]:
 
 
 def different_positions(chosen: Iterable[str | int] | str | int | None, known: tuple[str, ...], what: str) -> list[int]:
-    """Return the positions of the chosen channels (all when ``None``), or raise when one is chosen twice."""
+    """Return the positions of the chosen channels (all when ``None``), or raise if one is chosen twice."""
     numbers = positions(chosen, known, what)
     unique(tuple(known[i] for i in numbers), f"{what}s")
     return numbers

@@ -1,4 +1,4 @@
-"""The errors that residua raises; each is a builtin exception too, so that callers need not import them."""
+"""Errors raised by residua; each is a builtin exception too, so that callers need not import them."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from residua.visible import visible
 
 
 class ResiduaError(Exception):
-    """Base of every error that residua raises on purpose.
+    """Base of every error that residua raises deliberately.
 
     Names and cells of files are part of many messages: control characters in them are shown, not sent to a terminal.
     """
@@ -16,7 +16,7 @@ class ResiduaError(Exception):
 
 
 class ModelError(ResiduaError, ValueError):
-    """A system or plant that is malformed: shapes, names, non-finite entries."""
+    """A malformed system or plant: shapes, names, non-finite entries."""
 
 
 class DesignError(ResiduaError, ValueError):
@@ -24,7 +24,7 @@ class DesignError(ResiduaError, ValueError):
 
 
 class NoCertificateError(DesignError):
-    """A bound or a promise over an uncertainty set that was not proved: it may hold, and narrower sets may have one."""
+    """A bound or promise over an uncertainty set that was not proved: it may hold, and narrower sets may have one."""
 
 
 class AccuracyError(ResiduaError, ArithmeticError):
@@ -40,7 +40,7 @@ class FileFormatError(ResiduaError, ValueError):
 
 
 class SettingError(ResiduaError, ValueError):
-    """An option that makes no sense: its name, what it must be, and what it was."""
+    """An invalid option; the message has its name, the expected value, and the actual one."""
 
 
 class NotFittedError(ResiduaError, RuntimeError):
@@ -48,11 +48,11 @@ class NotFittedError(ResiduaError, RuntimeError):
 
 
 class MissingExtraError(ResiduaError, ImportError):
-    """An optional dependency is absent; the message names the extra to install."""
+    """A missing optional dependency; the message names the extra to install."""
 
 
 def missing_extra(package: str, extra: str) -> MissingExtraError:
-    """Return the error for an absent optional dependency.
+    """Return the error for a missing optional dependency.
 
     Parameters
     ----------

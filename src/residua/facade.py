@@ -1,4 +1,4 @@
-"""Public names of a room, imported when they are first asked for."""
+"""Public names of a room, imported on first use."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 
 
 class _Facade(ModuleType):
-    """The module of a room, which hands on names that stand in its files, and in rooms above it."""
+    """Module of a room, which passes on names from its files, and from rooms above it."""
 
     _places: dict[str, str]
     _modules: dict[str, str]
@@ -43,7 +43,7 @@ class _Facade(ModuleType):
 
 
 def hand_on(facade: str, names: Mapping[str, tuple[str, ...]], modules: Iterable[str] = ()) -> None:
-    """Let a module hand on names that other modules define, each imported when it is first asked for.
+    """Let a module pass on names that other modules define, each imported on first use.
 
     So an import reads only the files that it needs. And importing a file never waits for a room that waits for this
     file: as no imports run in a circle, threads that import at the same time meet no half-made module.

@@ -1,4 +1,4 @@
-"""Reading and writing files: outputs appear whole or not at all, and what is wrong is said in the same words."""
+"""Reading and writing files: outputs appear whole or not at all, and errors have one wording."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def check_output(path: str | Path) -> None:
 
 
 def read_bytes(path: str | Path, what: str) -> bytes:
-    """Return what is in a file; see :func:`check_input`.
+    """Return the content of a file; see :func:`check_input`.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def read_bytes(path: str | Path, what: str) -> bytes:
 
 
 def other_version(what: str, found: object, known: int, remedy: str) -> str:
-    """Return the message for content of another version: the remedy for an older one, an upgrade for a newer one.
+    """Return the message about content of another version: the remedy for an older one, an upgrade for a newer one.
 
     Examples
     --------
@@ -91,7 +91,7 @@ def other_version(what: str, found: object, known: int, remedy: str) -> str:
 
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
-    """Yield a temporary path in the same folder that takes the place of ``path`` when all went well.
+    """Yield a temporary path in the same folder that replaces ``path`` on success.
 
     Links are followed; a device or pipe, which must not be replaced, is written to directly. The ending of
     the name is kept, since writers choose the format by it. A new file gets the permissions that any new
@@ -127,7 +127,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Let an error of writing, such as a full disk, say which file it is about: the user's, not a partial one.
+    """Let errors of writing, such as a full disk, name the user's file, not a partial one.
 
     Raises
     ------
@@ -166,5 +166,5 @@ def real(path: Path) -> Path:
 
 
 def special(path: Path) -> bool:
-    """Whether the path is a device or pipe."""
+    """Tell whether the path is a device or pipe."""
     return path.exists() and not path.is_file() and not path.is_dir()

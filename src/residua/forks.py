@@ -1,4 +1,4 @@
-"""Locks that are free in a process that was forked, and what they guard in one piece there.
+"""Locks that stay usable after a fork.
 
 A process that is forked while another thread holds a lock has a copy of it that nobody lets go, and of what is half
 changed. So a fork waits until it holds all of them. An error that comes while it waits, as of Ctrl-C, is only written
@@ -12,17 +12,17 @@ from itertools import count
 from threading import RLock, local
 from weakref import WeakValueDictionary
 
-#: How long a fork waits for one lock with others in hand, at first: a thread may hold that one and want these.
+#: First wait of a fork for one lock while holding others: a thread may hold that one and want these.
 _PATIENCE = 0.1
 
 _numbers = count()
 _locks: WeakValueDictionary[int, RLock] = WeakValueDictionary()
-#: Who has either may ask for it: Python may call the handler of a signal meanwhile, which makes a lock, or forks.
+#: Reentrant, since Python may call a signal handler meanwhile, which makes a lock, or forks.
 _listing, _forking = RLock(), RLock()
 
 
 class _Own(local):
-    """What the forks hold that a thread is about to make: one, or another one of a handler within it."""
+    """Locks held by the forks that a thread is about to make: one, or another one of a handler within it."""
 
     def __init__(self) -> None:
         self.held: list[list[RLock]] = []
@@ -32,7 +32,7 @@ _own = _Own()
 
 
 def forkable_lock() -> RLock:
-    """Return a lock, for one thread at a time, which may take it again, that no fork leaves behind."""
+    """Return a reentrant lock that stays usable after a fork."""
     lock = RLock()
     with _listing:
         _locks[next(_numbers)] = lock
@@ -66,8 +66,8 @@ def _take_all() -> None:
 
 
 def _take(locks: dict[int, RLock], held: list[RLock], patience: float, first: int | None = None) -> int | None:
-    """Take locks one after the other; return the number of one that did not come free, if any."""
-    # The latest first, as threads do: a monitor's, and within that what everybody shares.
+    """Take locks one after the other; return the number of one that could not be taken, if any."""
+    # The latest first, as threads do: a monitor's, and within it the shared ones.
     for number in sorted(locks, key=lambda number: (number != first, -number)):
         if not locks[number].acquire(timeout=patience if len(held) > 1 else -1):
             return number
@@ -76,7 +76,7 @@ def _take(locks: dict[int, RLock], held: list[RLock], patience: float, first: in
 
 
 def _let_go(held: list[RLock], but: int = 0) -> None:
-    """Let go of the last of these locks, but so many."""
+    """Release the last of these locks, except for so many."""
     while len(held) > but:
         held.pop().release()
 

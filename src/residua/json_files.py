@@ -1,4 +1,4 @@
-"""JSON files that the package writes and reads: one table, no entry twice, and a checksum of the content.
+"""JSON files of the package: one table, no repeated entries, and a checksum of the content.
 
 A single changed digit can make a monitor blind and still be a number like any other. So what is written carries a
 checksum of its content; reading compares it. Who edits a file on purpose writes ``"checksum": null``.
@@ -19,9 +19,9 @@ CHECKSUM = "checksum"
 
 
 def loads(content: bytes, source: str) -> dict[str, Any]:
-    """Return the table in a JSON file, empty where the file holds something else.
+    """Return the table in a JSON file, empty if the file holds something else.
 
-    NaN and infinity, which are no JSON, are refused, and so is an entry that is there twice.
+    NaN and infinity, which are not JSON, are refused, and so is an entry that occurs twice.
     """
 
     def refuse(constant: str) -> NoReturn:
@@ -44,7 +44,7 @@ def _table(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     out = dict(pairs)
     if len(out) < len(pairs):
         names = [name for name, _ in pairs]
-        raise ValueError(f"the entry {echo(next(name for name in names if names.count(name) > 1))} is there twice")
+        raise ValueError(f"the entry {echo(next(name for name in names if names.count(name) > 1))} occurs twice")
     return out
 
 
@@ -54,14 +54,14 @@ def dumps(content: Mapping[str, Any]) -> str:
 
 
 def checksum(content: Mapping[str, Any]) -> str:
-    """Return the SHA-256 of a content, its own entry left out; the order of entries counts, their layout does not."""
+    """Return the SHA-256 of a content, without its own entry; the order of entries counts, their layout does not."""
     rest = {name: value for name, value in content.items() if name != CHECKSUM}
     text = json.dumps(rest, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode("ascii")).hexdigest()
 
 
 def check_checksum(content: Mapping[str, Any], source: str) -> bool:
-    """Return whether the content was saved like this, or ``False`` where the file says that it was edited.
+    """Return whether the checksum matches, or ``False`` if the file says that it was edited.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The compiled parts of the package, and whether they are in use."""
+"""Compiled parts of the package, and whether they are in use."""
 
 from __future__ import annotations
 

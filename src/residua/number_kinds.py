@@ -1,4 +1,4 @@
-"""Kinds of numbers that files hold: what each may be, checked in one way and refused in the same words."""
+"""Kinds of numbers in files: allowed values, one check, and one wording of errors."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MAX_WINDOW = 10**6
 
 @dataclass(frozen=True)
 class NumberKind:
-    """What a number may be.
+    """Kind of a number: its type and allowed values.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class NumberKind:
     allows: Callable[[NDArray[Any]], NDArray[np.bool_]]
 
     def check(self, values: NDArray[Any], where: str) -> NDArray[Any]:
-        """Return the values, or raise an error that names the first one that is not of this kind."""
+        """Return the values, or raise an error that names the first invalid one."""
         allowed = np.asarray(self.allows(values))
         if not allowed.all():
             place = np.argwhere(~allowed)[0].tolist()
@@ -48,7 +48,7 @@ class NumberKind:
         return values
 
     def error(self, where: str, value: object) -> FileFormatError:
-        """Return the error about a value of another kind."""
+        """Return the error about an invalid value."""
         return FileFormatError(f"{where}: expected {self.words}, got {kind_of(value)}")
 
 
@@ -77,13 +77,13 @@ COUNT = NumberKind("a whole number, 1 or more", "i", lambda n: n >= 1)
 WINDOW = NumberKind(f"a whole number from 1 to {MAX_WINDOW}", "i", lambda n: (n >= 1) & (n <= MAX_WINDOW))
 FLAG = NumberKind("true or false", "b", _all)
 
-#: What a number is where nothing else is said, by its type; products of what runs stay numbers.
+#: Default kind of a number, by its type; products of running values stay finite.
 USUAL = {"f": ENTRY, "c": COMPLEX, "i": INDEX, "b": FLAG}
 
 #: The same of results, of which nothing runs: they may be infinite or not known.
 REPORTED = USUAL | {"f": ANY, "i": WHOLE}
 
-#: Texts that stand for what JSON has no numbers for.
+#: Texts for values that JSON does not have.
 SPECIAL = ("nan", "inf", "-inf")
 
 
@@ -103,7 +103,7 @@ def numbers_in(values: list[Any], where: str, kind: NumberKind, shape: tuple[int
 
 
 def _plain(value: Any, where: str, kind: NumberKind) -> Any:
-    """Return an entry as a number of the type of a kind."""
+    """Return an entry as a Python number of the type of a kind."""
     if kind.dtype == "b":
         if isinstance(value, bool):
             return value
@@ -132,7 +132,7 @@ def _real(value: Any, where: str, kind: NumberKind) -> float:
 
 
 def kind_of(value: Any) -> str:
-    """Say what an entry of a file is, briefly."""
+    """Describe an entry of a file, briefly."""
     if isinstance(value, dict):
         return "a table"
     if isinstance(value, list):

@@ -1,4 +1,4 @@
-"""Partial files: what a file is until all of it is on the disk. Those that killed runs have left are removed.
+"""Partial files: files until their content is complete on disk. Those left by killed runs are removed.
 
 A run that writes holds a lock on its partial file, which the operating system releases when the run ends, however that
 comes about. So whoever gets the lock of a partial file knows that nobody writes it any more.
@@ -54,12 +54,12 @@ class PartialFile:
         finally:
             os.close(file)
         if fcntl is None:
-            self._close()  # Windows does not rename what is open
+            self._close()  # Windows does not rename open files
         os.replace(self.path, target)
         _sync_folder(target.parent)
 
     def discard(self) -> None:
-        """Remove what was not renamed."""
+        """Remove the file unless it was renamed."""
         self._close()
         self.path.unlink(missing_ok=True)
 
@@ -70,7 +70,7 @@ class PartialFile:
 
 
 def sweep(folder: Path) -> None:
-    """Remove the partial files in a folder that nobody writes any more; once for each folder and process."""
+    """Remove the partial files in a folder that nobody is writing; once for each folder and process."""
     name = str(folder)
     if name in _swept:
         return
@@ -98,7 +98,7 @@ def _remove_if_left(path: Path) -> None:
 
 
 def _locked(file: int) -> bool | None:
-    """Lock a file: whether nobody else has, ``None`` where the file system has no locks."""
+    """Lock a file: return success, or ``None`` if the file system has no locks."""
     if fcntl is None:
         return None
     try:
@@ -111,7 +111,7 @@ def _locked(file: int) -> bool | None:
 
 
 def _same(file: int, path: Path) -> bool:
-    """Whether an open file is still the one under that name."""
+    """Tell whether an open file is still the one under that name."""
     try:
         return os.path.samestat(os.fstat(file), os.stat(path))
     except OSError:
@@ -119,7 +119,7 @@ def _same(file: int, path: Path) -> bool:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Put the new name on the disk as well, where folders can be opened for that."""
+    """Make the new name durable on disk, if folders can be opened for that."""
     try:
         file = os.open(folder, os.O_RDONLY | getattr(os, "O_DIRECTORY", 0))
     except OSError:

@@ -1,4 +1,4 @@
-"""Progress of long computations, one line on a terminal and nothing anywhere else; and the time that they may take."""
+"""Progress of long computations, one line on a terminal and nothing elsewhere; and their time limit."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
-#: Told of what is under way: its name, how much is done, of how much.
+#: Callback for progress: name of the work, amount done, and total.
 Progress = Callable[[str, int, int], None]
 #: Seconds after which a computation is long enough to be shown.
 _PATIENCE = 2.0
@@ -16,7 +16,7 @@ _WIDTH = 30
 
 
 class ProgressLine:
-    """A bar on standard error that appears after two seconds, and goes away when it is closed.
+    """A bar on standard error that appears after two seconds, and is wiped at the end.
 
     Only where standard error is a terminal, unless ``always``.
     """
@@ -50,7 +50,7 @@ class ProgressLine:
 
 
 def progress_of(wanted: Progress | bool | None) -> tuple[Progress, Callable[[], None]]:
-    """Return what to tell progress to, and how to end it: a callable, a bar (``None``: on terminals), or nothing."""
+    """Return a progress callback, and a function to end it: a callable, a bar (``None``: on terminals), or nothing."""
     if callable(wanted):
         return wanted, lambda: None
     if wanted is False:
@@ -60,7 +60,7 @@ def progress_of(wanted: Progress | bool | None) -> tuple[Progress, Callable[[], 
 
 
 class TimeUsedUpError(Exception):
-    """Work was stopped by :func:`time_limit`: an answer about the clock, which no cache of refusals keeps."""
+    """Work was stopped by :func:`time_limit`: a statement about the clock, which no cache of refusals keeps."""
 
 
 _end: ContextVar[float] = ContextVar("end of the time", default=float("inf"))
@@ -68,7 +68,7 @@ _end: ContextVar[float] = ContextVar("end of the time", default=float("inf"))
 
 @contextmanager
 def time_limit(seconds: float) -> Iterator[None]:
-    """Within this, :func:`check_time` raises once so many seconds have passed, or those of a limit around it."""
+    """Let :func:`check_time` raise once so many seconds have passed, or those of an outer limit."""
     token = _end.set(min(time.monotonic() + seconds, _end.get()))
     try:
         yield
@@ -77,7 +77,7 @@ def time_limit(seconds: float) -> Iterator[None]:
 
 
 def check_time(needed: float = 0.0) -> None:
-    """Raise where the time is used up, or leaves less than the seconds that a step takes which nothing stops.
+    """Raise if the time is used up, or too short for the seconds of a step that cannot be stopped.
 
     Asked wherever a design decides a rank, keeps a result or makes a generator.
     """

@@ -1,4 +1,4 @@
-"""Numbers, arrays and records as JSON: every float to its last bit, every entry checked when it is read."""
+"""Numbers, arrays and records as JSON: every float to its last bit, every entry checked on reading."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _TYPES = {"complex": "c", "float": "f", "bool": "b", "int": "i"}
 
 
 def record(value: Any, where: str, names: Iterable[str]) -> dict[str, Any]:
-    """Return a table that has just these entries, or say which one is missing or unknown."""
+    """Return a table that has exactly these entries, or raise with a missing or unknown one."""
     if not isinstance(value, Mapping):
         raise FileFormatError(f"{where or 'the file'}: expected a table, got {kind_of(value)}")
     known = tuple(names)
@@ -67,12 +67,12 @@ def text_in(value: Any, where: str) -> str:
     if not isinstance(value, str):
         raise FileFormatError(f"{where}: expected text, got {kind_of(value)}")
     if any("\ud800" <= letter <= "\udfff" for letter in value):  # halves of characters, which no file can hold
-        raise FileFormatError(f"{where}: expected text, got {kind_of(value)}, which is no Unicode")
+        raise FileFormatError(f"{where}: expected text, got {kind_of(value)}, which is not Unicode")
     return value
 
 
 def whole_in(value: Any, where: str, kind: NumberKind = INDEX) -> int:
-    """Return a whole number, which is not negative unless another kind is named."""
+    """Return a whole number, not negative unless another kind is named."""
     return number_in(value, where, kind)
 
 
@@ -87,7 +87,7 @@ def float_out(x: float) -> float | str:
 
 
 def float_in(value: Any, where: str, kind: NumberKind = FINITE) -> float:
-    """Return a number that :func:`float_out` made, finite unless another kind is named."""
+    """Return a number written by :func:`float_out`, finite unless another kind is named."""
     return number_in(value, where, kind)
 
 
@@ -103,7 +103,7 @@ def array_out(value: NDArray) -> dict[str, Any]:
 
 
 def array_in(value: Any, where: str, kind: NumberKind = FINITE, ndim: int | None = None) -> NDArray:
-    """Return an array that :func:`array_out` made, of numbers of a kind, with as many dimensions as are asked for."""
+    """Return an array written by :func:`array_out`, of numbers of a kind, with a given number of dimensions."""
     content = table_in(value, where)
     name = next((name for name in content if name in _TYPES), "")
     if set(content) != {"shape", name}:
@@ -120,7 +120,7 @@ def array_in(value: Any, where: str, kind: NumberKind = FINITE, ndim: int | None
 
 
 class Record:
-    """Base of dataclasses that are saved.
+    """Base of saved dataclasses.
 
     Attributes
     ----------
@@ -137,7 +137,7 @@ _DTYPES: dict[Any, str] = {NDArray[np.float64]: "f", NDArray[np.int64]: "i", NDA
 
 
 def plain(value: Any) -> Any:
-    """Return a value as JSON has it, for readers that take it for no record.
+    """Return a value in the terms of JSON, for readers that do not need a record.
 
     Arrays become lists, numbers that are not finite null, complex numbers pairs, and all else its text.
     """
@@ -155,7 +155,7 @@ def plain(value: Any) -> Any:
 
 
 def values_out(values: Any, but: Collection[str] = ()) -> dict[str, Any]:
-    """Return a dataclass as a record: of numbers, texts, arrays, tuples and tables of these, and such dataclasses.
+    """Return a dataclass as a record: numbers, texts, arrays, tuples and tables of these, and such dataclasses.
 
     Fields that are named in ``but`` are left out.
     """
@@ -183,10 +183,10 @@ def values_in(
     known: Mapping[str, Any] | None = None,
     usual: Mapping[str, NumberKind] = USUAL,
 ) -> Any:
-    """Return the dataclass that a record describes.
+    """Return the dataclass of a record.
 
     Each entry is of the type that its field declares, and its numbers are of the kind that the class names
-    (:class:`Record`), else of the ``usual`` kind of that type. Fields that are ``known`` already are no entries of the
+    (:class:`Record`), else of the ``usual`` kind of that type. Fields that are ``known`` already are not entries of the
     record.
     """
     out = dict(known or {})
@@ -230,7 +230,7 @@ def _value_in(entry: Any, where: str, declared: Any, kind: NumberKind | None, us
 
 
 def state_in(value: Any, where: str, like: Any) -> Any:
-    """Return the state that a record describes: a dataclass with the same entries and shapes as another one.
+    """Return the state of a record: a dataclass with the entries and shapes of another one.
 
     Parameters
     ----------
@@ -261,7 +261,7 @@ def state_in(value: Any, where: str, like: Any) -> Any:
 
 
 def _as_narrow(array: NDArray, kind: np.dtype) -> NDArray:
-    """Return counts as counters of another size, which stop at the largest number that they hold."""
+    """Return counts as counters of another size, which saturate."""
     if array.dtype.kind != "i" or array.dtype == kind:
         return array
     return np.minimum(array, np.iinfo(kind).max).astype(kind)

@@ -30,25 +30,25 @@ _BLUE, _RED = "#3d85c6", "#d9534f"
 
 
 class Shown:
-    """Base of results with a ``repr`` of one line and a display of their own in notebooks.
+    """Base of results with a one-line ``repr`` and a display in notebooks.
 
     A class that prints as several lines needs no more: the first one is the headline. A dataclass that has this base is
     declared with ``repr=False``.
     """
 
     def _headline(self) -> str:
-        """Return the result in a line."""
+        """Return the result in one line."""
         return str(self).partition("\n")[0]
 
     def _parts(self) -> Iterable[str]:
-        """Return what stands below the headline, as HTML."""
+        """Return the content below the headline, as HTML."""
         return [printed(str(self).partition("\n")[2])]
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({shortened(visible(self._headline()), _MOST)})"
 
     def _repr_html_(self) -> str:
-        """Return what a notebook shows."""
+        """Return the display in a notebook."""
         head = f"<p><b>{type(self).__name__}</b> {escaped(self._headline())}</p>"
         return f'<div style="max-width:100%;overflow-x:auto">{head}{"".join(self._parts())}</div>'
 
@@ -83,7 +83,7 @@ def escaped(value: object) -> str:
 
 
 def printed(text: str) -> str:
-    """Return lines of text as they are printed; nothing for none."""
+    """Return lines of text as printed; nothing without any."""
     return f"<pre>{escaped(text)}</pre>" if text.strip() else ""
 
 
@@ -117,7 +117,7 @@ def line_chart(
     spans: Iterable[tuple[float, float]] = (),
     ends: tuple[str, str] | None = None,
 ) -> str:
-    """Return a line over time as SVG; nothing where there is no value.
+    """Return a line over time as SVG; nothing without a value.
 
     Parameters
     ----------
@@ -169,7 +169,7 @@ def line_chart(
 
 
 def grid(cells: ArrayLike, rows: Sequence[str], columns: Sequence[str], *, label: str) -> str:
-    """Return a grid with the cells that are set filled, as SVG; nothing where it would be empty or too large."""
+    """Return a grid with the set cells filled, as SVG; nothing if it would be empty or too large."""
     filled = np.asarray(cells, dtype=bool)
     if not filled.size or max(filled.shape) > _GRID:
         return ""

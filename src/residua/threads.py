@@ -1,4 +1,4 @@
-"""One thread for the linear algebra inside designs: theirs are many small matrices, for which threads only wait."""
+"""One thread for the linear algebra inside designs: many small matrices, for which threads only wait."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def _controller() -> Any:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Limit BLAS to one thread; the setting of the user comes back when the last thread that is inside leaves."""
+    """Limit BLAS to one thread; the user's setting is restored when the last thread leaves."""
     global _inside, _limiter
     with _lock:
         if not _inside:

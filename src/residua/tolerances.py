@@ -1,4 +1,4 @@
-"""The tolerances that several files share, each with its reason; any other stands beside the test that needs it.
+"""Tolerances shared by several files, each with its reason; any other is beside its use.
 
 Each is relative, and compared in units that do not depend on those of the user: to the terms that a number is the sum
 of, or to the largest entry of a row in comparable units.
@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-#: Nothing is divided by less, so that a size of zero is no error: what it is compared with is zero as well then.
+#: Nothing is divided by less, so that a size of zero is not an error: its comparand is then zero as well.
 TINY = 1e-300
 
-#: An entry this far below the largest of its row, in comparable units, is what a factorisation leaves of nothing.
+#: An entry this far below the largest of its row, in comparable units, is rounding of a factorisation.
 RESIDUE = 64 * float(np.finfo(float).eps)
 
 #: A sum this far below its terms is rounding of them: some hundred operations, each of half a unit in the last place.
@@ -21,7 +21,7 @@ ROUNDING = 1e-13
 #: A response this far below the terms that it is made of is rounding: it has a solved system in it, so ten times more.
 RESPONSE_ROUNDING = 1e-12
 
-#: What is left of nothing after a design, whose gain is known to less than its responses are.
+#: Rounding of a zero after a design, whose gain is less accurate than its responses.
 DESIGN_ROUNDING = 1e-9
 
 #: Residuals whose fault-free part is this far below the signals that they are differences of hold no noise.
@@ -37,7 +37,7 @@ BALANCED_RANK = 1e-11
 #: A pole or a mode is stable if it is farther than this inside of the boundary, in units of the rate of the plant.
 BALANCED_STABLE = 1e-11
 
-#: What a fault of size one drives in a quotient, balanced, is none below this.
+#: A balanced response to a fault of size one in a quotient counts as zero below this.
 BALANCED_ANSWER = 1e-8
 
 #: Decisions within this factor of their tolerance are near.
@@ -52,10 +52,10 @@ SAME = 1e-9
 #: An identity that defines a design, such as ``T E = 0``, holds to this, relative to its terms.
 IDENTITY = 1e-8
 
-#: Known inputs reach a residual or an estimate by less: peak over peak of what should cancel.
+#: Known inputs reach a residual or an estimate by less: peak over peak of the cancelling terms.
 LEAK = 1e-6
 
-#: What must not reach a residual reaches it by less, relative to the terms that cancel there.
+#: Decoupled signals reach a residual by less, relative to the terms that cancel there.
 LEAKAGE = 1e-7
 
 #: Poles are where they were asked for to this, relative to their size.
@@ -63,12 +63,12 @@ POLE = 1e-6
 
 
 def above_rounding(M: NDArray, size: NDArray | float, rtol: float = ROUNDING) -> NDArray:
-    """Return an array with the entries set to zero that are rounding of the terms that they are the sum of."""
+    """Return an array with zeros for entries within the rounding of the terms of their sums."""
     return np.where(np.abs(M) > rtol * size, M, 0.0)
 
 
 def without_rounding(*factors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the product of matrices, exactly zero where it is nothing but the rounding of its terms."""
+    """Return the product of matrices, with exact zeros for entries within the rounding of their terms."""
     product, terms = factors[0], np.abs(factors[0])
     for factor in factors[1:]:
         product, terms = product @ factor, terms @ np.abs(factor)

@@ -1,4 +1,4 @@
-"""Text from files and names as part of a message: short, and every control character shown instead of sent."""
+"""Text from files and names for messages: short, with every control character shown instead of sent."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ def _escape(found: re.Match[str]) -> str:
 
 
 def shortened(text: str, most: int = MAX_ECHO) -> str:
-    """Return a text of at most that many characters: its beginning, and three dots where more has followed."""
+    """Return a text of at most that many characters: its beginning, and three dots if it was longer."""
     return text if len(text) <= most else text[: max(most - 3, 0)] + "..."
 
 
 def echo(value: object, most: int = MAX_ECHO) -> str:
-    """Return what a file holds as part of a message: as Python writes it, short, on one line."""
-    if isinstance(value, str):  # of a text of a gigabyte only what is shown is written out
+    """Return a value from a file for a message: as Python writes it, short, on one line."""
+    if isinstance(value, str):  # of a text of a gigabyte only the shown part is formatted
         value = value[: most + 1]
     return shortened(visible(repr(value)), most)
 
 
 def listed(names: object, most: int = MAX_ECHO) -> str:
-    """Return names with commas between them, of all together at most that many characters; ``none`` without any."""
+    """Return names separated by commas, of limited total length; ``none`` without any."""
     out = ""
     for name in names if isinstance(names, (list, tuple, dict, set, frozenset)) else ():
         out += (", " if out else "") + visible(str(name)[: most + 1])

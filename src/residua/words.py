@@ -21,7 +21,7 @@ def score(value: float) -> str:
 
 
 def percent(part: int, whole: int) -> str:
-    """Return a share in per cent that reads 0 or 100 only where it is exactly that."""
+    """Return a share in per cent that reads 0 or 100 only if it is exact."""
     share = 100 * part / whole if whole else 0.0
     if 0 < share < 0.01:
         return "< 0.01 %"
@@ -37,7 +37,7 @@ def one_in(rate: float) -> str:
 
 
 def some(names: Iterable[str], most: int = 10) -> str:
-    """Return names as a phrase, the first ones and how many there are besides."""
+    """Return names as a phrase, the first ones and the number of others."""
     items = list(names)
     more = len(items) - most
     return listing(items if more < 2 else [*items[:most], f"{more} more"])
@@ -57,5 +57,5 @@ def counted(count: int, noun: str) -> str:
 
 
 def used_up(measurements: int) -> str:
-    """Return that so many measurements are used up."""
+    """Describe measurements that are used up."""
     return f"{counted(measurements, 'measurement')} {'is' if measurements == 1 else 'are all'} used up"

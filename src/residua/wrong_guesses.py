@@ -1,4 +1,4 @@
-"""Wrong guesses of names, such as those of other packages, and what to do instead: the end of the error about them."""
+"""Remedies for wrong names, such as those of other packages, at the end of the error about them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SIMULATE = (
 _NAMED = "diagnosis.named has the faults that explain the longest alarm, diagnosis.alarms all alarms"
 _SCORES = f"{_RUN}, and a statistic for every sample"
 
-#: What to do instead, by ``Owner.name`` of attributes, ``owner(option)`` of options and ``owner()`` of calls.
+#: Remedies, by ``Owner.name`` of attributes, ``owner(option)`` of options and ``owner()`` of calls.
 INSTEAD = {
     "residua.load": "use residua.load_plant for a plant file, residua.Monitor.load for a monitor, and "
     "residua.read_recording for a recording",
@@ -69,12 +69,12 @@ INSTEAD = {
 
 
 def instead_of(guess: str) -> str:
-    """Return the end of a message that says what to do instead; empty where that is not known."""
+    """Return the end of a message with a remedy; empty without one."""
     return f"; {INSTEAD[guess]}" if guess in INSTEAD else ""
 
 
 def instead_of_name(module: str, name: str, rooms: Iterable[str]) -> str:
-    """Return the same for a name that a module lacks, and one of several rooms may have."""
+    """Return the remedy for a name that a module lacks, possibly in one of several rooms."""
     places = [room for room in rooms if name in getattr(import_module(room), "__all__", ())]
     return instead_of(f"{module}.{name}") or "".join(f"; use {room}.{name}" for room in places[:1])
 
@@ -85,7 +85,7 @@ class Guessed:
     if not TYPE_CHECKING:  # any attribute would be there for a type checker
 
         def __getattr__(self, name: str) -> Any:
-            """Raise the error of Python, with what to use instead."""
+            """Raise Python's error, with a remedy."""
             try:
                 return object.__getattribute__(self, name)
             except AttributeError as error:
@@ -96,7 +96,7 @@ class Guessed:
 
 
 def guessed(owner: str) -> Callable[[Callable[P, T]], Callable[P, T]]:
-    """Have the error about a call that does not fit a function say what to use instead."""
+    """Let the error about an invalid call of a function end with a remedy."""
 
     def declared(function: Callable[P, T]) -> Callable[P, T]:
         @wraps(function)
@@ -115,7 +115,7 @@ def guessed(owner: str) -> Callable[[Callable[P, T]], Callable[P, T]]:
 
 
 def _instead_of_call(function: Callable[..., Any], args: Any, options: Any, owner: str) -> str:
-    """Return what to use instead of a call; empty where it fits the function."""
+    """Return a remedy for a call; empty if it fits the function."""
     try:
         signature(function).bind(*args, **options)
     except TypeError:

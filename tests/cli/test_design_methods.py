@@ -203,7 +203,7 @@ def test_an_option_that_a_method_needs_is_asked_for(
 @pytest.mark.parametrize(
     ("name", "options", "part"),
     [
-        ("primary-residuals", ("--form", "other"), "'other' is none of ma, arma"),
+        ("primary-residuals", ("--form", "other"), "'other' is not one of ma, arma"),
         ("perfect-observer", ("--seed", "1.5"), "'1.5' is not a whole number"),
         ("matched-filters", ("--alike", "nan"), "'nan' is not a number"),
         ("fault-estimator", ("--bandwidth", "-1"), "must be positive"),

@@ -75,9 +75,9 @@ def test_dates_commas_and_names(made: Path, tmp_path: Path, residua: Residua) ->
     run = ["run", made / "monitor.json", path, "--time", "Zeit"]
     assert_error(residua(*run), "missing columns 'pump'")
     run += ["--columns", "pump=Pumpe,level 1=Stand 1, level 2 = Stand 2"]
-    assert_error(residua(*run), "got '", "if its comma is a decimal comma, say --decimal comma")
+    assert_error(residua(*run), "got '", "if its comma is a decimal comma, set --decimal comma")
     run += ["--decimal", "comma"]
-    assert_error(residua(*run), "may be day 3 of month 4", "say --day-first or --month-first")
+    assert_error(residua(*run), "may be day 3 of month 4", "set --day-first or --month-first")
     status, out, _ = residua(*run, "--day-first")
     plain = residua("run", made / "monitor.json", made / "faulty.csv")
     assert (status, plain[0]) == (1, 1)

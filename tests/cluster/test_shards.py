@@ -245,7 +245,7 @@ def test_a_state_that_was_changed_is_refused() -> None:
     shard.take(whole())
     content = shard.to_bytes()
     assert Shard(monitor()).restored(content).to_bytes() == content
-    with pytest.raises(FileFormatError, match="no state of a shard"):
+    with pytest.raises(FileFormatError, match="not the state of a shard"):
         Shard(monitor()).restored(b"RESIDUAF" + content[8:])
     with pytest.raises(FileFormatError, match="version 2"):
         Shard(monitor()).restored(content[:8] + b"\x02" + content[9:])

@@ -67,7 +67,7 @@ def test_a_name_by_channels_is_never_said_alone() -> None:
     assert said.headline == "Fault found: either a sensor or something not listed, alarm raised at 300 s."
     assert said.sentences[0].startswith("Deviation from the other channels: a")
     assert "a sensor deviates most, b sensor " in said.sentences[0]
-    assert "at least 0.6 times as far off" in said.rules
+    assert "at least 0.6 times as much" in said.rules
 
 
 def test_channels_that_are_as_far_off_are_named_too() -> None:

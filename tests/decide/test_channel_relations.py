@@ -400,7 +400,8 @@ def test_settings_are_refused() -> None:
 
 def test_a_factor_for_no_channel_is_refused() -> None:
     monitor = rs.Monitor(rs.design.kalman_filter(plant()), test=ChannelRelations(raised=(Raised("c", 2.0),)))
-    with pytest.raises(SettingError, match="raised: 'c' is no channel; there are prediction of the model, u, a, b"):
+    listed = "the channels are prediction of the model, u, a, b"
+    with pytest.raises(SettingError, match=f"raised: 'c' is not a channel; {listed}"):
         monitor.fit(log(3000)[:, :M], log(3000)[:, M:])
 
 

@@ -245,8 +245,8 @@ def test_a_noise_model_is_not_taken_where_the_data_are_asked_for() -> None:
     ("make", "message"),
     [
         (lambda: rs.decide.NormThreshold(source="guess"), "source must be one of auto, quantile, tail, conformal"),
-        (lambda: rs.decide.NormThreshold(source="tail", threshold=3.0), "is of no use: leave one out"),
-        (lambda: rs.decide.CUSUM(source="conformal", threshold=3.0), "is of no use: leave one out"),
+        (lambda: rs.decide.NormThreshold(source="tail", threshold=3.0), "cannot be combined: leave one out"),
+        (lambda: rs.decide.CUSUM(source="conformal", threshold=3.0), "cannot be combined: leave one out"),
         (lambda: rs.Monitor(given(2), test=rs.decide.NormThreshold(source="tail", groups="each")), "for one threshold"),
     ],
 )

@@ -395,7 +395,7 @@ def test_a_candidate_that_is_no_group_is_refused(monkeypatch: pytest.MonkeyPatch
     candidate = SimpleNamespace(faults=("somebody",))
     told = SimpleNamespace(alarms=[SimpleNamespace(candidates=[candidate])])
     changed(monkeypatch, "testing.kinds:Monitor.run", lambda found: told)
-    with pytest.raises(AccuracyError, match="is no group"):
+    with pytest.raises(AccuracyError, match="is not a group"):
         check_isolation(NearestCentroid(size=0.8))
 
 

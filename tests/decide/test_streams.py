@@ -333,7 +333,7 @@ def test_a_residual_that_hardly_moves_in_a_recording_is_refused() -> None:
         np.random.default_rng(0).standard_normal((3_000, 1)) * 0.9999 ** np.arange(3_000)[::-1, None], axis=0
     )
     test = rs.decide.CUSUM(mean_time_between_false_alarms=1_000)
-    with pytest.raises(DataError, match=r"of its variance, which .* samples do not tell from their mean: give more"):
+    with pytest.raises(DataError, match=r"of the variance of this residual, which .* samples cannot distinguish"):
         rs.Monitor(given(1), test=test, isolate=None).fit(None, slow)
 
 

@@ -106,7 +106,7 @@ def test_a_generalized_bank_reads_single_faults_and_calls_two_unknown() -> None:
     assert missing.answer == "unknown"
     assert missing.nearest == (("a",), ("b",))
     assert missing.possible == (("a",), ("b",))
-    assert str(missing).endswith("not told which: 'a' or 'b' with members silent, " + UNKNOWN)
+    assert str(missing).endswith("undecided: 'a' or 'b' with members silent, " + UNKNOWN)
 
 
 def test_a_dedicated_bank_names_both_of_two_faults() -> None:
@@ -178,7 +178,7 @@ def test_a_settled_code_that_is_near_does_not_hide_who_else_it_may_be() -> None:
     reading = code_test(Structured(), table, faults, settled=settled).read([False] * 4 + [True, False])
     assert reading.answer == "unknown"
     assert reading.possible == (("torque", "bearing"), ("brake",), ("motor speed",))
-    assert reading.meaning.startswith("not told which: 'torque' or 'bearing' or 'brake' or 'motor speed' with members")
+    assert reading.meaning.startswith("undecided: 'torque' or 'bearing' or 'brake' or 'motor speed' with members")
     wide = read_code([1] + [0] * 11, 1 - np.eye(12), [f"y{j}" for j in range(12)])
     assert "'y8' or 3 more with members silent" in wide.meaning
     assert len(wide.possible) == 11

@@ -59,7 +59,7 @@ def test_the_example_is_a_configuration(tmp_path: Path) -> None:
         ('file = "live.db"', 'file = "live.db"\nhistory = 0', 10, "store.history: more than 0 seconds"),
         ('file = "live.db"', 'kind = "postgresql"', 8, "store.dsn_file: either dsn_file or dsn_env"),
         ('file = "live.db"', 'dsn = "x"', 9, "store.dsn: unknown; secrets come from dsn_file or dsn_env"),
-        ('plants = ["north"]', "", 1, "monitors.plants: name the plants, or say accept_new = true"),
+        ('plants = ["north"]', "", 1, "monitors.plants: name the plants, or set accept_new = true"),
         ('plants = ["north"]', 'plants = "north"', 3, "monitors.plants: a list of different texts"),
         ('plants = ["north"]', 'plants = ["a", "a"]', 3, "monitors.plants: a list of different texts"),
         ('plants = ["north"]', 'plants = ["a", "b"]\nmax_plants = 1', 4, "monitors.max_plants: 2 plants are listed"),

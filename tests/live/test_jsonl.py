@@ -175,7 +175,7 @@ def test_killed_at_any_moment_no_line_is_torn_and_none_is_lost(path):
 
 
 @pytest.mark.parametrize(
-    ("name", "said"), [("", "must be named"), ("none/events.jsonl", "does not exist"), (".", "is no file")]
+    ("name", "said"), [("", "must be named"), ("none/events.jsonl", "does not exist"), (".", "is not a file")]
 )
 def test_settings_that_make_no_sense(tmp_path, name, said):
     with pytest.raises(SettingError, match=said):

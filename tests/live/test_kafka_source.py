@@ -191,7 +191,7 @@ def test_a_cluster_or_a_topic_that_is_not_there_is_said(cluster: str) -> None:
         ({"servers": "localhost:9092"}, "servers: a list of different texts"),
         ({"group": ""}, "group: "),
         ({"topics": ["a/b"]}, "topics: 'a/b'"),
-        ({"topics": ["tags.{channel}"]}, "topics: of tags.{channel} nothing says the plant"),
+        ({"topics": ["tags.{channel}"]}, "topics: topic tags.{channel} does not identify the plant"),
         ({"start": "now"}, "start: one of"),
         ({"session_timeout": 1}, "session_timeout: a whole number from 6"),
         ({"ca_file": __file__}, "ca_file: it is for TLS"),

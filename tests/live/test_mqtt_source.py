@@ -302,7 +302,7 @@ def test_a_session_that_the_broker_has_lost_is_said(mosquitto: Mosquitto) -> Non
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
-        ({"client_id": ""}, "client_id: name this run"),
+        ({"client_id": ""}, "client_id: a name for this run"),
         ({"topics": []}, "topics: name at least one"),
         ({"topics": "plants/{plant}/data"}, "topics: a list of different texts"),
         ({"topics": ["$share/a/b"]}, "topics: "),
@@ -311,7 +311,7 @@ def test_a_session_that_the_broker_has_lost_is_said(mosquitto: Mosquitto) -> Non
         ({"port": 70000}, "port: a whole number"),
         ({"version": "4"}, "version: one of '5', '3.1.1'"),
         ({"ca_file": __file__}, "ca_file: it is for TLS"),
-        ({"tls": True, "ca_file": "none.pem"}, "ca_file: none.pem is no file"),
+        ({"tls": True, "ca_file": "none.pem"}, "ca_file: none.pem is not a file"),
         ({"tls": True, "cert_file": __file__}, "cert_file: a certificate and its key"),
         ({"keepalive": 1}, "keepalive: a whole number from 5"),
         ({"password_file": "a", "password_env": "b"}, "password_file and password_env"),

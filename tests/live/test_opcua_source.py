@@ -203,7 +203,7 @@ def test_users_and_certificates(tmp_path: Path) -> None:
         ({"url": "opc.tcp://user:word@localhost:4840"}, "url: opc.tcp"),
         ({"url": "opc.tcp://localhost"}, "url: opc.tcp"),
         ({"nodes": {}}, "nodes: name at least one node"),
-        ({"nodes": {"north": {"level": "level"}}}, "nodes: 'level' is no node"),
+        ({"nodes": {"north": {"level": "level"}}}, "nodes: 'level' is not a node"),
         ({"nodes": {"north": {"level": 3}}}, "nodes: 'north': a table from text to text"),
         ({"plants": ("a",)}, "channels: plants whose nodes"),
         ({"plants": ("north",), "channels": {"level": "ns=2;s=x"}}, "nodes: level of north has two nodes"),

@@ -174,8 +174,8 @@ def test_what_cannot_be_read_ends_it_and_is_said(tmp_path: Path) -> None:
     ("wrong", "said"),
     [
         ({}, "file: name the recording"),
-        ({"file": "none.csv"}, "file: none.csv is no file"),
-        ({"files": {"north": "none.csv"}}, "files: none.csv, of north, is no file"),
+        ({"file": "none.csv"}, "file: none.csv is not a file"),
+        ({"files": {"north": "none.csv"}}, "files: none.csv, of north, is not a file"),
         ({"file": __file__, "speed": -1.0}, "speed: a number of at least 0"),
         ({"file": __file__, "speed": float("nan")}, "speed: a number"),
         ({"file": __file__, "rows": 0}, "rows: a whole number from 1 to 10,000"),

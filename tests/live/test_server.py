@@ -544,7 +544,7 @@ def test_it_listens_on_this_machine_alone(standing):
 
 
 def test_a_port_that_is_taken(view, running):
-    with pytest.raises(SettingError, match=r"listen: .* cannot be listened at: Address already in use"):
+    with pytest.raises(SettingError, match=r"listen: .* cannot be opened for connections: Address already in use"):
         server.Server(view, server.Settings(listen=f"127.0.0.1:{running.port}"))
 
 

@@ -109,7 +109,7 @@ def test_one_run_at_a_time(store: Store) -> None:
 def test_a_file_that_is_no_store(tmp_path: Path) -> None:
     path = tmp_path / "x.db"
     path.write_bytes(b"no database at all, but long enough to be looked at" * 100)
-    with pytest.raises(StoreError, match="no store of residua"):
+    with pytest.raises(StoreError, match="not a store of residua"):
         SqliteStore(path).open()
     with pytest.raises(StoreError, match="does not exist"):
         SqliteStore(tmp_path / "absent" / "x.db").open()

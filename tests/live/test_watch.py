@@ -146,7 +146,7 @@ def test_states_as_bytes_are_the_same_to_the_last_bit(kind: str) -> None:
     assert state_to_bytes(again) == content
     assert state_to_bytes(model.run(again, rows[1600:])) == state_to_bytes(model.run(state, rows[1600:]))
     for damaged in (b"", content[:-1], content + b"\0", b"\2" + content[1:]):
-        with pytest.raises(FileFormatError, match="none of this monitor"):
+        with pytest.raises(FileFormatError, match="of another monitor"):
             state_from_bytes(damaged, model.spec)
 
 

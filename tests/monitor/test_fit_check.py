@@ -229,7 +229,7 @@ def test_residuals_that_wander_are_said_with_what_to_do() -> None:
     found = re.match(r"the fit: the residuals of healthy data wander ([\d.]+) times as far as noise would: ", note)
     assert found
     assert float(found[1]) == pytest.approx(np.sqrt(19), rel=0.2)
-    assert note.endswith("identify the plant anew, estimate its noise from data, or add a disturbance")
+    assert note.endswith("identify the plant again, estimate its noise from data, or add a disturbance")
     assert note in str(watch.fit_check)
     rare = (1.0, 1.0, 2.0, 4.0, 9.0, 9.0)
     assert FitCheck(None, colour=rare).notes == FitCheck(None).notes == ()
@@ -345,10 +345,10 @@ def test_recordings_that_contradict_the_plant_are_told() -> None:
     for recording in ((u[:, ::-1], y), (u, y[:, ::-1]), (u, dead), (u, marked)):
         check = watch.fit(*recording).fit_check
         assert check is not None
-        assert "times as much as the noise of the plant makes it" in " ".join(check.notes)
+        assert "times as much as the noise of the plant explains" in " ".join(check.notes)
     check = watch.fit(u, y + [3.0, 0.0]).fit_check  # as of another operating point, which a fit takes in
     assert check is not None
-    assert "of the deviations off zero" in check.doubts[0]
+    assert "standard deviations of the plant's noise off zero" in check.doubts[0]
     assert "hides faults" not in " ".join(check.doubts)
     check = watch.fit(u, dead).fit_check
     assert check is not None

@@ -380,7 +380,7 @@ def test_of_one_residual_it_is_said_that_every_alarm_has_the_learnt_name() -> No
 
 def test_what_shows_no_fault_is_refused() -> None:
     monitor, seen, _ = taught()
-    with pytest.raises(DataError, match="raises no alarm: say when the fault was there"):
+    with pytest.raises(DataError, match="raises no alarm: give the time of the fault"):
         monitor.learn_fault("x", None, seen[:90])
     with pytest.raises(DataError, match=r"shows no fault: the mean of its residuals over 90 samples .* probability of"):
         monitor.learn_fault("x", None, seen, interval=(5, 95))

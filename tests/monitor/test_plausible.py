@@ -61,7 +61,7 @@ def test_one_mark_for_no_value_changes_nothing_for_long(kind: str, mark: float, 
     assert found.decided[300:].all()
     assert (found.alarm[500:] == clean.alarm[500:]).all()
     assert found.fault_detected
-    assert "1 value was no plausible measurement" in str(found)
+    assert "1 value was not plausible" in str(found)
     name = (*plant().inputs, *plant().outputs)[channel]
     assert f"{name!r} 1 (plausible from" in str(found)
 
@@ -126,7 +126,7 @@ def test_an_overflow_is_told() -> None:
     y[200, 0] = 1.7e308
     with np.errstate(all="ignore"):
         found = one.run(u, y)
-    assert "the filter overflowed and was started anew" in str(found)
+    assert "the filter overflowed and was restarted" in str(found)
     assert found.decided[400:].all()  # type: ignore[union-attr]
 
 

@@ -58,7 +58,7 @@ def test_other_ways_to_write_dates_are_said(tmp_path: Path) -> None:
         read_recording(path, time_format="%Q")
     path = written(tmp_path / "numbers.csv", ["20261120", "20261121"])
     assert read_recording(path, time_format="%Y%m%d").dt == 86400.0
-    with pytest.raises(DataError, match="a year of two digits can be any of its three numbers: say time_format="):
+    with pytest.raises(DataError, match="a year of two digits can be any of its three numbers: set time_format="):
         read_recording(written(tmp_path / "data.csv", ["20/11/26 08:00", "20/11/26 08:01"]))
 
 
@@ -82,7 +82,7 @@ def test_later_dates_tell_day_from_month(tmp_path: Path) -> None:
         read_recording(tmp_path / "data.csv", dayfirst=True)
     with pytest.raises(DataError, match=r"no order of day and month fits both '13/3/2026' \(line 2\) and '3/14/2026'"):
         read_recording(written(tmp_path / "data.csv", ["13/3/2026", "3/14/2026"]))
-    with pytest.raises(DataError, match=r"line 3: '31/2/2026', read as day/month/year, is no time"):
+    with pytest.raises(DataError, match=r"line 3: '31/2/2026', read as day/month/year, is not a time"):
         read_recording(written(tmp_path / "data.csv", ["30/1/2026", "31/2/2026"]))
     with pytest.raises(DataError, match=r"line 3: '14/1/2026 25:00', read as"):
         read_recording(written(tmp_path / "data.csv", ["14/1/2026 00:00", "14/1/2026 25:00"]))
@@ -106,7 +106,7 @@ def test_a_comma_in_a_number_is_asked_about(tmp_path: Path) -> None:
         with pytest.raises(DataError, match="the first separates thousands"):
             read_recording(path, decimal=decimal)
     path.write_text("time;level\n0;1,5\n1;2.5\n", encoding="utf-8")
-    with pytest.raises(DataError, match=r"got '2\.5'; decimal=',' was asked for, and a point then is none"):
+    with pytest.raises(DataError, match=r"got '2\.5'; decimal=',' was given, so a point is not a decimal mark"):
         read_recording(path, decimal=",")
     path.write_text('time,level\n"0,0","1,5"\n"0,5","2,5"\n', encoding="utf-8")
     assert read_recording(path, decimal=",").dt == 0.5

@@ -419,7 +419,7 @@ def test_an_entry_that_is_there_twice_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "m.json"
     fitted().save(path)
     path.write_text(path.read_text().replace('"max_hold": 10', '"max_hold": 10, "max_hold": 10'))
-    with pytest.raises(FileFormatError, match="'max_hold' is there twice"):
+    with pytest.raises(FileFormatError, match="'max_hold' occurs twice"):
         rs.Monitor.load(path)
 
 
@@ -435,7 +435,7 @@ def test_windows_that_do_not_belong_together_are_refused_before_anything_is_made
         (("isolate", "window"),): r"fitted\.matched\.window must be that of isolate",
         (("isolate", "window"), ("fitted", "matched", "window")): r"fitted\.matched\.responses must be those of",
         (("test", "window"),): r"fitted\.window must be that of the test",
-        (("running",),): r"running must be there if and only if fitted is",
+        (("running",),): r"running must be present if and only if fitted is",
     }
     for places, words in cases.items():
         content = whole

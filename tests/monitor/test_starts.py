@@ -68,7 +68,7 @@ def test_a_plant_that_is_under_way_raises_no_alarm(kind: str) -> None:
         assert isinstance(rest, rs.Diagnosis)
         assert rest.alarm[rest.decided].any()
         assert "the plant was hardly at rest" in str(found)
-        assert "partly taken out" in str(found)
+        assert "partly removed" in str(found)
         assert "the plant was hardly at rest" not in str(rest)
     later = fitted["estimated"].run(*under_way(600, 2, fault=1.0, start=400))
     assert isinstance(later, rs.Diagnosis)

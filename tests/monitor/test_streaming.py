@@ -317,7 +317,7 @@ def test_no_room_on_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     path = tmp_path / "a.parquet"
     write_table(path, table())
     monkeypatch.setattr(streaming.tempfile, "TemporaryFile", lambda **_: Full(3))
-    with pytest.raises(FileFormatError, match=r"cannot be kept there.*No space left.*TMPDIR"):
+    with pytest.raises(FileFormatError, match=r"cannot be stored there.*No space left.*TMPDIR"):
         MONITORS["direction"]().run_file(path, residuals=tmp_path / "r.csv")
     assert [one.name for one in tmp_path.iterdir()] == ["a.parquet"]
 

@@ -65,7 +65,7 @@ def test_of_two_recordings_nobody_is_blamed_and_of_three_the_odd_one() -> None:
     (note,) = (one for one in both.report.notes if "units" in one)
     assert note.startswith("'flow' may be in different units in recording 1 (level 4")
     assert "and in recording 2 (level " in note
-    assert "nothing tells which of them is right" in note
+    assert "the data do not show which of them is right" in note
     for odd in range(3):
         days = [day(k) for k in range(1, 4)]
         days[odd] = (days[odd][0], days[odd][1] * [1.0, 1000.0])

@@ -284,8 +284,8 @@ def test_text_of_excel_in_utf_16_is_read(tmp_path: Path) -> None:
 FILES = {
     "sheet.xlsx": (b"PK\x03\x04", r"sheet.xlsx: this is a spreadsheet: save the sheet as CSV \(UTF-8\)"),
     "sheet.XLS": (b"\xd0\xcf\x11\xe0", "this is a spreadsheet: save the sheet as CSV"),
-    "monitor.json": (b"{}", r"this is no recording; a monitor is saved as \.json"),
-    "plant.toml": (b"", r"this is no recording; a plant is saved as \.toml"),
+    "monitor.json": (b"{}", r"this is not a recording; a monitor is saved as \.json"),
+    "plant.toml": (b"", r"this is not a recording; a plant is saved as \.toml"),
     "picture.log": (b"\x89PNG\r\n\x1a\n\x00\x00", r"not a table of text .*: export it as CSV in UTF-8"),
     "cut.csv.gz": (gzip.compress(b"time,h1\n" * 99)[:30], r"not a readable \.gz file"),
     "data.parquet.gz": (gzip.compress(b"PAR1"), r"only text is read packed: unpack it first \(gunzip data"),

@@ -69,7 +69,7 @@ def test_what_is_no_covariance_is_refused() -> None:
         ),
         (
             {"process": 1.0, "measurement": 1.0, "cross": [[0.8, 0.8], [0, 0]]},
-            r"cross: process, measurement and cross together are no covariance: .* eigenvalue -0.13",
+            r"cross: process, measurement and cross together are not a covariance: .* eigenvalue -0.13",
         ),
         ({"process": 1.0, "measurement": 1.0, "cross": [[0.1, 0.1]]}, r"cross must be 2 x 2 \(states x outputs\)"),
         ({"process": 1.0, "measurement": 1.0, "cross": {("a", "x"): 0.1}}, "unknown cross: output 'x'; known: y, z"),

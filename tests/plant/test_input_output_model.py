@@ -146,7 +146,7 @@ def test_delays_are_states_at_zero() -> None:
         ([[[1, 0.5], [1]]], [[[1]]], {}, "square"),
         ([[[1, 0], [1, 0]], [[1], [1]]], [[[1]], [[1]]], {}, "det H is zero"),
         ([[1, 0.5], [0]], G2, {}, "det H is zero"),
-        (H2, [[[1]], [[1, 0, 0, 0]]], {}, "'y2' is no proper function"),
+        (H2, [[[1]], [[1, 0, 0, 0]]], {}, "'y2' is not a proper function"),
         ([[1, 2]], [[[1, 0, 0]]], {"dt": 0}, "derivatives"),
         (H2, G2, {"variable": "s"}, "sampled model"),
         (H2, G2, {"dt": 0, "variable": "1/z"}, "continuous model"),
@@ -177,7 +177,7 @@ def test_properness_does_not_depend_on_how_equations_are_combined() -> None:
         rtol=1e-10,
     )
     assert good.to_plant().n_states == 1
-    with pytest.raises(ModelError, match="no proper function"):
+    with pytest.raises(ModelError, match="not a proper function"):
         InputOutputModel(H, [[[1, 2]], [[1, 0]]])
     assert InputOutputModel([[[1, 0], [1]], [[1, 0, 1], [1, 0]]], [[[1]], [[1, 0]]]).to_plant().n_states == 0
 
@@ -230,7 +230,7 @@ def test_faults_come_and_go() -> None:
         ({"p1": [[1], [1]]}, "occurs twice"),
         ({"q": [[1]]}, "one per output"),
         ({"q": [0, 0]}, "no effect"),
-        ({"q": [[1, 0, 0, 0], 0]}, "'y1' is no proper"),
+        ({"q": [[1, 0, 0, 0], 0]}, "'y1' is not a proper"),
         ({"q": {"y7": 1}}, "fault 'q': unknown output 'y7'; known: y1, y2"),
         ({"q": [[], 0]}, "fault 'q', output 'y1' is an empty list"),
         ({"q": {"y2": [1, [2]]}}, r"fault 'q', output 'y2': a polynomial must be .* got \[1, \[2\]\]$"),
@@ -340,7 +340,7 @@ def test_degrees_of_plants_that_are_sampled_fast(n: int, h: float) -> None:
 
 def test_plant_that_differentiates_is_refused() -> None:
     plant = rs.Plant(np.eye(2), [[0.0], [1.0]], [[1.0, 0.0], [0, 1]], E=[[0.0, 1.0], [0, 0]], outputs=["rate", "value"])
-    with pytest.raises(ModelError, match="'rate' is no proper function"):
+    with pytest.raises(ModelError, match="'rate' is not a proper function"):
         InputOutputModel.from_plant(plant)
 
 

@@ -547,7 +547,7 @@ def test_what_is_more_probably_no_fault_that_is_listed_is_unknown() -> None:
         ({"disturbances": {"gust": "strong"}}, DataError, "must be a number, an array"),
         ({"disturbances": ["gust"]}, SettingError, "signals by name"),
         ({"noise": "white"}, SettingError, "noise must be white"),
-        ({"noise": v.white(2.0)}, SettingError, "the plant says how large its noise is"),
+        ({"noise": v.white(2.0)}, SettingError, "the plant gives the size of its noise"),
         ({"noise": v.resampled(np.zeros((50, 3)))}, SettingError, "3 columns"),
         ({"plants": []}, SettingError, "plants must be a Plant"),
         ({"plants": "others"}, SettingError, "plants must be a Plant"),
@@ -575,7 +575,7 @@ def test_what_does_not_fit_the_monitor(plant: rs.Plant, monitor: rs.Monitor) -> 
         v.campaign(monitor, ["leak"], **SMALL)  # pyright: ignore
     with pytest.raises(SettingError, match="scenarios must be"):
         v.campaign(monitor, None, **SMALL)  # pyright: ignore
-    with pytest.raises(SettingError, match="for a Monitor"):
+    with pytest.raises(SettingError, match="takes a Monitor"):
         v.campaign(plant, **SMALL)  # pyright: ignore
     with pytest.raises(NotFittedError, match="no threshold"):
         v.campaign(rs.Monitor(rs.design.kalman_filter(plant), test=rs.decide.PeakThreshold()), **SMALL)

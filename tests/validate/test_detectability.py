@@ -225,7 +225,7 @@ def test_what_is_missing_is_said() -> None:
     watch = rs.Monitor(watch.design, test=rs.decide.NormThreshold(threshold=1.0))
     with pytest.raises(SettingError, match="no noise"):
         rs.decide.detectability(watch)
-    with pytest.raises(SettingError, match="of a Monitor"):
+    with pytest.raises(SettingError, match="takes a Monitor"):
         rs.decide.detectability(watch.design)  # pyright: ignore[reportArgumentType]
 
 

@@ -67,7 +67,7 @@ def test_what_cannot_be_tuned(plant: rs.Plant) -> None:
             v.tune(monitor, STEP, windows=[1], seed=seed, **SMALL)  # pyright: ignore
     with pytest.raises(SettingError, match="on the residual as a whole"):
         v.tune(rs.Monitor(rs.design.matched_filters(plant)), STEP, **SMALL)
-    with pytest.raises(SettingError, match="is a Monitor"):
+    with pytest.raises(SettingError, match="takes a Monitor"):
         v.tune(plant, STEP, **SMALL)  # pyright: ignore
     fitted = white_noise_monitor().fit(np.zeros((2000, 1)), np.random.default_rng(0).standard_normal((2000, 2)))
     with pytest.raises(SettingError, match="was fitted to recordings"):

@@ -66,12 +66,12 @@ def show_diagnosability(answer: Diagnosability) -> None:
 
 
 def twins(groups: Iterable[tuple[str, ...]], name: str) -> list[str]:
-    """Return the others in the group of a fault."""
+    """Return the other faults in the group of a fault."""
     return [other for group in groups if name in group for other in group if other != name]
 
 
 def diagnosability_values(answer: Diagnosability) -> dict[str, Any]:
-    """Return the same as plain values for JSON."""
+    """Return detectability and isolability as plain values for JSON."""
     plant, reasons, existence = answer.plant, answer.reasons(), answer.unknown_input_observer
     return {
         "plant": plant.name,

@@ -1,4 +1,4 @@
-"""The list of commands; each is imported when it is called."""
+"""List of commands; each is imported when it is called."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _MEANT = {
 
 
 class Commands(TyperGroup):
-    """The commands: the list shows their summaries, a call imports one, and none ends in a traceback."""
+    """Group of the commands: the list shows their summaries, a call imports one, and errors end in one line."""
 
     def __init__(self, **attributes: Any) -> None:
         super().__init__(**attributes)
@@ -60,7 +60,7 @@ class Commands(TyperGroup):
             return super().invoke(ctx)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Import the command that is called, or raise with the one that is meant."""
+        """Import the command that is called, or raise with the one that was probably meant."""
         word = args[0]
         if word in _MEANT:
             ctx.fail(f"No such command {word!r}. Did you mean 'residua {_MEANT[word]}'?")
@@ -76,7 +76,7 @@ class Commands(TyperGroup):
 
 
 def command(name: str, arguments: list[str]) -> Any:
-    """Return a command with its options; those of ``design`` depend on the method that the arguments name."""
+    """Return a command with its options; those of ``design`` depend on the method named by the arguments."""
     module = import_module(f"residua.cli.{name}_command")
     function = module.with_method_options(arguments) if name == "design" else getattr(module, name)
     alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)

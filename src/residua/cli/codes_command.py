@@ -21,7 +21,7 @@ _LISTED = 40
 
 
 class Quality(StrEnum):
-    """How well a coding set isolates."""
+    """Isolating quality of a coding set."""
 
     strong = "strong"
     weak = "weak"
@@ -54,7 +54,7 @@ def codes(
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Choose a coding set: which residual answers to which fault."""
+    """Choose a coding set: the faults to which each residual answers."""
     check_file(plant, "plant file")
     model = load_plant(plant)
     if structure:

@@ -20,7 +20,7 @@ DEMOS = {"three-tank": "residua.demos.three_tank", "jet-engine": "residua.demos.
 
 
 def _known(name: str) -> str:
-    """Return the name of a demo, or raise with the one that is meant."""
+    """Return the name of a demo, or raise with the one that was probably meant."""
     if name in DEMOS:
         return name
     begun = [known for known in DEMOS if name and known.startswith(name.lower())]
@@ -49,7 +49,7 @@ def demo(
 
 
 def present(outcome: Outcome) -> None:
-    """Print the outcome of a demo, or raise where it is not as it should be."""
+    """Print the outcome of a demo, or raise if it is not as expected."""
     screen.say(*outcome.lines)
     for table in outcome.tables:
         screen.show_table(table.header, table.rows, title=table.caption)

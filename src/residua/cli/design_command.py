@@ -44,11 +44,11 @@ _WINDOW = 50
 
 
 def _method(name: str) -> str:
-    """Return the name of a method that is offered."""
+    """Return the name of an offered method."""
     known, name = methods.offered(), name.replace("_", "-")
     if name != methods.AUTO and name not in known:
         names = [methods.AUTO, *known]
-        raise typer.BadParameter(f"{suggestion(name, names).strip()} is none of {', '.join(names)}")
+        raise typer.BadParameter(f"{suggestion(name, names).strip()} is not one of {', '.join(names)}")
     return name
 
 
@@ -164,7 +164,7 @@ def _monitor(
     isolation_window: int | None,
     dt: float | None,
 ) -> Monitor:
-    """Return the monitor of a design, with the test and the isolation that the options ask for."""
+    """Return the monitor of a design, with the test and isolation that the options request."""
     if isinstance(made, MatchedFilters):  # they sum over their window by themselves
         persistence, window = persistence or 3, None
     # of noise that is assumed there is no threshold before a fit
@@ -191,7 +191,7 @@ def _values(made: Any, monitor: Monitor) -> dict[str, Any]:
 
 
 def method_in(arguments: Sequence[str]) -> str | None:
-    """Return the method whose help is asked for: the one that is named beside ``--help``."""
+    """Return the method for which help is requested: the one named beside ``--help``."""
     if not {"--help", "-h"} & set(arguments):
         return None
     known = methods.offered()
@@ -200,7 +200,7 @@ def method_in(arguments: Sequence[str]) -> str | None:
 
 
 def with_method_options(arguments: Sequence[str]) -> Any:
-    """Return the command with the options of all methods; its help shows those of the method that is named."""
+    """Return the command with the options of all methods; its help shows those of the named method."""
     shown = method_in(arguments)
     written = inspect.signature(design, eval_str=True).parameters.values()
     fixed = [one for one in written if one.kind is not one.VAR_KEYWORD]
@@ -213,7 +213,7 @@ def with_method_options(arguments: Sequence[str]) -> Any:
 
 
 def _text(method: str | None) -> str | None:
-    """Return the text of the help; of a method its needs besides."""
+    """Return the text of the help, with the requirements of a method."""
     if method is None:
         return design.__doc__
     one = methods.offered()[method]
@@ -233,14 +233,14 @@ def _parameter(one: methods.Shared, shown: str | None) -> inspect.Parameter:
 
 
 def _isolation(made: Any, window: int) -> IsolationSettings:
-    """Return how faults are named: as the design is made to be read, over so many samples."""
+    """Return the isolation suited to the design, over so many samples."""
     isolate = chosen_isolation("auto", as_generator(made), made)
     has_window = any(one.name == "window" for one in fields(isolate))  # pyright: ignore[reportArgumentType]
     return replace(isolate, window=window) if has_window else isolate  # pyright: ignore
 
 
 def _evidence(monitor: Monitor) -> object:
-    """Return the evidence of what will run: the sampled filter, where the step is known."""
+    """Return the evidence of the running filter: sampled, if the step is known."""
     try:
         return monitor.generator.evidence
     except ModelError:  # a continuous design whose step is not known yet
@@ -260,7 +260,7 @@ _Seen = tuple[Sequence[str], list[list[Any]], list[str]]
 
 
 def _seen(made: Any, monitor: Monitor) -> _Seen:
-    """Return how a design sees each fault, and the faults that look the same."""
+    """Return the view of a design on each fault, and the faults that look the same."""
     isolate = monitor.isolate
     if isinstance(isolate, Matched):
         return responses(made)
@@ -313,7 +313,7 @@ def codes(generator: ResidualGenerator, isolate: Structured) -> _Seen:
 
 
 def responses(matched: MatchedFilters) -> _Seen:
-    """Return how well matched filters see each fault, and the faults that look the same."""
+    """Return the deviations of fault sizes by matched filters, and the faults that look the same."""
     half, whole = matched.deviation(matched.window // 2), matched.deviation()
     plant = matched.generator.plant
     rows = []

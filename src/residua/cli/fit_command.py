@@ -1,4 +1,4 @@
-"""The command ``fit``, and the check of a fit that ``learn`` shows too."""
+"""The command ``fit``, and the check of a fit that ``learn`` also shows."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def fit(
 
 
 def _start_left_out(text: str) -> int | str:
-    """Return the samples that are left out at a start."""
+    """Return the number of samples left out at the start."""
     if text != "auto" and not text.isdecimal():
         why = f"must be a whole number of samples, or auto, got {echo(text)}"
         raise typer.BadParameter(why, param_hint="--transient")
@@ -107,7 +107,7 @@ def _start_left_out(text: str) -> int | str:
 
 
 def _counts(runs: list[Diagnosis]) -> dict[str, Any]:
-    """Return the recordings, samples and seconds of a fit, and the samples that were judged or incomplete."""
+    """Return the recordings, samples and seconds of a fit, and the number of judged and of incomplete samples."""
     return {
         "recordings": len(runs),
         "samples": sum(len(one.time) for one in runs),
@@ -126,7 +126,7 @@ def _fitted_samples(counts: dict[str, Any]) -> str:
 
 
 def show_visible(check: FitCheck) -> None:
-    """Print how much a fitted monitor predicts, and the smallest constant faults that it sees."""
+    """Print the explained shares of a fitted monitor, and the smallest constant faults that it sees."""
     screen.say(*([check.explains] if check.explains else []))
     if check.visible:
         screen.show_table(HEADER, [one.cells for one in check.visible])

@@ -1,4 +1,4 @@
-"""From exceptions to one line on stderr and an exit status."""
+"""Conversion of exceptions to one line on stderr and an exit status."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _OPTIONS: ContextVar[frozenset[str]] = ContextVar("options", default=frozenset()
 
 
 def speak_of(command: Any) -> None:
-    """Let advice name the options of a command."""
+    """Let remedies name the options of a command."""
     _OPTIONS.set(frozenset(name for parameter in command.params for name in parameter.opts))
 
 
@@ -63,7 +63,7 @@ def status_of(error: BaseException) -> int:
 
 
 def end(status: int) -> int:
-    """Flush the output; return the status, or that of the error that hinders it."""
+    """Flush the output; return the status, or that of an error in doing so."""
     lost = unwritten()
     if lost is None:
         return status
@@ -111,7 +111,7 @@ _WORDS = {
 
 
 def in_cli_words(text: str) -> str:
-    """Return advice for Python as advice for the command that runs."""
+    """Return remedies for Python in terms of the running command."""
     for python, here in _WORDS.items():
         text = re.sub(python, here, text)
     for option in _OPTIONS.get():
@@ -121,7 +121,7 @@ def in_cli_words(text: str) -> str:
 
 
 def show_usage(error: Any) -> int:
-    """Show how a command is used, and the mistake; return the exit status."""
+    """Show the usage of a command, and the mistake; return the exit status."""
     if type(error).__name__ == "NoArgsIsHelpError":  # its message is the help
         complain(error.format_message())
         return end(ERROR)

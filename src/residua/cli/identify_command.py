@@ -1,4 +1,4 @@
-"""The command ``identify``, and the options of models that ``learn`` has too."""
+"""The command ``identify``, and the options of models that ``learn`` shares."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _MOST_HELD_OUT = 0.9
 
 
 class Method(StrEnum):
-    """How the states are chosen."""
+    """Subspace method for the states."""
 
     pbsid = "pbsid"
     cva = "cva"
@@ -41,7 +41,7 @@ class Method(StrEnum):
 
 
 def checked_names(text: str | None) -> str | None:
-    """Return a list with commas as it is, or raise where a name is empty or there twice."""
+    """Return a list with commas unchanged, or raise if a name is empty or repeated."""
     if text is not None:
         parts = parse_names(text)
         twice = next((name for name in parts if parts.count(name) > 1), None)
@@ -142,7 +142,7 @@ class Channels:
 
 
 def _stand_in(inputs: Sequence[str], outputs: Sequence[str]) -> Plant:
-    """Return a plant with these channels and no step, so that just these columns are read."""
+    """Return a plant with these channels and no step, so that only these columns are read."""
     zeros = np.zeros((1, len(inputs))), np.zeros((len(outputs), 1))
     return Plant([[-1.0]], zeros[0], zeros[1], inputs=inputs, outputs=outputs)
 
@@ -155,7 +155,7 @@ def part(one: Recording, start: float, stop: float) -> Recording:
 
 
 def fault_text(plant: Plant) -> str:
-    """Return a line on the faults of a plant, and the inputs that have none."""
+    """Return a line on the faults of a plant, and the inputs without one."""
     idle = idle_inputs(plant)
     why = f"; none of {listed(idle)}, which has no effect in the model" if idle else ""
     if not plant.faults:
@@ -254,7 +254,7 @@ def settings_of(
     delays: str | None,
     units: str | None,
 ) -> dict[str, Any]:
-    """Return options as arguments of :func:`residua.identify.subspace`, where nobody named outputs without these."""
+    """Return options as arguments of :func:`residua.identify.subspace`, without those of unnamed outputs."""
     channels, of = list(data[0].columns), dict(_pairs(units))
     absent = [one for one in of if one not in channels]
     if absent:

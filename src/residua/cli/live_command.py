@@ -1,4 +1,4 @@
-"""The command that watches data as they come."""
+"""The command ``live``, which watches live data."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def _reset(settings: LiveSettings, plant: str) -> None:
 
 
 def _run(settings: LiveSettings, *, linger: bool) -> int:
-    """Run until the sources have ended, or somebody ends it; return the exit status."""
+    """Run until the sources have ended, or a signal arrives; return the exit status."""
     from residua.live.live_view import LiveView
     from residua.live.run import Run
 
@@ -132,7 +132,7 @@ def _run(settings: LiveSettings, *, linger: bool) -> int:
 
 
 def _dropped(run: Run) -> str:
-    """Return the numbers of messages and readings that were not used, by reason."""
+    """Return the numbers of unused messages and readings, by reason."""
     counts = {name: count for name, count in run.numbers.dropped.most_common() if name != "gap"}
     return f"; not used: {', '.join(f'{name} {count:,}' for name, count in counts.items())}" if counts else ""
 
@@ -153,7 +153,7 @@ def _started(run: Run, server: Any) -> None:
 
 @contextmanager
 def _ended_by_signals(run: Run) -> Iterator[threading.Event]:
-    """Let SIGINT and SIGTERM end a run in order; yields what is set by then."""
+    """Let SIGINT and SIGTERM shut a run down; yield an event that is set by then."""
     stopped = threading.Event()
 
     def stop() -> None:
@@ -161,7 +161,7 @@ def _ended_by_signals(run: Run) -> Iterator[threading.Event]:
         run.stop()
 
     def end(number: int, frame: FrameType | None) -> None:
-        threading.Thread(target=stop).start()  # the thread that is interrupted here may hold what stopping needs
+        threading.Thread(target=stop).start()  # the interrupted thread may hold a lock that stopping needs
 
     before = {one: signal.signal(one, end) for one in (signal.SIGINT, signal.SIGTERM)}
     try:
@@ -172,7 +172,7 @@ def _ended_by_signals(run: Run) -> Iterator[threading.Event]:
 
 
 class _Lines(logging.Handler):
-    """Writes what the run logs to standard error, a line each."""
+    """Handler that writes the log of a run to standard error, a line each."""
 
     def emit(self, record: logging.LogRecord) -> None:
         complain(f"{self.formatTime(record)} {record.levelname.lower()}: {visible(record.getMessage())}")

@@ -1,4 +1,4 @@
-"""Which design method, with which options, and why: from the registry of methods."""
+"""Choice of a design method and its options, with reasons, from the registry of methods."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ CHOICE_TIME, TRYING_TIME = 10.0, 30.0
 
 
 class MethodError(ResiduaError):
-    """A method raised an error that is no answer about a plant."""
+    """A method raised an error that is not a statement about a plant."""
 
 
 class OptionError(ValueError):
-    """An option whose text cannot be read."""
+    """An option with unreadable text."""
 
     def __init__(self, option: str, why: str) -> None:
         super().__init__(f"{option}: {why}")
@@ -41,27 +41,27 @@ class OptionError(ValueError):
 
 
 def option_name(name: str) -> str:
-    """Return how the command line calls an argument; letters of the literature stay as they are."""
+    """Return the name of an argument on the command line; letters of the literature stay unchanged."""
     return f"--{name.replace('_', '-')}"
 
 
 def flag(option: Option) -> str:
-    """Return how an option of a method is written on the command line."""
+    """Return an option of a method as written on the command line."""
     return option_name(option.name)
 
 
 def method_name(method: Method) -> str:
-    """Return how the command line calls a method."""
+    """Return the name of a method on the command line."""
     return method.name.replace("_", "-")
 
 
 def offered() -> dict[str, Method]:
-    """Return the methods that a plant file and options can feed, and whose result a monitor can take, by name."""
+    """Return the methods that a plant file and options can supply, with results for a monitor, by name."""
     return {method_name(one): one for one in methods() if not in_python_only(one)}
 
 
 def in_python_only(method: Method) -> str:
-    """Return why a method is not offered here; empty if it is."""
+    """Return the reason why a method is not offered here; empty if it is."""
     if not method.takes_a_plant:
         kind = method.designs_for
         article = "" if kind.endswith("s") and "with" not in kind else "an " if kind[0] in "aeiou" else "a "
@@ -74,7 +74,7 @@ def in_python_only(method: Method) -> str:
 
 @dataclass(frozen=True)
 class Shared:
-    """An option of the command line that one or more methods have.
+    """An option of the command line shared by one or more methods.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class Shared:
     form : Form
         The form in the first method that has it.
     text : str
-        What most of the methods say of it.
+        Description that most of the methods share.
     methods : tuple of str
         Which have it.
     """
@@ -98,7 +98,7 @@ class Shared:
 
 
 def options(taken: Iterable[str] = ()) -> list[Shared]:
-    """Return every option of every method, but for names that are taken."""
+    """Return every option of every method, except for reserved names."""
     holders_of: dict[str, list[tuple[str, Option, Form]]] = {}
     for name, method in offered().items():
         for option in method.options:
@@ -127,7 +127,7 @@ def in_plain_words(text: str) -> str:
 
 
 def _formula(latex: str) -> str:
-    """Return a formula as it is typed: ``e^(-dt/tau)``."""
+    """Return a formula as typed: ``e^(-dt/tau)``."""
     return re.sub(r"\\(\w+)", r"\1", latex.replace(r"\dots", "...").replace("{", "(").replace("}", ")"))
 
 
@@ -145,7 +145,7 @@ class Call:
     settings : mapping of str to value
         Of the monitor: a method takes those that it has an option for.
     subject : str
-        What it is made for, as a line of Python.
+        Object of the design, as a line of Python.
     made : dict
         Arguments that were made from the plant, which other calls share.
     """
@@ -159,18 +159,18 @@ class Call:
 
     @property
     def asked(self) -> dict[str, Any]:
-        """Its arguments, beside those that are made from the plant."""
+        """Arguments of the call, besides those from the plant."""
         names = {one.name for one in self.method.options}
         return {**self.values, **{name: value for name, value in self.settings.items() if name in names}}
 
     @property
     def left_out(self) -> list[str]:
-        """Arguments that it needs and nobody gave."""
+        """Required arguments that were not given."""
         chosen = {*self.asked, *self.method.chosen}
         return [one.name for one in self.method.options if one.required and one.name not in chosen]
 
     def run(self, plant: Plant) -> Any:
-        """Make the call, and return the part that a monitor takes."""
+        """Make the call, and return the part for a monitor."""
         asked = self.method.with_chosen(plant, self.asked, self.made, CHOICE_TIME)
         try:
             made = self.method.function(self._of_the_time(plant), **asked)
@@ -182,7 +182,7 @@ class Call:
             raise MethodError(defect(self.method, error)) from error
 
     def _sampled(self, plant: Plant) -> bool:
-        """Whether the plant is sampled first: the best filter of that, rather than the continuous one, sampled."""
+        """True if the plant is sampled first: the best filter of that, rather than the continuous one, sampled."""
         needs = self.method.requirements
         noise = NOISE in needs and bool(plant.Bw.shape[1])
         return self.dt is not None and not plant.is_discrete and (noise or SAMPLED in needs)
@@ -195,7 +195,7 @@ class Call:
         return plant
 
     def code(self, plant: Plant) -> str:
-        """Return the same in Python, for a plant called ``plant``."""
+        """Return the equivalent Python code, for a plant called ``plant``."""
         sampled = f"plant.discretize({self.dt!r})" if self._sampled(plant) else self.subject
         made = [
             f"{name}={one.limited.format(seconds=CHOICE_TIME)}"
@@ -216,7 +216,7 @@ def _with_real_numbers(value: Any) -> Any:
 
 
 def choose(plant: Plant, dt: float | None) -> tuple[Plant, str, Call, str]:
-    """Return the plant to design for, the method that :func:`residua.suggest` puts first, its call, and why.
+    """Return the plant to design for, the method ranked first by :func:`residua.suggest`, its call, and the reason.
 
     Parameters
     ----------
@@ -299,7 +299,7 @@ def _read(option: Option, value: Any) -> Any:
 
 
 def make(plant: Plant, name: str, call: Call, *, why: str = "") -> Any:
-    """Design by one method, or say why that is impossible and which other methods would work.
+    """Design by one method, or raise with the reason and the other methods that would work.
 
     Parameters
     ----------
@@ -331,7 +331,7 @@ def make(plant: Plant, name: str, call: Call, *, why: str = "") -> Any:
 
 
 def _remedy(plant: Plant, name: str, call: Call) -> str:
-    """Return which options are in the way where the method works without them, or which other methods exist."""
+    """Return the options to remove for the method to work, or the other methods that exist."""
     kept = {option.name for option in call.method.options if option.required} - set(call.method.chosen)
     dropped = [option for option in call.method.options if option.name in call.values and option.name not in kept]
     if dropped and _exists(_without_options(call, call.method, kept), plant):
@@ -342,13 +342,13 @@ def _remedy(plant: Plant, name: str, call: Call) -> str:
 
 
 def _without_options(call: Call, method: Method, kept: Iterable[str] = ()) -> Call:
-    """Return a call of a method with the defaults of its options, but for those that are kept."""
+    """Return a call of a method with the defaults of its options, except for those to keep."""
     values = {name: value for name, value in call.values.items() if name in kept}
     return Call(method, values, call.dt, call.settings, call.subject, call.made)
 
 
 def _alternatives(plant: Plant, failed: str, call: Call) -> str:
-    """Return which of the other methods exist for this plant, with the defaults of their options."""
+    """Return the other methods that exist for this plant, with the defaults of their options."""
     possible, late, end = [], [], time.monotonic() + TRYING_TIME
     for name, method in offered().items():
         other = _without_options(call, method)
@@ -377,7 +377,7 @@ HEADER = ("method", "needs", "exists when", "options")
 
 
 def table() -> list[tuple[str, ...]]:
-    """Return needs and options of each method, as rows under :data:`HEADER`."""
+    """Return requirements and options of each method, as rows under :data:`HEADER`."""
     rows = []
     for name, method in offered().items():
         flags = [flag(one) for one in method.options if form_of(one) is not None]

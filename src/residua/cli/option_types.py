@@ -1,4 +1,4 @@
-"""How an option of a design function is written as text: by the type that its annotation names."""
+"""Text form of the options of design functions, by their annotated types."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ _ARRAY = frozenset(kinds_of(ArrayLike))
 
 @dataclass(frozen=True)
 class Form:
-    """How an option is written.
+    """Text form of an option.
 
     Attributes
     ----------
     metavar : str
-        What stands for its value in the help.
+        Placeholder of its value in the help.
     read : callable
         From text to a value; raises ``ValueError`` with the mistake. Of a flag, from true or false.
     is_flag : bool
@@ -39,7 +39,7 @@ class Form:
 
 
 def form_of(option: Option) -> Form | None:
-    """Return how an option is written; ``None`` for values that have no text, such as other plants."""
+    """Return the text form of an option; ``None`` for values without one, such as other plants."""
     kinds = option.kinds
     if CodingSet in kinds:
         return Form("LIST", parse_rows)
@@ -58,7 +58,7 @@ def form_of(option: Option) -> Form | None:
 
 
 def _single(option: Option, kinds: tuple[Any, ...]) -> Form | None:
-    """Return how a value without names is written."""
+    """Return the text form of a value without names."""
     if Sequence[complex] in kinds:
         return Form("LIST", parse_poles)
     if set(kinds) >= _ARRAY:
@@ -84,7 +84,7 @@ def _members(kind: Any) -> tuple[Any, ...]:
 
 
 def _named_or_not(each: Form, single: Callable[[str], Any] | None, text: str) -> Any:
-    """Return values by name; one without names where that is allowed."""
+    """Return values by name; one without names if that is allowed."""
     if "=" not in text:
         if single is not None:
             return single(text)
@@ -98,7 +98,7 @@ def _named_or_not(each: Form, single: Callable[[str], Any] | None, text: str) ->
 
 
 def _check_different(entries: Sequence[str]) -> None:
-    """Raise when an entry occurs twice."""
+    """Raise if an entry occurs twice."""
     twice = next((one for one, count in Counter(entries).items() if count > 1), None)
     if twice is not None:
         raise ValueError(f"{twice!r} occurs twice")
@@ -106,12 +106,12 @@ def _check_different(entries: Sequence[str]) -> None:
 
 def _choice(choices: tuple[str, ...], text: str) -> str:
     if text not in choices:
-        raise ValueError(f"{text!r} is none of {', '.join(choices)}")
+        raise ValueError(f"{text!r} is not one of {', '.join(choices)}")
     return text
 
 
 def parse_names(text: str) -> tuple[str, ...]:
-    """Return names from text with commas between them."""
+    """Return names from text separated by commas."""
     names = tuple(name.strip() for name in text.split(","))
     _check_different(names)
     return names
@@ -183,7 +183,7 @@ def parse_poles(text: str) -> tuple[complex, ...]:
     Raises
     ------
     ValueError
-        If an entry is no number.
+        If an entry is not a number.
 
     Examples
     --------

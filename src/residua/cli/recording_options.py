@@ -1,4 +1,4 @@
-"""The options that say how a recording is to be read, and reading it."""
+"""Options for reading a recording, and reading it."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ MissingMarks = Annotated[
 
 
 def parse_columns(text: str) -> dict[str, str] | list[str]:
-    """Return ``channel=column`` pairs as a mapping, names alone as a list; pairs with a comma stand in quotes."""
+    """Return ``channel=column`` pairs as a mapping, names alone as a list; pairs with a comma are quoted."""
     parts = [part.strip() for part in next(csv.reader([text], skipinitialspace=True)) or [""]]
     if not all(parts):
         raise ValueError("a name is empty")
@@ -125,7 +125,7 @@ def parse_columns(text: str) -> dict[str, str] | list[str]:
 
 @dataclass(frozen=True)
 class Reading:
-    """How recordings are to be read; each field is an option of the commands that read some."""
+    """Options for reading recordings, shared by several commands."""
 
     time: TimeColumn = None
     dt: Step = None
@@ -203,7 +203,7 @@ def with_reading(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def _plant_of(watch: Monitor) -> Plant:
-    """Return the plant of a monitor, sampled where its step is known."""
+    """Return the plant of a monitor, sampled if its step is known."""
     try:
         return watch.generator.plant
     except ModelError:
@@ -228,7 +228,7 @@ _WORDS = {
 
 
 def reading_words(text: str) -> str:
-    """Return a message about reading in the words of the command line."""
+    """Return a message about reading in terms of the command line."""
     for python, here in _WORDS.items():
         text = re.sub(python, here, text)
     return _LITERALS.sub(_option, text)
@@ -239,7 +239,7 @@ _LITERALS = re.compile(r"\b(columns|missing)=(\{'.*\}|\{\".*\}|\['.*'\])")
 
 
 def _option(found: re.Match[str]) -> str:
-    """Return the options for a mapping of columns, or for marks, as a shell takes them."""
+    """Return the options for a mapping of columns, or for marks, as for a shell."""
     try:
         given = ast.literal_eval(found[2])
     except (ValueError, SyntaxError):  # not alone: something of the same kind follows in the text
@@ -251,13 +251,13 @@ def _option(found: re.Match[str]) -> str:
 
 
 def quoted(text: str) -> str:
-    """Return a text as one argument of a command, in the quotes that all shells have where that will do."""
+    """Return a text as one argument of a command, quoted for all shells if possible."""
     return shlex.quote(text) if set(text) & set('"$`\\!') else f'"{text}"'
 
 
 @contextmanager
 def in_words_of_options() -> Iterator[None]:
-    """Put errors about reading in the words of the command line."""
+    """Put errors about reading in terms of the command line."""
     try:
         yield
     except ResiduaError as error:

@@ -1,4 +1,4 @@
-"""The command ``run``: recordings judged by a monitor."""
+"""The command ``run``, which judges recordings by a monitor."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def run(
 
 
 def _outputs_of(recording: Path | None, report: Path | None, alarms: Path | None, residuals: Path | None) -> Any:
-    """Return where the outputs of a recording are written; of one among several, under its name too."""
+    """Return the paths for the outputs of a recording; with its name if there are several."""
     named = {"report": report, "alarms": alarms, "residuals": residuals}
     if recording is None:
         return named
@@ -117,7 +117,7 @@ def _outputs_of(recording: Path | None, report: Path | None, alarms: Path | None
 
 
 def _check_apart(recordings: Sequence[Path], outputs: Sequence[dict[str, Path | None]]) -> None:
-    """Raise where outputs of two recordings would have one name."""
+    """Raise if outputs of two recordings would have one name."""
     stems = Counter(path.stem for path in recordings)
     stem, count = stems.most_common(1)[0]
     if count > 1 and any(outputs[0].values()):
@@ -162,7 +162,7 @@ def _status(diagnosis: Diagnosis, strict: bool) -> int:
 
 @contextmanager
 def _diagnosed(watch: Monitor, recording: Path, reading: Reading) -> Iterator[Diagnosis]:
-    """Yield the diagnosis of a recording, whose arrays are on the disk where it is large."""
+    """Yield the diagnosis of a recording, with arrays on disk if it is large."""
     if recording.stat().st_size < STREAMED:
         yield _run(watch, recording, reading)
         return
@@ -246,7 +246,7 @@ def _judged(candidates: Iterable[Candidate]) -> bool:
 
 
 def _worth(candidate: Candidate) -> str:
-    """Return the probability of a candidate, or its score where it has none."""
+    """Return the probability of a candidate, or its score without one."""
     return f"{candidate.score:.3f}" if candidate.probability is None else number(candidate.probability, 3)
 
 

@@ -33,12 +33,12 @@ _LARGE_FILE = 20_000_000
 
 class _Console(Console):
     def on_broken_pipe(self) -> None:
-        """Leave it to the guard, which sets the exit status."""
+        """Leave a broken pipe to the guard, which sets the exit status."""
         raise BrokenPipeError
 
 
 def console() -> Console:
-    """Return a console on stdout; names are shown as they are, never taken as markup."""
+    """Return a console on stdout; names are shown literally, never taken as markup."""
     width = None if sys.stdout.isatty() else _PIPE_WIDTH
     return _Console(file=sys.stdout, width=width, markup=False, highlight=False, emoji=False)
 
@@ -81,7 +81,7 @@ def show_table(header: Sequence[str], rows: Iterable[Sequence[object]], *, title
 
 
 def _widths(columns: Sequence[Sequence[str]], most: int) -> list[int] | None:
-    """Return the widths of columns in a table of so many characters, or ``None`` where a word would not fit."""
+    """Return the widths of columns in a table of so many characters, or ``None`` if a word would not fit."""
     least = [max(map(cell_len, " ".join(column).split()), default=0) for column in columns]
     whole = [max(map(cell_len, column)) for column in columns]
     spare = most - sum(least) - 3 * len(columns) + 1  # rules and blanks between columns
@@ -103,12 +103,12 @@ def _columns(rows: list[list[str]]) -> list[str]:
 
 
 def print_json(value: object, *, indent: int | None = 2) -> None:
-    """Print a value as JSON, without an indent on one line; what is not finite is null."""
+    """Print a value as JSON, on one line without an indent; values that are not finite become null."""
     print(json.dumps(plain(value), indent=indent, ensure_ascii=False, allow_nan=False))
 
 
 def records(columns: Mapping[str, Sequence[object]]) -> list[dict[str, object]]:
-    """Return the rows of a table that is given by its columns."""
+    """Return the rows of a table given by its columns."""
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
@@ -179,7 +179,7 @@ class _Bar:
         self.task: Any = None
 
     def __call__(self, done: int, total: int) -> None:
-        """Show how far the work is."""
+        """Show the progress of the work."""
         if self.bar is None and done < total and monotonic() - self.started > _PATIENCE:
             from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 

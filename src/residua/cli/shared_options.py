@@ -1,4 +1,4 @@
-"""Arguments and options that several commands have, and checks of their values."""
+"""Arguments and options that several commands share, and checks of their values."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of text
 
 
 def signed(call: Callable[..., None], parameters: Iterable[inspect.Parameter], text: str | None) -> Callable[..., None]:
-    """Give a function the parameters that Typer makes options of, and the text of its help."""
+    """Give a function the parameters that Typer turns into options, and its help text."""
     named = [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in parameters]
     call.__signature__ = inspect.Signature(named)  # pyright: ignore[reportFunctionMemberAccess]
     call.__annotations__ = {one.name: one.annotation for one in named}
@@ -62,7 +62,7 @@ Within = Annotated[
 
 
 def check_step(dt: float | None, of_plant: float) -> None:
-    """Raise where a step of recordings differs from that of a sampled plant."""
+    """Raise if a step of recordings differs from that of a sampled plant."""
     if dt is not None and of_plant and abs(dt - of_plant) > SAME * of_plant:
         raise SettingError(
             f"the plant is sampled every {of_plant:g} s, and --dt is {dt:g} s: leave --dt out, or give a plant file "
@@ -92,7 +92,7 @@ _INSTEAD = {
 
 
 def _kind(path: Path) -> str | None:
-    """Return the kind of a file; of the kinds of TOML, plant files have a mark in them."""
+    """Return the kind of a file; among TOML files, plant files contain a mark."""
     if path.suffix.lower() == ".toml" and path.is_file():
         with path.open("rb") as file:
             return "plant file" if b"residua-plant/" in file.read(10_000) else None
@@ -100,7 +100,7 @@ def _kind(path: Path) -> str | None:
 
 
 def check_file(path: Path, wanted: str) -> None:
-    """Raise unless there is such a file, and its ending allows the kind that is wanted.
+    """Raise unless the file exists, and its ending allows the wanted kind.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def check_file(path: Path, wanted: str) -> None:
 
 
 def check_order(command: str, monitor: Path, recordings: Sequence[Path]) -> None:
-    """Raise where a recording stands in the place of the monitor, and the monitor among the recordings."""
+    """Raise if a recording is in the place of the monitor, and the monitor among the recordings."""
     names = [monitor, *recordings]
     monitors = [path for path in recordings if _kind(path) == "monitor"]
     if _kind(monitor) == "recording" and len(monitors) == 1:
@@ -123,7 +123,7 @@ def check_order(command: str, monitor: Path, recordings: Sequence[Path]) -> None
 
 
 def check_recordings(paths: Sequence[Path]) -> None:
-    """Raise unless every recording is a file, and none is given twice."""
+    """Raise unless every recording is a file, without repeats."""
     for path in paths:
         check_file(path, "recording")
     twice = next((path for path in paths if [real(p) for p in paths].count(real(path)) > 1), None)

@@ -1,4 +1,4 @@
-"""Standard output and error as they may be: closed, full, or read by nobody any more."""
+"""Standard output and error in any state: closed, full, or without a reader."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from typing import NoReturn, TextIO
 
 
 class _Closed(io.TextIOBase):
-    """A standard output that the caller has closed: writing to it is an error like any other."""
+    """Substitute for a closed standard output: writing to it is an error like any other."""
 
     def write(self, text: str, /) -> NoReturn:
-        """Say that it is closed."""
+        """Raise, since it is closed."""
         raise OSError(errno.EBADF, "it is closed", "standard output")
 
 
 def prepare() -> None:
-    """Make sure that there are an output and an error stream, and that no character ends a run.
+    """Ensure an output and an error stream, in which no character ends a run.
 
     Numbers 0 to 2 of closed streams are taken by the null device: a file that the program opens would get them, and
     what others write there would end up in it.
@@ -37,7 +37,7 @@ def prepare() -> None:
 
 
 def complain(line: str) -> None:
-    """Write a line to standard error; where that cannot be written to, only the exit status is left."""
+    """Write a line to standard error; if that fails, only the exit status remains."""
     try:
         print(line, file=sys.stderr, flush=True)
     except OSError:
@@ -45,7 +45,7 @@ def complain(line: str) -> None:
 
 
 def unwritten() -> OSError | None:
-    """Flush standard output; return the error that hinders it, after which output is discarded.
+    """Flush standard output; return an error in doing so, after which output is discarded.
 
     A second attempt, at the end of the process, would end it with a status of its own.
     """
@@ -58,7 +58,7 @@ def unwritten() -> OSError | None:
 
 
 def silence_errors_that_cannot_be_written() -> None:
-    """Flush standard error; where that fails, discard its output from then on."""
+    """Flush standard error; if that fails, discard its output from then on."""
     try:
         sys.stderr.flush()
     except OSError:
@@ -66,7 +66,7 @@ def silence_errors_that_cannot_be_written() -> None:
 
 
 def _silenced(stream: TextIO) -> TextIO:
-    """Return a stream that takes everything; the old one's number points to the null device, also at its own end."""
+    """Return a stream that discards everything; the old descriptor points to the null device, also at its own end."""
     try:
         null = os.open(os.devnull, os.O_WRONLY)
         os.dup2(null, stream.fileno())

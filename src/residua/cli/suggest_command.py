@@ -20,7 +20,7 @@ def suggest(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Compare the designs for a plant by the faults that each sees."""
+    """Compare the designs for a plant by the faults that they see."""
     check_file(plant, "plant file")
     model = load_plant(plant)
     with screen.patience(f"trying designs for {model.name}"):

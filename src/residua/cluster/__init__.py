@@ -1,4 +1,4 @@
-"""Monitors on other people's clusters: Spark, Ray and Dask distribute, the plants of a shard are one fleet.
+"""Monitors on clusters: Spark, Ray and Dask distribute, and the plants of a shard form a fleet.
 
 ``residua.cluster.spark`` needs the extra ``spark``, ``residua.cluster.workers`` one of ``ray``, ``dask``, ``workers``.
 """

@@ -1,4 +1,4 @@
-"""What comes out of a cluster as a table: a row for each event of an alarm, and for each record that was put aside."""
+"""Results of a cluster as a table: a row for each event of an alarm, and for each record put aside."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ASIDE = "aside"
 
 
 def columns_of(taken: Taken) -> dict[str, list[Any]]:
-    """Return events, and then what was put aside, as columns."""
+    """Return events, and then records put aside, as columns."""
     events, aside = taken.events, taken.aside
     more, fewer = [None] * len(aside), [None] * len(events)
     return {
@@ -43,7 +43,7 @@ def columns_of(taken: Taken) -> dict[str, list[Any]]:
 
 
 def arrow_of(taken: Taken, whole: bool) -> Any:
-    """Return events and what was put aside as a table of Arrow; ``whole``: whether ids are whole numbers."""
+    """Return events and records put aside as a table of Arrow; ``whole``: whether ids are whole numbers."""
     pa = _pyarrow()
     types = {"string": pa.string(), "bigint": pa.int64(), "double": pa.float64()}
     types |= {"array<string>": pa.list_(pa.string()), "array<double>": pa.list_(pa.float64())}

@@ -1,4 +1,4 @@
-"""Packed rows: what a cluster is fed with, some consecutive samples of one plant in each."""
+"""Packed rows, the input of a cluster: some consecutive samples of one plant in each."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class PackedRows:
 
     @staticmethod
     def joined(parts: Sequence[PackedRows]) -> PackedRows:
-        """Return rows one after the other."""
+        """Return rows concatenated."""
         if len(parts) == 1:
             return parts[0]
         sizes = np.concatenate([[0], *(np.diff(part.offsets) for part in parts)]).astype(np.int64)
@@ -105,7 +105,7 @@ class PackedRows:
 
     @staticmethod
     def of_arrow(table: Any) -> PackedRows:
-        """Return the rows of a table or a record batch of Arrow; the numbers are not copied where they lie in one."""
+        """Return the rows of a table or a record batch of Arrow, without copying numbers that are contiguous."""
         _check_columns(table.schema.names)
         columns = [table.column(table.schema.get_field_index(name)) for name in COLUMNS]
         plant, start, samples, values = (_in_one(one) for one in columns)
@@ -126,7 +126,7 @@ def _check_columns(names: Sequence[str]) -> None:
 
 
 def _plain(plant: Any) -> Any:
-    """Return an id as a number or text of Python, ``None`` where it is missing."""
+    """Return an id as a number or text of Python, ``None`` if it is missing."""
     if isinstance(plant, (int, np.integer)) and not isinstance(plant, bool):
         return int(plant)
     if isinstance(plant, (float, np.floating)) and plant == np.floor(plant) and abs(plant) < EXACT:
@@ -135,7 +135,7 @@ def _plain(plant: Any) -> Any:
 
 
 def _whole(column: Any) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return whole numbers, 0 where there is none, and where there is one."""
+    """Return whole numbers, 0 for missing ones, and their mask."""
     array = np.asarray(column)
     if array.dtype.kind in "iu":
         return array.astype(np.int64), np.ones(len(array), dtype=bool)
@@ -145,7 +145,7 @@ def _whole(column: Any) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
 
 
 def _in_one(column: Any) -> Any:
-    """Return an array of Arrow that may come in pieces as one."""
+    """Return an array of Arrow, possibly in chunks, as one."""
     return column.combine_chunks() if hasattr(column, "combine_chunks") else column
 
 
@@ -183,12 +183,12 @@ def packed_table(
     samples: int = 1000,
     start: int | Mapping[Any, int] = 0,
 ) -> Any:
-    """Return recordings as a table of Arrow of packed rows, which Spark, Ray, Dask and Parquet files take.
+    """Return recordings as a table of Arrow of packed rows, for Spark, Ray, Dask and Parquet files.
 
     Parameters
     ----------
     monitor : Monitor
-        Whose plant says what the channels are.
+        Whose plant has the channels.
     recordings : mapping of int or str to (u, y)
         Of each plant, by its id: inputs (time, inputs), or ``None``, and outputs (time, outputs), in plant units.
     samples : int

@@ -1,4 +1,4 @@
-"""The plants of one shard: packed rows in, events of alarms and what was put aside out, a blob of bytes in between."""
+"""The plants of one shard: packed rows in, events of alarms and records put aside out, a blob of bytes in between."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Aside:
 
 @dataclass(frozen=True)
 class Taken:
-    """What came of some records.
+    """Results of some records.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class Taken:
 
 
 class Shard:
-    """Plants that share a monitor, each at a sample of its own.
+    """Plants that share a monitor, each at its own sample.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ class Shard:
     # ----------------------------------------------------------------------- records
 
     def take(self, rows: PackedRows) -> Taken:
-        """Go on with records: in any order within these, and after those of earlier calls.
+        """Process records: in any order within a call, and after those of earlier calls.
 
         Rows of one plant are applied in the order of their numbers. Samples that are missing between them are missing
         values; samples that came already are not applied again, and the row is put aside as ``late``. Of two rows with
@@ -133,11 +133,11 @@ class Shard:
         return Taken(events, aside)
 
     def _due(self) -> NDArray[np.int64]:
-        """Return the number of the sample that comes next, of each plant."""
+        """Return the number of the next sample of each plant."""
         return self._origins + self._block.state.count
 
     def _usable(self, rows: PackedRows, aside: list[Aside]) -> NDArray[np.int64]:
-        """Return which rows are records of a plant; what is wrong with the others is put aside."""
+        """Return the rows that are valid records of a plant, and put the others aside with the error."""
         width, sizes = len(self._channels), np.diff(rows.offsets)
         number = (rows.start >= 0) & (rows.samples >= 1) & (rows.start < EXACT) & (rows.samples < EXACT)
         fits = sizes == np.where(number, rows.samples, 0) * width
@@ -148,17 +148,17 @@ class Shard:
             if not rows.complete[row]:
                 cause, reason = "incomplete", "a column of this record is empty"
             elif not number[row]:
-                cause, reason = "number", f"numbers that cannot be: start {start}, {samples} samples"
+                cause, reason = "number", f"invalid numbers: start {start}, {samples} samples"
             elif not fits[row]:
                 said = f"{counted(int(sizes[row]), 'number')} for {counted(samples, 'sample')} of {width} channels"
                 cause, reason = "width", f"{said}: {echo(', '.join(self._channels))}"
             else:
-                cause, reason = "unknown plant", f"the plant {echo(plant)} is none of those that are watched"
+                cause, reason = "unknown plant", f"the plant {echo(plant)} is not watched"
             aside.append(Aside(plant, start, cause, reason))
         return np.flatnonzero(rows.complete & number & fits & known)
 
     def _sorted(self, rows: PackedRows, good: NDArray[np.int64], aside: list[Aside]) -> NDArray[np.int64]:
-        """Return rows by plant and number, the longer one first; plants that are new are taken up."""
+        """Return rows by plant and number, the longer one first; new plants are added."""
         begins: dict[Any, int] = {}
         known = self._block.rows
         for row in good.tolist():
@@ -186,7 +186,7 @@ class Shard:
         return good[order]
 
     def _add(self, begins: dict[Any, int]) -> None:
-        """Take up plants, from the numbers of their first samples on."""
+        """Add plants, from the numbers of their first samples on."""
         self._block = FleetBlock.joined([self._block, FleetBlock(self.monitor, list(begins))])
         self._origins = np.concatenate([self._origins, np.array(list(begins.values()), dtype=np.int64)])
 
@@ -195,7 +195,7 @@ class Shard:
         return np.fromiter((at[rows.plants[row]] for row in which.tolist()), dtype=np.int64, count=len(which))
 
     def _regular(self, rows: PackedRows, which: NDArray[np.int64], places: NDArray[np.int64]) -> list[AlarmEvent]:
-        """Go on with rows, sorted, that follow each other without a gap; plants of as many samples together."""
+        """Process sorted rows that follow each other without a gap; plants with equal numbers of samples together."""
         if not which.size:
             return []
         sizes = (rows.offsets[which + 1] - rows.offsets[which]).astype(np.int64)
@@ -219,7 +219,7 @@ class Shard:
     def _with_gaps(
         self, rows: PackedRows, which: NDArray[np.int64], place: int, aside: list[Aside]
     ) -> list[AlarmEvent]:
-        """Go on with rows of one plant, sorted, some of which came late or follow a gap."""
+        """Process sorted rows of one plant, some of which came late or follow a gap."""
         width, due = len(self._channels), int(self._due()[place])
         parts: list[NDArray[np.float64]] = []
         for row in which.tolist():
@@ -244,7 +244,7 @@ class Shard:
         return self._go_on(np.array([place]), np.concatenate(parts)[None])
 
     def _go_on(self, places: NDArray[np.int64], data: NDArray[np.float64]) -> list[AlarmEvent]:
-        """Go on with a block, (plants, time, channels), in pieces that do not take much memory."""
+        """Process a block, (plants, time, channels), in pieces that do not take much memory."""
         events: list[AlarmEvent] = []
         piece = max(1, _AT_ONCE // max(1, len(places) * len(self._channels)))
         for start in range(0, data.shape[1], piece):
@@ -253,7 +253,7 @@ class Shard:
         return [self._numbered(event) for event in events]
 
     def _numbered(self, event: AlarmEvent) -> AlarmEvent:
-        """Return an event by the numbers that the records of the plant have."""
+        """Return an event with the sample numbers of the plant's records."""
         origin = int(self._origins[self._block.rows[event.plant]])
         if not origin:
             return event
@@ -264,7 +264,7 @@ class Shard:
     # -------------------------------------------------------------------- other plants
 
     def keep(self, plants: Collection[Any]) -> None:
-        """Forget all plants but some."""
+        """Remove all plants but some."""
         self._take(np.array([row for row, plant in enumerate(self._block.ids) if plant in plants], dtype=np.int64))
 
     def _take(self, rows: NDArray[np.int64]) -> None:
@@ -272,7 +272,7 @@ class Shard:
             self._block, self._origins = self._block.of(rows), self._origins[rows]
 
     def split(self, shards: int) -> dict[int, Shard]:
-        """Return the plants by the shard that each is in where there are so many shards."""
+        """Return the plants by shard, for a given number of shards."""
         numbers = np.array([shard_of(plant, shards) for plant in self._block.ids], dtype=np.int64)
         parts = {}
         for number in np.unique(numbers).tolist():
@@ -311,14 +311,14 @@ class Shard:
     # --------------------------------------------------------------------------- bytes
 
     def to_bytes(self) -> bytes:
-        """Return what is remembered: the mark ``RESIDUAS``, version, number of shards, number of plants, the numbers of
-        their first samples (64 bits each, little-endian), a CRC-32 of all that, and :meth:`residua.Fleet.snapshot`.
+        """Return the state: the mark ``RESIDUAS``, version, number of shards, number of plants, the numbers of their
+        first samples (64 bits each, little-endian), a CRC-32 of all that, and :meth:`residua.Fleet.snapshot`.
         """
         head = _HEAD.pack(MARK, VERSION, self.shards, len(self)) + self._origins.astype("<i8").tobytes()
         return head + _CHECK.pack(zlib.crc32(head)) + snapshot_of({"": self._block})
 
     def restored(self, content: bytes) -> Shard:
-        """Return the shard of some bytes, with the settings of this one.
+        """Return the shard restored from bytes, with the settings of this one.
 
         Raises
         ------
@@ -342,7 +342,7 @@ class Shard:
 def _parts(content: bytes) -> tuple[int, NDArray[np.int64], bytes]:
     """Return the number of shards, the numbers of the first samples, and the snapshot."""
     if content[: len(MARK)] != MARK:
-        raise FileFormatError("these bytes are no state of a shard")
+        raise FileFormatError("these bytes are not the state of a shard")
     if len(content) < _HEAD.size:
         raise FileFormatError("this state of a shard is cut short")
     _, version, shards, plants = _HEAD.unpack_from(content)
@@ -352,7 +352,7 @@ def _parts(content: bytes) -> tuple[int, NDArray[np.int64], bytes]:
     if len(content) < end + _CHECK.size:
         raise FileFormatError("this state of a shard is cut short")
     if _CHECK.unpack_from(content, end)[0] != zlib.crc32(content[:end]):
-        raise FileFormatError("this state of a shard was changed: its checksum is that of other bytes")
+        raise FileFormatError("this state of a shard was changed: its checksum does not match")
     origins = np.frombuffer(content, dtype="<i8", count=plants, offset=_HEAD.size).astype(np.int64)
     return shards, origins, content[end + _CHECK.size :]
 

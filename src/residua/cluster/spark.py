@@ -24,7 +24,7 @@ except ImportError:
 else:
     _Base = StatefulProcessor
 
-#: What holds the state of a stream in Spark: only this one keeps values by name.
+#: State store of streams in Spark: the only one with values by name.
 STATE_STORE = "org.apache.spark.sql.execution.streaming.state.RocksDBStateStoreProvider"
 _STORE_SETTING = "spark.sql.streaming.stateStore.providerClass"
 #: The value that a shard keeps, and its type.
@@ -109,21 +109,21 @@ def diagnose_stream(
 
 
 class ShardProcessor(_Base):
-    """What Spark runs for each shard that has rows in a micro-batch: state in, rows through, state out."""
+    """Processor run by Spark for each shard with rows in a micro-batch: state in, rows through, state out."""
 
     def __init__(self, text: str, whole: bool, settings: dict[str, Any]) -> None:
         self._text, self._whole, self._settings = text, whole, settings
         self._state: Any = None
 
     def init(self, handle: Any) -> None:
-        """Take the handle of the state."""
+        """Store the handle of the state."""
         self._state = handle.getValueState(_STATE, _STATE_TYPE)
 
     def _blank(self) -> Shard:
         return Shard(monitor_of_text(self._text), **self._settings)
 
     def handleInputRows(self, key: Any, rows: Iterator[Any], timerValues: Any) -> Iterator[Any]:
-        """Go on with the rows of a shard, all of the micro-batch at once."""
+        """Process the rows of a shard, all of the micro-batch at once."""
         shard, kept = self._blank(), self._state.get() if self._state.exists() else None
         if kept is not None:
             shard = shard.restored(kept[0])
@@ -139,7 +139,7 @@ class ShardProcessor(_Base):
         return PackedRows.of_columns(columns)
 
     def handleInitialState(self, key: Any, initialState: Any, timerValues: Any) -> None:
-        """Begin with the states that another checkpoint left, in one part or in several."""
+        """Start with the states of another checkpoint, in one part or in several."""
         blank = self._blank()
         parts = [blank.restored(content) for content in initialState["content"]]
         if self._state.exists():
@@ -196,7 +196,7 @@ def diagnose_batch(
 
 
 def run_sorted(shard: Shard, batches: Iterator[Any]) -> Iterator[Taken]:
-    """Go on with batches of rows that are sorted by plant; a plant is forgotten when the next one begins."""
+    """Process batches of rows sorted by plant; a plant is removed when the next one begins."""
     for batch in batches:
         rows = PackedRows.of_arrow(batch)
         yield shard.take(rows)
@@ -256,7 +256,7 @@ def resharded(states: Any, monitor: Monitor, before: int, shards: int) -> Any:
 
 
 def _check_checkpoint(spark: Any, checkpoint: str, blank: Shard) -> None:
-    """Raise where a checkpoint that something was committed to holds the state of other shards."""
+    """Raise if a checkpoint with commits holds the state of other shards."""
     try:
         committed = not spark.read.text(f"{checkpoint}/commits").isEmpty()
     except AnalysisException as error:

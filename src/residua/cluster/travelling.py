@@ -1,4 +1,4 @@
-"""A monitor on its way to a worker: its record in JSON, of which the worker makes the same monitor."""
+"""A monitor on its way to a worker: its record in JSON, from which the worker builds an equal monitor."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from residua.visible import echo
 
 
 def text_of_monitor(monitor: Monitor) -> str:
-    """Return a monitor as the text that travels: its file, without what it has seen.
+    """Return a monitor as text for a worker: its file, without its state.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def text_of_monitor(monitor: Monitor) -> str:
 
 @lru_cache(maxsize=16)
 def monitor_of_text(text: str) -> Monitor:
-    """Return the monitor of a text, made once in a process; its own state is not to be used."""
+    """Return the monitor of a text, built once in a process; its own state is not to be used."""
     content = loads(text.encode(), "the monitor that came")
     check_checksum(content, "the monitor that came")
     monitor = monitor_from(content, "the monitor that came")
@@ -53,7 +53,7 @@ def monitor_of_text(text: str) -> Monitor:
 
 
 def mark_of(monitor: Monitor) -> str:
-    """Return the SHA-256 of all that a monitor runs, by which the states of its plants know it."""
+    """Return the SHA-256 of all that determines a monitor's answers, which identifies the states of its plants."""
     return FleetBlock(monitor, []).fingerprint
 
 

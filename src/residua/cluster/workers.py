@@ -17,7 +17,7 @@ from residua.monitor.diagnosis import Diagnosis
 from residua.monitor.monitor import Monitor
 from residua.visible import echo, shortened
 
-#: Batches of recordings that a worker has before what came back is safe from the end of another worker.
+#: Batches of recordings for a worker, after which results are safe from the end of another worker.
 _BATCHES_TO_EACH = 8
 #: The classes of errors that say that a worker has ended: of loky and processes, and of Ray. Dask tries again itself.
 _ENDED = {"BrokenExecutor", "RayActorError", "WorkerCrashedError"}
@@ -27,7 +27,7 @@ _MOST = 1000
 
 @dataclass(frozen=True)
 class Diagnosed:
-    """What a worker made of a recording.
+    """Result of a worker on a recording.
 
     Attributes
     ----------
@@ -130,7 +130,7 @@ def diagnose_many(
 
 
 def diagnosed(text: str, named: Sequence[tuple[Any, Any]]) -> list[Diagnosed]:
-    """Return what the monitor of a text makes of recordings with their names: what a worker does."""
+    """Run a monitor, given as text, over recordings with their names: the work of a worker."""
     monitor, out = monitor_of_text(text), []
     for name, recording in named:
         pair = isinstance(recording, tuple) and len(recording) == 2
@@ -150,12 +150,12 @@ def _numbered(recordings: Sequence[Any]) -> list[tuple[Any, Any]]:
 
 
 def _has_ended(error: BaseException) -> bool:
-    """Tell whether an error says that a worker has ended."""
+    """Tell whether an error means that a worker has ended."""
     return any(kind.__name__ in _ENDED for kind in type(error).__mro__)
 
 
 def _joblib(backend: str | None) -> Any:
-    """Return joblib, with the backend registered that others bring."""
+    """Return joblib, with the backend of another package registered."""
     try:
         import joblib  # pyright: ignore[reportMissingImports]
     except ImportError as error:
@@ -178,8 +178,8 @@ def _joblib(backend: str | None) -> Any:
 
 
 class BatchEvents:
-    """Packed rows to events of alarms: a function for ``map_batches`` and ``map_groups`` of Ray Data, and for
-    ``map_partitions`` of Dask.
+    """Conversion of packed rows to events of alarms, for ``map_batches`` and ``map_groups`` of Ray Data, and
+    for ``map_partitions`` of Dask.
 
     All rows of a plant must be in one batch. Rows whose beginning is elsewhere are put aside (``begin``).
 
@@ -226,7 +226,7 @@ class BatchEvents:
         }
 
     def __call__(self, batch: Any) -> Any:
-        """Return the events of a table of Arrow as such a table, or of a data frame of pandas as a data frame."""
+        """Return the events of a table of Arrow as another table, or of a data frame of pandas as a data frame."""
         if isinstance(batch, Mapping):
             raise DataError("packed rows come as tables: batch_format='pyarrow' or 'pandas'")
         shard = Shard(monitor_of_text(self._text), **self._settings)
@@ -238,7 +238,7 @@ class BatchEvents:
 
 
 class ShardColumn:
-    """Adds the shard of its plant to each packed row: a function for ``map_batches`` of Ray Data, by which to group.
+    """Addition of its plant's shard to each packed row, for ``map_batches`` of Ray Data, by which to group.
 
     Parameters
     ----------

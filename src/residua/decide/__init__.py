@@ -1,4 +1,4 @@
-"""From residuals to alarms and named faults: one test or isolation, one file."""
+"""Tests and isolations, from residuals to alarms and named faults; one file each."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""A threshold that moves with the inputs: what errors of the model make of them raises no alarm."""
+"""Threshold that adapts to the inputs, so that errors of the model raise no alarm."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ from residua.tolerances import SIGNAL_ROUNDING
 from residua.visible import echo
 from residua.words import counted, number
 
-#: What errors are worth is fitted where that part of the samples is over the threshold, or where so many are.
+#: Weights of errors are fitted with that part of the samples over the threshold, or with so many.
 _SHARE, _OVER = 0.01, 50
 #: Most samples that they are fitted to, and errors that the basis names.
 _MOST, _NAMED = 20_000, 4
@@ -52,12 +52,12 @@ _MOST, _NAMED = 20_000, 4
 
 @dataclass(frozen=True, eq=False)
 class AdaptiveState:
-    """What a threshold that moves with the inputs remembers.
+    """State of an adaptive threshold.
 
     Attributes
     ----------
     window, error_window : WindowState
-        Of the whitened residual, and of what errors of the model do to it.
+        Of the whitened residual, and of the effects of model errors on it.
     runs : AlarmRuns
     x : ndarray, shape (plants, states)
         Of the system of these errors.
@@ -77,7 +77,7 @@ class AdaptiveState:
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """The system of one error: its states and rows among those of all, and what a constant input settles it to."""
+    """The system of one error: its states and rows among those of all, and its steady-state gain."""
 
     states: NDArray[np.int64]
     rows: NDArray[np.int64]
@@ -90,19 +90,19 @@ class _Part:
 
 @dataclass(frozen=True, eq=False)
 class AdaptiveTest(NormTest):
-    """A threshold that moves with the inputs, with every number filled in: what runs.
+    """Fitted threshold that adapts to the inputs.
 
     Attributes
     ----------
     errors : tuple of str
         Names of the errors of the model.
     A, B, C, D : ndarray
-        The system from the inputs to what each error does to the whitened residual: as many outputs for each as there
-        are residuals.
+        The system from the inputs to the effect of each error on the whitened residual: as many outputs for each as
+        there are residuals.
     orders : ndarray of int, shape (errors,)
         The number of states of each.
     weights : ndarray, shape (errors,)
-        What each is worth.
+        Weight of each error.
     together : bool
         Whether one of them holds at a time, so that the largest counts, and not their sum.
     """
@@ -132,7 +132,7 @@ class AdaptiveTest(NormTest):
     def run(  # pyright: ignore[reportIncompatibleMethodOverride]
         self, state: AdaptiveState, block: Block
     ) -> tuple[AdaptiveState, Tested]:
-        """Compare the norm of the whitened residual, less what errors of the model explain, with the threshold."""
+        """Compare the norm of the whitened residual, less the part that model errors explain, with the threshold."""
         state, q, usable, norms, explained = self.measured(state, block)
         statistic = np.where(usable, np.maximum(norms - self._worth(explained), 0.0), np.nan)
         runs, tested = against_threshold(self, state.runs, statistic, usable, q)
@@ -141,7 +141,7 @@ class AdaptiveTest(NormTest):
     def measured(
         self, state: AdaptiveState, block: Block
     ) -> tuple[AdaptiveState, NDArray, NDArray[np.bool_], NDArray[np.float64], NDArray[np.float64]]:
-        """Return the state, the whitened residual, where it is usable, its norms, and those of each error."""
+        """Return the state, the whitened residual, its usable mask, its norms, and those of each error."""
         q, usable = whitened_residuals(self.center, self.whitening, block)
         sums, window = moving_sum(q, state.window, usable)
         x, held, running, signed = self._of_errors(state, block)
@@ -154,11 +154,11 @@ class AdaptiveTest(NormTest):
     def _of_errors(
         self, state: AdaptiveState, block: Block
     ) -> tuple[NDArray, NDArray, NDArray[np.bool_], NDArray[np.float64]]:
-        """Return state, held inputs and whether there were any, and what each error does to the whitened residual."""
+        """Return state, held inputs, a flag for inputs seen so far, and the effect of each error on the residual."""
         plants, time = block.usable.shape
         m = self.B.shape[1]
         if block.signals is None:
-            raise DataError("a threshold that moves with the inputs needs these, and there are residuals alone here")
+            raise DataError("an adaptive threshold needs the inputs, but only residuals are given")
         u = _without_gaps(block.signals[..., :m], state.held)
         if not time:
             return state.x, state.held, state.running, np.zeros((plants, 0, len(self.C)))
@@ -186,44 +186,44 @@ class AdaptiveTest(NormTest):
         return tuple(out)
 
     def _worth(self, explained: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return how far the threshold gives way at each sample."""
+        """Return the rise of the threshold at each sample."""
         out = np.zeros(explained.shape[:2])
         for g, weight in enumerate(self.weights.tolist()):  # one after the other: the same bits for any block
             part = weight * explained[..., g]
             out = np.maximum(out, part) if self.together else out + part
         return out
 
-    # ----------------------------------------------- what the rest of a monitor asks for
+    # ----------------------------------------------- interface to the rest of a monitor
 
     @property
     def reads_signals(self) -> bool:
-        """It reads the inputs."""
+        """True: the threshold depends on the inputs."""
         return True
 
     @property
     def mean_time(self) -> None:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Not known: rarer than of noise alone."""
+        """Unknown: longer than for noise alone."""
         return None
 
     def fault_free_residuals(self, normal: NDArray[np.float64]) -> None:
-        """Nothing: it depends on the inputs."""
+        """Return ``None``: the threshold depends on the inputs."""
         return None
 
     def in_white_units(self, response: NDArray[np.float64]) -> None:
-        """Nothing: errors of the model are not white."""
+        """Return ``None``: errors of the model are not white."""
         return None
 
     def words(self, step: float) -> dict[str, str]:
-        """Return in words what the threshold is, what is tested, and when an alarm begins and ends."""
+        """Describe the threshold, the statistic, and the start and end of an alarm."""
         said = super().words(step)
         how = "the largest" if self.together else "the sum"
-        more = f", less {how} of what {counted(len(self.errors), 'error')} of the model would make of the inputs"
+        more = f", less {how} of the effects of {counted(len(self.errors), 'error')} of the model"
         return said | {"test": said["test"] + more}
 
     # --------------------------------------------------------------------------- files
 
     def check(self, watched: Watched) -> None:
-        """Raise where a test from a file does not fit what it is to watch."""
+        """Raise if a test from a file does not fit the watched generator."""
         super().check(watched)
         n, m, rows = len(self.A), len(watched.generator.plant.inputs), len(self.errors) * watched.generator.n_residuals
         shapes = {"A": (n, n), "B": (n, m), "C": (rows, n), "D": (rows, m), "weights": (len(self.errors),)}
@@ -236,20 +236,20 @@ class AdaptiveTest(NormTest):
             raise FileFormatError("fitted.A must be stable")
 
     def check_state(self, state: AdaptiveState) -> None:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Raise where a state from a file cannot be one."""
+        """Raise if a state from a file is invalid."""
         state.window.check("state.test.window")
         state.error_window.check("state.test.error_window")
 
 
 @dataclass(frozen=True)
 class Adaptive(NormSettings):
-    r"""Alarm while the norm of the residual is over a threshold that moves with the inputs.
+    r"""Alarm while the norm of the residual exceeds a threshold that adapts to the inputs.
 
     .. math:: J_k > a + \sum_j b_j\, |\varphi_{j,k}|, \qquad \varphi_j = W\, G_{ry}\, \Delta G_j\, u
 
-    with the norm :math:`J` of :class:`residua.decide.NormThreshold`, and what an error :math:`\Delta G_j` of the model
-    would make of the inputs that were given, through the residual generator :math:`G_{ry}` and the whitening :math:`W`.
-    A plant that does not move is judged as sharply as its noise allows, and large inputs raise no alarm by themselves.
+    with the norm :math:`J` of :class:`residua.decide.NormThreshold`, and the effect of an error :math:`\Delta G_j` of
+    the model on it for the given inputs, through the residual generator :math:`G_{ry}` and the whitening :math:`W`. A
+    plant that does not move is judged as sharply as its noise allows, and large inputs raise no alarm by themselves.
 
     The errors are
 
@@ -259,7 +259,8 @@ class Adaptive(NormSettings):
       looked at, and the largest counts; of more each alone, at its far end, and all of them are added;
     * with neither, those of the responses and of their timing, by as much as a fit finds that they are:
       :math:`a + \sum_j b_j |\varphi_j|` is the line of quantiles of :math:`J` with the least error
-      (:math:`b_j \ge 0`), moved until false alarms have the requested rate, and never below what the noise alone needs.
+      (:math:`b_j \ge 0`), moved until false alarms have the requested rate, and never below the threshold for
+      noise alone.
 
     Guaranteed: with ``relative``, and noise as the model says, single samples over the threshold are at most as
     frequent as asked for, for any inputs and any errors of that size, by the inequality of the triangle
@@ -274,7 +275,7 @@ class Adaptive(NormSettings):
         As of :class:`residua.decide.NormThreshold`; the threshold is that at rest, :math:`a`. A conformal source is
         not possible.
     errors : sequence of OutputError, optional
-        What an uncertain plant was made into; files have it.
+        Errors made from an uncertain plant; stored in files.
 
     Raises
     ------
@@ -291,7 +292,7 @@ class Adaptive(NormSettings):
     Notes
     -----
     Assumes: the plant is stable; errors are constant in time; the noise is as the model or the fit says. A fit holds
-    for inputs like those of its recordings. What inputs before the first one did is not known: the plant is taken to
+    for inputs like those of its recordings. The effect of inputs before the first one is unknown: the plant is taken to
     have settled to the first. Where it moves as the monitor starts, errors of the model raise alarms until the plant
     itself has forgotten that, which may take longer than the filter does: ``Monitor(settle=...)`` with as many samples.
 
@@ -353,12 +354,12 @@ class Adaptive(NormSettings):
 
     @property
     def bounds_errors(self) -> bool:
-        """Whether the size of the errors is given."""
+        """True if the size of the errors is given."""
         return self.relative is not None or bool(self.errors)
 
     @property
     def _share(self) -> float | None:
-        """By how much responses are wrong, where that is a number."""
+        """Relative error of the responses, if given as a number."""
         return self.relative if isinstance(self.relative, float) else None
 
     # ------------------------------------------------------------------------ making a test
@@ -412,7 +413,7 @@ class Adaptive(NormSettings):
         return replace(test, threshold=float(chosen.threshold), basis=basis, promised=float(promise.promised))
 
     def _known(self, generator: ResidualGenerator, k: int) -> NDArray[np.float64]:
-        """Return the whitening that is not from data."""
+        """Return the whitening that does not come from data."""
         if self.whiten == "model":
             base = norm_test_from_model(self, generator.covariance_of_sums(self.window), k)
             if base is not None:
@@ -422,40 +423,40 @@ class Adaptive(NormSettings):
     def _errors_of(
         self, generator: ResidualGenerator
     ) -> tuple[tuple[str, ...], tuple[StateSpace, ...], NDArray[np.float64]]:
-        """Return the names of the errors, what they do to the residual, and what they are worth."""
+        """Return the names of the errors, their systems to the residual, and their weights."""
         plant = generator.plant if generator.plant.is_discrete else generator.plant.discretize(generator.dt)
         errors = self.errors or errors_of_gains(plant, changes=not self.bounds_errors)
         if not errors:
-            raise SettingError("no output of this plant answers to an input: its threshold has nothing to move with")
+            raise SettingError("no output of this plant responds to an input, to which its threshold could adapt")
         weights = np.full(len(errors), self._share or 1.0)
         return tuple(one.name for one in errors), residual_errors(errors, generator), weights
 
     def _said(self, names: Sequence[str], weights: NDArray[np.float64]) -> str:
-        """Return in words what the threshold gives way to."""
+        """Describe the model errors that the threshold allows for."""
         if self.errors:
             how = "the corners of" if self.together else "each of"
-            return f"gives way to {how} the parameters of an uncertain plant ({counted(len(names), 'error')})"
+            return f"allows for {how} the parameters of an uncertain plant ({counted(len(names), 'error')})"
         if self._share is not None:
-            return f"gives way to responses that are wrong by {100 * self._share:.4g} % ({len(names)} of them)"
+            return f"allows for responses that are wrong by {100 * self._share:.4g} % ({len(names)} of them)"
         order = [g for g in np.argsort(-weights, kind="stable").tolist() if weights[g] > 0]
         if not order:
-            return "these data show no error of the model: the threshold does not move"
+            return "these data show no error of the model: the threshold is constant"
         parts = [f"{names[g]} {number(float(weights[g]), 2)}" for g in order[:_NAMED]]
         more = f" and {len(order) - _NAMED} more" if len(order) > _NAMED else ""
-        return f"gives way to errors of the model as large as these data show, parts of: {', '.join(parts)}{more}"
+        return f"allows for errors of the model as large as these data show, parts of: {', '.join(parts)}{more}"
 
-    # ----------------------------------------------- what the rest of a monitor asks for
+    # ----------------------------------------------- interface to the rest of a monitor
 
     def check(self, watched: Watched) -> None:
-        """Raise where the settings do not fit what is to be watched."""
+        """Raise if the settings do not suit the watched generator."""
         plant = watched.generator.plant
         if watched.parts is not None:
             raise SettingError(
-                "Adaptive tests the residual as a whole, and an isolation by codes asks which part fired: take "
+                "Adaptive tests the residual as a whole, but isolation by codes needs a test of each part: take "
                 "NormThreshold, or isolate by direction"
             )
         if not plant.inputs:
-            raise SettingError("this plant has no inputs: a threshold that moves with them is one that does not move")
+            raise SettingError("this plant has no inputs, to which a threshold could adapt")
         if self.channels and self.channels != (plant.inputs, plant.outputs):
             raise SettingError(
                 f"the uncertain plant has the channels {', '.join(sum(self.channels, ()))}, the plant of the monitor "
@@ -464,7 +465,7 @@ class Adaptive(NormSettings):
 
     @property
     def remedy(self) -> str:
-        """How to get a threshold."""
+        """Remedy for a missing threshold."""
         if not self.bounds_errors:
             return super().remedy
         return f"{super().remedy}, or give the plant noise (with_noise)"
@@ -506,7 +507,7 @@ def _with_errors(
     weights: NDArray[np.float64],
     together: bool,
 ) -> AdaptiveTest:
-    """Return a norm test that gives way to errors of the model; the systems are from the inputs to the residual."""
+    """Return a norm test that allows for errors of the model; the systems are from the inputs to the residual."""
     W = base.whitening.T
     return AdaptiveTest(
         base.center,
@@ -530,7 +531,7 @@ def _with_errors(
 def _measured(
     test: AdaptiveTest, run: FaultFreeRun, parts: Sequence[slice]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the norms of fault-free residuals, and of what each error would add, each recording from its own start."""
+    """Return the norms of fault-free residuals and the effect of each error, each recording from its own start."""
     norms, explained = [], []
     for part in parts:
         _, _, _, J, phi = test.measured(test.start(1), _block(run, part))
@@ -545,7 +546,7 @@ def _block(run: FaultFreeRun, part: slice) -> Block:
 
 
 def _without_errors(raw: AdaptiveTest, run: FaultFreeRun, data: FaultFree) -> NDArray[np.float64]:
-    """Return the residuals less what constant errors of the model explain of them, by least squares: what is noise."""
+    """Return the residuals less the least-squares fit of constant errors of the model, which leaves the noise."""
     signed = np.concatenate([raw._of_errors(raw.start(1), _block(run, part))[3][0] for part in data.parts])
     k, rows = run.residuals.shape[1], np.flatnonzero(run.usable)
     rows = rows[:: -(-len(rows) // _MOST)]
@@ -564,7 +565,7 @@ def _without_errors(raw: AdaptiveTest, run: FaultFreeRun, data: FaultFree) -> ND
 def _fitted_worth(
     norms: NDArray[np.float64], explained: NDArray[np.float64], data: FaultFree, least: float, rate: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return what errors are worth by all samples, and what they explain of each sample by those far from it."""
+    """Return the weights of errors fitted to all samples, and each sample's allowance by samples far from it."""
 
     def weights_by(rows: NDArray[np.bool_]) -> NDArray[np.float64]:
         return _quantile_weights(norms[rows], explained[rows], least, rate)
@@ -580,7 +581,7 @@ def _fitted_worth(
 def _quantile_weights(
     norms: NDArray[np.float64], explained: NDArray[np.float64], least: float, rate: float
 ) -> NDArray[np.float64]:
-    r"""Return what errors are worth: the coefficients, 0 or more, of a regression of a quantile.
+    r"""Return the weights of errors: the non-negative coefficients of a quantile regression.
 
     .. math:: \min_{a, b \ge 0} \sum_k \varrho_\tau(J_k - J_0 - a - \sum_j b_j \varphi_{j,k}), \qquad
        \varrho_\tau(x) = \max(\tau x, (\tau - 1) x)
@@ -602,7 +603,7 @@ def _quantile_weights(
         -wanted / size, A_ub=design.T, b_ub=np.zeros(design.shape[1]), bounds=(-over, 1 - over), method="highs"
     )
     if made.status != 0:
-        raise DataError(f"what errors of the model are worth was not found ({made.message}): give relative=")
+        raise DataError(f"the weights of the model errors could not be fitted ({made.message}): give relative=")
     out = np.zeros(explained.shape[1])
     out[live] = np.maximum(-made.ineqlin.marginals[1:], 0.0) * size / units[live]
     return out

@@ -1,4 +1,4 @@
-"""One alarm: when, who, how much."""
+"""One alarm: its time, its faults and their sizes."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Size:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A fault, or a group of faults that the monitor cannot tell apart, with how well it explains an alarm.
+    """A fault, or a group of faults that the monitor cannot distinguish, and its fit to an alarm.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class Candidate:
     score : float
         Correlation of the residual with the signature of the group, 0 to 1 (``CORR``); by code: the fraction of
         the members of the bank that agree with the group's code; by matched filters: the root of the fraction that
-        the fault explains of what exceeds the noise.
+        the fault explains of the excess over the noise.
     distance : float
         Normalised projection distance of the residual from the signature, 0 to 1 (``NPD``);
         ``score**2 + distance**2 = 1``; by code: the fraction of the members that do not agree, ``1 - score``.
@@ -96,7 +96,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class LearntMatch:
-    """How the residual of an alarm lies to the direction of a fault that was learnt from recordings.
+    """Angle between the residual of an alarm and the direction of a fault learnt from recordings.
 
     Attributes
     ----------
@@ -117,7 +117,7 @@ class LearntMatch:
 
     @property
     def agrees(self) -> bool:
-        """Whether the residual can be that fault's."""
+        """True if the fault is consistent with the residual."""
         return self.angle <= self.allowed
 
     @property
@@ -128,7 +128,7 @@ class LearntMatch:
 
 @dataclass(frozen=True)
 class PresentFault:
-    """A fault that is there by the code of a dedicated bank, and when its own member fired.
+    """A fault that is present by the code of a dedicated bank, and the time at which its own member fired.
 
     Attributes
     ----------
@@ -159,7 +159,7 @@ class PresentFault:
 
 @dataclass(frozen=True)
 class Beginning:
-    """When the change of the residual began that raised an alarm, as an interval.
+    """Interval for the time at which the change behind an alarm began.
 
     It holds for a change that begins as a step, a ramp or the square of time, whatever it becomes later, in noise that
     goes on as it was before; see :func:`residua.decide.change_time.change_time`. A fault whose first effect on the
@@ -184,13 +184,13 @@ class Beginning:
 
 
 def put_down_to(reading: CodeReading | None, candidates: tuple[Candidate, ...]) -> tuple[tuple[str, ...], ...]:
-    """Return the faults that are named: all that a code reads, or the best candidate."""
+    """Return the faults to which an alarm is attributed: all that a code reads, or the best candidate."""
     return reading.named if reading is not None else tuple(c.faults for c in candidates[:1])
 
 
 @dataclass(frozen=True, repr=False)
 class Alarm(Shown):
-    """One alarm: where it lies in the recording and what explains it.
+    """One alarm: its place in the recording and the faults that explain it.
 
     Alarms that follow each other by less than the isolation window and name the same fault are one; by the code of a
     dedicated bank those that have one of their faults in common.
@@ -213,7 +213,7 @@ class Alarm(Shown):
     start, stop : int
         Sample numbers of ``raised`` and of the first sample after the alarm.
     reading : CodeReading or None
-        For a bank: what the fired members say. Read from the pattern that stood for the largest number of samples of
+        For a bank: the reading of the fired members, from the pattern that stood for the largest number of samples of
         the alarm, the later one of two that stood equally long. Of a dedicated bank, with them every member that
         counted as fired for an isolation window; by :class:`residua.decide.PeakThreshold` every one that fired.
     read_share : float or None
@@ -377,7 +377,7 @@ def _code(reading: CodeReading) -> dict[str, Any]:
 
 
 def _clean(time: float) -> float:
-    """Return a time without what rounding adds to a multiple of the step."""
+    """Return a time without the rounding errors of a multiple of the step."""
     return float(f"{time:.12g}")
 
 

@@ -1,4 +1,4 @@
-"""Residuals without their memory: an autoregression of fault-free residuals, and what it does not foretell."""
+"""Autoregression of fault-free residuals, and its innovations."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from residua.tolerances import RANK
 _ORDERS = (1, 2, 3, 4, 6, 8, 12, 16, 24)
 #: Samples to each coefficient of an equation.
 _SAMPLES = 20
-#: Samples to each gap, with fewer of which products of what is left are no longer those of all.
+#: Samples for each gap; with fewer, the products of the remaining samples differ from those of all.
 _TO_EACH_GAP = 1000
 #: Rows of lagged samples that are held at a time.
 _PIECE = 10_000
@@ -26,7 +26,7 @@ LAGS = 20
 
 @dataclass(frozen=True, eq=False)
 class Autoregression:
-    r"""What the last samples foretell of the next one.
+    r"""Prediction of the next sample from the last ones.
 
     .. math:: e_k = q_k - \sum_{i=1}^{p} A_i q_{k-i}
 
@@ -43,7 +43,7 @@ class Autoregression:
 
     @property
     def order(self) -> int:
-        """The samples of the past that are looked at; 0 for none."""
+        """Order of the autoregression; 0 for none."""
         return len(self.coefficients)
 
 
@@ -62,7 +62,7 @@ class Past:
 
     @staticmethod
     def empty(plants: int, coefficients: NDArray[np.float64]) -> Past:
-        """Return the past before the first sample: none of it is known."""
+        """Return the past before the first sample: all unknown."""
         order, k = coefficients.shape[:2]
         return Past(np.zeros((plants, order, k)), np.zeros((plants, order), dtype=bool))
 
@@ -70,7 +70,7 @@ class Past:
 def unforetold(
     coefficients: NDArray[np.float64], past: Past, q: NDArray[np.float64], usable: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_], Past]:
-    """Return what the past does not foretell of each sample, and where all that it takes is known.
+    """Return the innovations of an autoregression, and a mask of samples whose past is complete.
 
     Parameters
     ----------
@@ -98,8 +98,8 @@ def autoregression(
 
     By the equations of Yule and Walker, whose solution is stable; where samples are missing by least squares over those
     whose past is whole, on which orders are compared in pairs. Each residual by its own past, or all by the past of
-    all, whichever the criterion prefers. What counts is that nothing is left that could be foretold, not that the
-    order be a true one: residuals that a filter makes have none, and Schwarz's criterion leaves more of their memory.
+    all, whichever the criterion prefers. What counts is that nothing predictable remains, not that the order is a
+    true one: residuals of a filter have none, and Schwarz's criterion leaves more of their memory.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def autoregression(
 def _with_gaps(
     rows: NDArray[np.float64], usable: NDArray[np.bool_], parts: Sequence[slice], orders: Sequence[int]
 ) -> Autoregression:
-    """Return the autoregression where samples are missing: two orders are compared where both have a past."""
+    """Return the autoregression if samples are missing: two orders are compared where both have a past."""
     k = rows.shape[1]
     best, joined = _solved(_means_of_whole(rows, usable, parts, 0)[0], 0, False), False
     for joint in (False, True) if k > 1 else (False,):
@@ -157,7 +157,7 @@ def _has_gaps(usable: NDArray[np.bool_], parts: Sequence[slice]) -> bool:
 def _means_of_whole(
     rows: NDArray[np.float64], usable: NDArray[np.bool_], parts: Sequence[slice], order: int
 ) -> tuple[NDArray[np.float64], int]:
-    """Return the means of ``q_{t-i}^T q_{t-j}`` over the samples whose past is there, and how many these are."""
+    """Return the means of ``q_{t-i}^T q_{t-j}`` over the samples whose past is available, and their number."""
     k = rows.shape[1]
     total, count = np.zeros(((order + 1) * k, (order + 1) * k)), 0
     for part in parts:
@@ -202,7 +202,7 @@ def whiteness(e: NDArray[np.float64], seen: NDArray[np.bool_], parts: Sequence[s
     pairs = _products(seen[:, None].astype(float), parts, lags)[1:, 0, 0]
     there = pairs > 0
     later, pairs, lags = products[1:][there], pairs[there], int(there.sum())
-    if 2 * k * k * lags > n:  # too few to know what each has of every other
+    if 2 * k * k * lags > n:  # too few for all cross-correlations
         own = np.diagonal(later, axis1=1, axis2=2)
         shares = (own / np.maximum(np.diagonal(products[0]), np.finfo(float).tiny)) ** 2
         return float(chdtrc(k * lags, n**2 * np.sum(shares / pairs[:, None])))
@@ -241,7 +241,7 @@ def _solved(means: NDArray[np.float64], order: int, joint: bool) -> Autoregressi
 
 
 def _is_stable(model: Autoregression) -> bool:
-    """Tell whether what the model makes of white noise is bounded."""
+    """Tell whether the autoregression is stable."""
     order, k = model.coefficients.shape[:2]
     A = np.eye(order * k, k=-k)
     A[:k] = np.hstack([M.T for M in model.coefficients])
@@ -254,7 +254,7 @@ def _between(products: NDArray[np.float64], i: int, j: int) -> NDArray[np.float6
 
 
 def _log_determinant(covariance: NDArray[np.float64]) -> float:
-    """Return it of a covariance in units of samples; combinations that are foretold exactly count alike."""
+    """Return the log determinant of a covariance in units of samples; exactly predictable combinations count alike."""
     values = np.linalg.eigvalsh(covariance)
     return float(np.log(np.maximum(values, VARIANCE_FLOOR)).sum())
 

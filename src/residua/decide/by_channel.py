@@ -1,4 +1,4 @@
-"""Name the channel that is furthest from what the others say of it."""
+"""Name the channel that deviates most from its prediction by the other channels."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ _AS_FAR = 0.6
 #: Samples of an alarm below which a name is too early, and channels that a sentence lists.
 _EARLY, _TOLD = 5, 5
 _RULES = (
-    "The score is how far a channel is off, in its own thresholds, as a part of the furthest. Channels are compared "
-    "with each other alone: one name is the furthest by far, and still something that is not listed may have moved it. "
-    f"Either: others are at least {_AS_FAR:g} times as far off."
+    "The score is the deviation of a channel in its own thresholds, relative to the largest. Channels are compared "
+    "only with each other: even if one deviates by far the most, something that is not listed may be the cause. "
+    f"Either: others deviate at least {_AS_FAR:g} times as much."
 )
 
 
 @dataclass(frozen=True, eq=False)
 class ChannelNames(Isolation):
-    """Faults of channels by their numbers: what runs.
+    """Fitted isolation of channel faults by the number of the channel.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class ChannelNames(Isolation):
     parts : ndarray of int, shape (groups,)
         The part of the test that is its channel.
     unjudged : tuple of str
-        Faults that are no single channel's.
+        Faults that do not belong to a single channel.
     """
 
     NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {"parts": INDEX}
@@ -56,14 +56,14 @@ class ChannelNames(Isolation):
     unjudged: tuple[str, ...]
 
     def start(self, plants: int) -> None:
-        """Return that nothing is remembered."""
+        """Return ``None``: there is no state."""
 
     def run(self, state: Any, block: Block, tested: Tested) -> tuple[Any, Scores]:
-        """Return how far each channel is off, as a part of the furthest."""
+        """Return the deviation of each channel, relative to the largest."""
         return state, Scores(_relative(tested.part_statistics[..., self.parts]))
 
     def name(self, seen: Seen, start: int, stop: int, last: int) -> Named:
-        """Return the channels by how far they are off from the beginning of the alarm on, in the mean."""
+        """Return the channels ranked by their mean deviation since the beginning of the alarm."""
         named = super().name(seen, start, stop, last)
         rows = seen.tested.part_statistics[start : min(start + _COMPARED, max(last, start) + 1)][:, self.parts]
         known = np.isfinite(rows)
@@ -72,7 +72,7 @@ class ChannelNames(Isolation):
         return Named(candidates=self.candidates(_relative(mean)), sizes=named.sizes, fired=named.fired)
 
     def word(self, alarm: Alarm, window: int) -> Word | None:
-        """Return the word that faults have by the residual of the model, else by the channels that are off."""
+        """Return the word for an alarm from the residual of the model, else from the channels that deviate."""
         candidates = scored(alarm)
         if alarm.word is not None or not candidates:
             return alarm.word
@@ -85,7 +85,7 @@ class ChannelNames(Isolation):
         return replace(made, faults=near, unlisted=ANYTHING)
 
     def agreed(self, alarm: Alarm, word: Word) -> Word:
-        """Return a good match as "either" where another channel is further off than its own: the model may be wrong.
+        """Return a good match as "either" if another channel deviates more than its own: the model may be wrong.
 
         Of a poor match the nearest is the channel that is furthest off.
         """
@@ -99,7 +99,7 @@ class ChannelNames(Isolation):
         return replace(word, kind=EITHER, faults=(*word.faults, *further[:2])) if further else word
 
     def statement(self, alarm: Alarm, clock: Clock, window: int) -> Statement:
-        """Return the statement about an alarm: its word, and the channels that are off."""
+        """Return the statement about an alarm: its word, and the channels that deviate."""
         word, candidates = self.word(alarm, window), scored(alarm)
         if word is None or word.fitted or not candidates:
             return statement_by_score(alarm, clock, word)
@@ -116,34 +116,34 @@ class ChannelNames(Isolation):
 
     @property
     def has_words(self) -> bool:
-        """Yes: by what faults do to the residual of the model, where that is moved enough."""
+        """True: the responses of the residual to faults give a word, if they are large enough."""
         return True
 
     @property
     def names_early(self) -> bool:
-        """Yes."""
+        """True."""
         return True
 
     def words(self, step: float) -> dict[str, str]:
-        """Return in words how faults are named."""
+        """Describe how faults are named."""
         return {"isolation": f"the channel with the largest deviation in thresholds, over {_COMPARED} samples at most"}
 
     @property
     def samples(self) -> int:
-        """Five: alarms nearer to each other about one channel are one."""
+        """Five: alarms nearer to each other about one channel are merged."""
         return _EARLY
 
     # --------------------------------------------------------------------------- files
 
     def check(self, watched: Watched, test: ResidualTest) -> None:
-        """Raise where names from a file are not of the faults and parts."""
+        """Raise if names from a file do not match the faults and parts."""
         check_groups(self.groups, self.unjudged, "running.isolation", watched.generator.faults)
         if len(self.parts) != len(self.groups) or not (self.parts < max(1, len(test.part_names))).all():
             raise FileFormatError("running.isolation.parts must be a part of the test for each group")
 
 
 def _relative(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return values as parts of the largest of each row; all NaN where none is known."""
+    """Return values relative to the largest of each row; all NaN if none is known."""
     known = np.isfinite(values)
     largest = np.where(known, values, 0.0).max(axis=-1, keepdims=True, initial=0.0)
     parts = np.where(known, values, 0.0) / np.where(largest > 0, largest, 1.0)
@@ -152,12 +152,12 @@ def _relative(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class ByChannel(IsolationSettings):
-    """Name the sensor or actuator whose channel is furthest from what the others say of it.
+    """Name the sensor or actuator whose channel deviates most from its prediction by the others.
 
-    For :class:`residua.decide.ChannelRelations`. An alarm that moves the residual of the model enough has a word by
-    what faults do to that, as by :class:`residua.decide.Directional`. Of any other, channels are compared in their own
-    thresholds over its first hundred samples; nothing then tells a sensor from something that is not listed. Faults
-    that move several channels at once are never named by channel.
+    For :class:`residua.decide.ChannelRelations`. An alarm that moves the residual of the model enough gets a
+    word by the responses to faults, as with :class:`residua.decide.Directional`. For any other, channels are compared
+    in their own thresholds over its first hundred samples; a sensor is then not distinguishable from an unlisted cause.
+    Faults that move several channels at once are never named by channel.
 
     Examples
     --------
@@ -170,7 +170,7 @@ class ByChannel(IsolationSettings):
     makes: ClassVar[type[Isolation]] = ChannelNames
 
     def isolation(self, generator: ResidualGenerator, test: ResidualTest) -> ChannelNames:
-        """Return the channels of the faults."""
+        """Return the isolation of channel faults."""
         channels = channel_faults(generator)
         names = (*generator.plant.inputs, *generator.plant.outputs)  # after the part of the model
         judged = {fault: 1 + names.index(channel) for fault, channel in channels.items() if channel in names}
@@ -181,7 +181,7 @@ class ByChannel(IsolationSettings):
         )
 
     def test_of(self, settings: TestSettings) -> TestSettings:
-        """Return the settings, which have to be of channels."""
+        """Return the settings of the test, or raise if they are not for channels."""
         if not isinstance(settings, ChannelRelations):
             raise SettingError("ByChannel names channels by the test ChannelRelations: give test=ChannelRelations(...)")
         return settings

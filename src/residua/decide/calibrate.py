@@ -1,4 +1,4 @@
-"""Thresholds by simulation: worlds of the fitted residual model, each fitted anew, and an allowance from held-out data.
+"""Thresholds by simulation: worlds of the fitted residual model, each refitted, and an allowance from held-out data.
 
 A fit knows the residual only as well as its rows show it. So the model that was fitted is simulated many times with as
 many rows, fitted anew to each, and run over new rows of the same world: errors of means, covariances and memory need no
@@ -34,14 +34,14 @@ _MOST_POLE = 0.9995
 
 @dataclass(frozen=True, eq=False)
 class ResidualModel:
-    """Fault-free residuals as a fit takes them to be, in whitened units.
+    """Residual model fitted to fault-free data, in whitened units.
 
     Attributes
     ----------
     coefficients : ndarray, shape (p, k, k)
         Of the autoregression, as of :class:`residua.decide.autoregression.Autoregression`.
     rewhitening : ndarray, shape (k, k)
-        What makes its innovations white.
+        Whitening of its innovations.
     covariance : ndarray, shape (k, k)
         Of the innovations, whitened: the identity but where parts share residuals or a direction does not move.
     columns : tuple of slice
@@ -61,7 +61,7 @@ class ResidualModel:
 
     @property
     def is_plain(self) -> bool:
-        """Whether innovations are independent, Gaussian and without memory: then worlds depend on the rows alone."""
+        """True if innovations are independent and Gaussian, so that worlds depend on the number of rows alone."""
         return (
             not self.coefficients.size
             and all(one is None for one in self.radii)
@@ -71,7 +71,7 @@ class ResidualModel:
 
 @dataclass(frozen=True, eq=False)
 class Worlds:
-    """What fits make of their own worlds.
+    """Simulated worlds, each whitened by a fit to its own rows.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class Worlds:
 
 
 def simulated_worlds(model: ResidualModel, *, seed: int = 0) -> Worlds:
-    """Simulate the model, fit each world anew, and return what the fits make of their rows and of new ones.
+    """Simulate the model, refit each world, and return its whitened rows and new rows of the same world.
 
     Mean, memory and covariance are fitted anew. Of more than a thousand rows the errors are those of a thousand,
     reduced by the root of their number.
@@ -125,7 +125,7 @@ def _inverse_root(covariances: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def levels_of(statistic: NDArray[np.float64], falls_to: float) -> NDArray[np.float64]:
-    r"""Return for every sample the level below which a threshold has it in alarm, of series in rows.
+    r"""Return for every sample of series in rows the threshold below which it is in alarm.
 
     .. math:: a_t = \max(s_t, \min(a_{t-1}, s_t / \gamma))
 
@@ -140,7 +140,7 @@ def levels_of(statistic: NDArray[np.float64], falls_to: float) -> NDArray[np.flo
 
 
 def allowance(levels: NDArray[np.float64], worlds: NDArray[np.float64], rate: float, rows: int) -> tuple[float, float]:
-    """Return by how much a threshold is raised: for few rows, and for effects that the noise model does not have.
+    """Return the factor for thresholds that covers few rows and effects outside of the noise model.
 
     The second is the factor by which levels of the data lie above those of worlds, at a rate: 1 where chance explains
     it.
@@ -180,8 +180,7 @@ def allowance(levels: NDArray[np.float64], worlds: NDArray[np.float64], rate: fl
 
 
 def _as_long_as_it_may_be(A: NDArray[np.float64], found: NDArray[np.float64], shrink: float) -> NDArray[np.float64]:
-    """Return the memory that worlds have: corrected for what fits to few rows lose of it, and two standard errors
-    longer.
+    """Return the autoregression of the worlds: corrected for the bias of few rows, and two standard errors longer.
 
     ``found`` are fits to worlds with the memory ``A``. The longer the memory, the more wrong is a mean.
     """
@@ -194,7 +193,7 @@ def _as_long_as_it_may_be(A: NDArray[np.float64], found: NDArray[np.float64], sh
 
 
 def _simulated(model: ResidualModel, A: NDArray[np.float64], rows: int, seed: int) -> NDArray[np.float64]:
-    """Return whitened residuals of all worlds: of so many rows, and of new ones."""
+    """Return whitened residuals of all worlds, for the rows of a fit and for new rows."""
     k, order = len(model.covariance), len(A)
     worlds = max(_LEAST_WORLDS, min(_WORLDS, _NUMBERS // k))
     values, vectors = np.linalg.eigh(model.covariance)
@@ -214,7 +213,7 @@ def _simulated(model: ResidualModel, A: NDArray[np.float64], rows: int, seed: in
 
 
 def _with_tails(e: NDArray[np.float64], radii: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return Gaussian samples with lengths as rare as those of the data, beyond them by a tail like a power (Hill)."""
+    """Return Gaussian samples given the lengths of the data, with a power-law tail beyond them (Hill)."""
     from scipy.special import chdtrc  # slow to import, and needed only here
 
     n, k = len(radii), e.shape[-1]
@@ -229,7 +228,7 @@ def _with_tails(e: NDArray[np.float64], radii: NDArray[np.float64]) -> NDArray[n
 
 
 def _refit(q: NDArray[np.float64], model: ResidualModel) -> NDArray[np.float64]:
-    """Return the autoregression of each world by the equations of Yule and Walker, shape (worlds, p, k, k)."""
+    """Return the Yule-Walker autoregression of each world, shape (worlds, p, k, k)."""
     A = model.coefficients
     order, k, time = len(A), len(model.covariance), q.shape[1]
     out = np.zeros((len(q), order, k, k))

@@ -1,4 +1,4 @@
-"""When did a signal begin to move? An interval from the likelihood over times and shapes of a change."""
+"""Interval for the time at which a signal begins to change, from the likelihood over times and shapes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ JUMP_QUANTILE = -2.0 * float(np.log(1.0 - np.sqrt(0.95)))
 #: Confidence that is stated; simulated steps and ramps keep it to 0.90 at least.
 CONFIDENCE = 0.95
 #: A change that raises twice the logarithm of the likelihood by less is not dated; one that raises it by more than
-#: the second number is dated without further samples: what follows depends more and more on the shape.
+#: the second number is dated without further samples: later ones depend more and more on the shape.
 LEAST_EVIDENCE, ENOUGH_EVIDENCE = 30.0, 60.0
 #: Samples before a change that are needed to know the noise, and the most that are looked at together.
 LEAST_BEFORE, MOST_TOGETHER = 40, 1024
@@ -25,7 +25,7 @@ _MOST_LAGS = 8
 
 @dataclass(frozen=True)
 class ChangeTime:
-    """When a change began, as numbers of samples.
+    """Time at which a change began, in samples.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class ChangeTime:
 
 
 def change_time(signal: NDArray[np.float64], quiet: int, last: int) -> ChangeTime | None:
-    r"""Return when a signal left its baseline upwards, as an interval of stated confidence (0.95).
+    r"""Return the interval of stated confidence (0.95) in which a signal left its baseline upwards.
 
     .. math:: s_t = \beta + a\, g(t - \tau) + e_t, \qquad a > 0,
 
@@ -89,7 +89,7 @@ def change_time(signal: NDArray[np.float64], quiet: int, last: int) -> ChangeTim
 
 
 def _with_enough(signal: NDArray[np.float64], quiet: int, last: int) -> ChangeTime | None:
-    """Return the change by as few samples after the last as put it beyond doubt."""
+    """Return the change from as few further samples as make it certain."""
     if quiet < LEAST_BEFORE or last >= len(signal):
         return None
     level = np.median(signal[:quiet])
@@ -167,7 +167,7 @@ def _autoregression(noise: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _triangular_factor(rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return R of QR: of the squares, which is far faster, where these keep seven digits of what is left of a row."""
+    """Return R of QR, from the Gram matrix where that keeps seven digits, which is much faster."""
     squares = rows.T @ rows
     try:
         R = np.asarray(np.linalg.cholesky(squares).T, dtype=float)
@@ -181,7 +181,7 @@ def _triangular_factor(rows: NDArray[np.float64]) -> NDArray[np.float64]:
 def _profile(
     signal: NDArray[np.float64], lags: NDArray[np.float64], shapes: NDArray[np.float64], last: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return how much of the innovations' squares a change at each time explains, and the best fit of all."""
+    """Return the share of the innovations' squares that a change at each time explains, and the best fit of all."""
     n, p = len(signal), len(lags)
     whiten = np.concatenate([[1.0], -lags])
     z = np.convolve(signal, whiten)[p:n]
@@ -191,7 +191,7 @@ def _profile(
     g = shapes[:, :m].copy()
     for k, lag in enumerate(lags, 1):
         g[:, k:] -= lag * shapes[:, : m - k]
-    energy = (np.cumsum(g**2, axis=1) - np.cumsum(g, axis=1) ** 2 / m)[:, ::-1]  # less what a baseline takes
+    energy = (np.cumsum(g**2, axis=1) - np.cumsum(g, axis=1) ** 2 / m)[:, ::-1]  # less the fit of a baseline
     usable = (along > 0) & (energy > DATA_ROUNDING * energy.max(axis=1, keepdims=True))
     usable[:, last + 1 - p :] = False
     gain = np.where(usable, along**2 / np.where(usable, energy, 1.0), 0.0)
@@ -205,7 +205,7 @@ def _profile(
 
 
 def _along_shapes(z: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """Return the sums of a signal times each shape, from each sample on: sums of sums, as the shapes are."""
+    """Return the sums of a signal times each shape, from each sample on, as repeated sums."""
 
     def later(sums: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.cumsum(sums[::-1])[::-1]

@@ -1,4 +1,4 @@
-"""A test of channels beside the residual: each by what the others say of it, and frozen and quiet sensors."""
+"""Test of channels beside the residual: each against its prediction by the others, and frozen or quiet sensors."""
 
 from __future__ import annotations
 
@@ -38,8 +38,9 @@ WEIGHTS = (1.0, 1 / 8, 1 / 64)
 _RELEASE, _SLOW_RELEASE = 0.5, 0.75
 #: Samples enter the slow means no larger than so many deviations, or so many thresholds of a single sample.
 _CLIP, _CLIP_THRESHOLDS = 5.0, 1.5
-#: Factors on thresholds for what one log does not show of others: of channels, and of the residual, whose test is
-#: simulated. Chosen on the sets of ``benchmarks/learnt_monitors.py`` with other seeds than those of its table.
+#: Factors on thresholds for differences between logs that one log does not show: of channels, and of the residual,
+#: whose test is simulated. Chosen on the sets of ``benchmarks/learnt_monitors.py`` with other seeds than those of its
+#: table.
 _MARGIN, _MODEL_MARGIN = 1.4, 1.2
 #: Contiguous blocks whose means show a wander slower than the fit, and the factor on their variance.
 _BLOCKS, _WANDER = 10, 1.1
@@ -51,13 +52,13 @@ _QUIET_ROWS, _QUIET = 50, 0.5
 _RAREST = 1 / 1000
 #: Deviations of a change that is small to a curve.
 _SMALL = 0.01
-#: Part of the relations that are silent from which on a row lies outside of what was learnt.
+#: Part of the relations that are silent from which on a row lies outside of the learnt range.
 OUTSIDE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class ChannelsState(Record):
-    """What the test remembers.
+    """State of the test of channels.
 
     Attributes
     ----------
@@ -67,7 +68,7 @@ class ChannelsState(Record):
     means : ndarray, shape (plants, 2, channels)
         Those of weights 1/8 and 1/64.
     armed : ndarray of bool, shape (plants, channels)
-        Whether a slow mean starts anew once the fast ones are small again.
+        Whether a slow mean restarts once the fast ones are small again.
     last : ndarray, shape (plants, sensors)
     same : ndarray of int, shape (plants, sensors)
         Samples in a row that were equal to the one before; -1 before the first.
@@ -96,7 +97,7 @@ class ChannelsState(Record):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ChannelRelationsTest(ResidualTest):
-    """Channels beside a residual with every number filled in: what runs.
+    """Fitted test of channels beside a residual.
 
     Attributes
     ----------
@@ -212,7 +213,7 @@ class ChannelRelationsTest(ResidualTest):
     def _means(
         self, means: NDArray[np.float64], armed: NDArray[np.bool_], left: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-        """Return the largest mean of each relation in thresholds, (plants, time, channels), and what goes on.
+        """Return the largest mean of each relation in thresholds, (plants, time, channels), and the new state.
 
         And the same without the slowest mean, which alone holds an alarm no longer than it has to.
 
@@ -263,7 +264,7 @@ class ChannelRelationsTest(ResidualTest):
         return np.where(live, ratios, np.nan), np.where(live, quick, np.nan), means, armed
 
     def _stuck(self, state: ChannelsState, y: NDArray[np.float64]) -> tuple[NDArray[Any], ...]:
-        """Return how frozen or quiet sensors are, in limits, and what goes on; a missing value changes nothing."""
+        """Return the degree to which sensors are frozen or quiet, in limits, and the new state; gaps change nothing."""
         plants, _, p = y.shape
         ratio = np.full(y.shape, np.nan)
         last, same, counted = state.last.copy(), state.same.copy(), state.counted.copy()
@@ -294,51 +295,51 @@ class ChannelRelationsTest(ResidualTest):
                 changes[plant, :, j] = whole[len(whole) - (_QUIET_ROWS - 1) :]
         return ratio, last, same, changes, counted
 
-    # ----------------------------------------------- what the rest of a monitor asks for
+    # ----------------------------------------------- interface to the rest of a monitor
 
     @property
     def of_residual(self) -> ResidualTest:
-        """The bank of means of the residual."""
+        """Bank of means of the residual."""
         return self.model
 
     @property
     def reads_signals(self) -> bool:
-        """Yes."""
+        """True."""
         return True
 
     @property
     def metric(self) -> NDArray[np.float64]:
-        """That of the residual."""
+        """Metric of the residual."""
         return self.model.metric
 
     @property
     def per_deviation(self) -> NDArray[np.float64] | None:
-        """That of the residual."""
+        """Scale per standard deviation of the residual."""
         return self.model.per_deviation
 
     @property
     def per_threshold(self) -> NDArray[np.float64]:
-        """That of the residual."""
+        """Scale per threshold of the residual."""
         return self.model.per_threshold
 
     @property
     def guarded(self) -> NDArray[np.float64]:
-        """In deviations."""
+        """Weights in standard deviations."""
         return self.model.guarded
 
     @property
     def part_names(self) -> tuple[str, ...]:
-        """The model, and the channels."""
+        """Names of the parts: the model, and the channels."""
         return (MODEL, *self.channels)
 
     @property
     def part_thresholds(self) -> NDArray[np.float64]:
-        """One: statistics are in thresholds."""
+        """Ones: statistics are in thresholds."""
         return np.ones(1 + len(self.channels))
 
     @property
     def groups_of_residuals(self) -> dict[str, tuple[int, ...]]:
-        """The residuals that belong to each part."""
+        """Residual numbers of each part."""
         m = len(self.channels) - self.sensors
         every = tuple(range(len(self.center)))
         own = {c: (i - m,) if len(every) == self.sensors and i >= m else every for i, c in enumerate(self.channels)}
@@ -351,7 +352,7 @@ class ChannelRelationsTest(ResidualTest):
     def leads(
         self, residuals: NDArray[np.float64], changes: NDArray[np.float64], signals: NDArray[np.float64]
     ) -> NDArray[np.float64] | None:
-        """Return how far faults of one lead any part to its threshold, by small changes to fault-free signals."""
+        """Return the responses of the parts to small faults, for a size of one, relative to the threshold."""
         best = self.model.leads(residuals, changes, signals)
         assert best is not None
         spread = np.where(self.relations.spread > 0, self.relations.spread, np.inf)
@@ -372,12 +373,12 @@ class ChannelRelationsTest(ResidualTest):
         return best
 
     def outside_share(self, tested: Tested) -> float:
-        """Return in which part of the decided samples more than half of the relations are silent."""
+        """Return the fraction of decided samples in which more than half of the relations are silent."""
         silent = ~np.isfinite(tested.part_statistics[tested.usable][:, 1:][:, self.relations.moving])
         return float((silent.mean(axis=1) > OUTSIDE).mean()) if silent.size else 0.0
 
     def words(self, step: float) -> dict[str, str]:
-        """Return in words what is tested, and when an alarm begins and ends."""
+        """Describe the statistic, and the start and end of an alarm."""
         return {
             "threshold": f"1, in units of each part's own ({self.basis})",
             "test": f"{self.model.title} of the residual; and of each channel {_SAID[self.relations.form]}, by means "
@@ -389,7 +390,7 @@ class ChannelRelationsTest(ResidualTest):
     # --------------------------------------------------------------------------- files
 
     def check(self, watched: Watched) -> None:
-        """Raise where a test from a file does not fit what it is to watch."""
+        """Raise if a test from a file does not fit the watched generator."""
         self.model.check(watched)
         plant = watched.generator.plant
         q, p, r = len(plant.inputs) + len(plant.outputs), len(plant.outputs), self.relations
@@ -423,7 +424,7 @@ class ChannelRelationsTest(ResidualTest):
             raise FileFormatError("fitted.relations: drivers and outputs must be channels")
 
     def check_state(self, state: ChannelsState) -> None:
-        """Raise where a state from a file cannot be one."""
+        """Raise if a state from a file is invalid."""
         self.model.check_state(state.model)
 
 
@@ -454,10 +455,10 @@ class Raised(Record):
 
 @dataclass(frozen=True)
 class ChannelRelations(TestSettings):
-    r"""Alarm where a channel is not what the others say of it, besides what the residual of the model shows.
+    r"""Alarm where a channel deviates from its prediction by the others, or the residual from zero.
 
     A prediction from the past follows a sensor that stays wrong: its residual shows the moment in which it goes wrong
-    and little of what comes after. So each channel is compared, beside the residual, with
+    and little afterwards. So each channel is compared, beside the residual, with
 
     .. math::
 
@@ -468,13 +469,13 @@ class ChannelRelations(TestSettings):
 
     ``"static"``: with the other channels by ridge regression; ``"lags"``: and with exponentially weighted means of
     theirs, of weights 1/4, 1/16, 1/64; ``"curve"``: with a piecewise linear curve of one or two of them, in its
-    deviation there; ``"horizon"``: outputs with what the model foretold 50 samples before. Exponentially weighted means
+    deviation there; ``"horizon"``: outputs with the model's prediction 50 samples before. Exponentially weighted means
     of each, of weights 1, 1/8 and 1/64, are held against thresholds of their own. A sensor is in alarm too when it
     keeps one value for more than twice as long as ever in the fit, or when its changes over 50 samples are less than
     half as large as they ever were.
 
     Guaranteed: the same answers in all units. Thresholds are not below the largest mean of the fault-free rows of the
-    fit, each foretold by a fit to other rows.
+    fit, each predicted by a fit to other rows.
 
     Parameters
     ----------
@@ -483,7 +484,7 @@ class ChannelRelations(TestSettings):
     false_alarm_rate : float, optional
         Intended fraction of fault-free samples in alarm: half of it for the residual, half for the channels.
     unseen : float
-        Part of each recording that the model is from: its residual there is no measure of what it is elsewhere, and
+        Part of each recording that the model is from: its residual there does not represent the rest, and
         thresholds of residuals are from the rest.
     raised : mapping of str to float, or sequence of Raised
         Factors on thresholds, by channel or :data:`MODEL` (``"prediction of the model"``), from a check on other rows.
@@ -495,7 +496,7 @@ class ChannelRelations(TestSettings):
 
     Notes
     -----
-    Assumes: the fault-free rows hold all that is normal. A relation is not judged while what it is made of is so far
+    Assumes: the fault-free rows cover normal operation. A relation is not judged while its inputs are so far
     outside of the range of the fit that it would be moved by more than two deviations. Fault-free data are needed.
 
     References
@@ -544,7 +545,7 @@ class ChannelRelations(TestSettings):
             raise SettingError(f"raised must be factors of 1 or more by channel, got {echo(self.raised)}")
 
     def check(self, watched: Watched) -> None:
-        """Raise where members are to be tested by themselves, or a factor is for no channel."""
+        """Raise if members are to be tested separately, or if a factor is for no channel."""
         if watched.parts is not None:
             raise SettingError(
                 "ChannelRelations tests the residual as a whole: it is not for banks that are read by code"
@@ -553,15 +554,15 @@ class ChannelRelations(TestSettings):
     def fitted(self, watched: Watched, run: FaultFreeRun, rate: float) -> ChannelRelationsTest:
         """Return the test fitted to fault-free data, for a rate of false alarms."""
         if run.signals is None:
-            raise DataError(
-                "channels can be compared only where recordings have them: these are residuals by themselves"
-            )
+            raise DataError("channels can be compared only in recordings: these are residuals alone")
         plant, count = watched.generator.plant, int(run.usable.sum())
         channels, p = (*plant.inputs, *plant.outputs), len(plant.outputs)
         factors = {one.part: one.factor for one in self.raised}
         unknown = [name for name in factors if name not in (MODEL, *channels)]
         if unknown:
-            raise SettingError(f"raised: {echo(unknown[0])} is no channel; there are {', '.join((MODEL, *channels))}")
+            raise SettingError(
+                f"raised: {echo(unknown[0])} is not a channel; the channels are {', '.join((MODEL, *channels))}"
+            )
         rest = replace(run, usable=run.usable & ~_first_part(run, self.unseen))
         model = _raised(
             MultiscaleEWMA(source="data").fitted(watched, rest, rate / 2), _MODEL_MARGIN * factors.get(MODEL, 1.0)
@@ -600,7 +601,7 @@ class ChannelRelations(TestSettings):
         )
 
     def asked(self, watched: Watched, rows: int = 0) -> float:
-        """Return the fraction of fault-free samples in alarm that is aimed at: 1e-3 at the rarest without a wish."""
+        """Return the target fraction of fault-free samples in alarm: 1e-3 or more without a wish."""
         return max(rate_aimed_at(self.false_alarm_rate, rows), _RAREST if self.false_alarm_rate is None else 0.0)
 
 
@@ -658,7 +659,7 @@ def _limits(
 
 
 def _wander(series: NDArray[np.float64], time: float) -> float:
-    """Return the deviation of what wanders more slowly than the series shows, by the means of its blocks."""
+    """Return the deviation of drifts slower than the series shows, by the means of its blocks."""
     blocks = np.array_split(series, _BLOCKS)
     within = float(np.mean([block.var() for block in blocks]))
     own = 2 * time * within / (len(series) / _BLOCKS)
@@ -666,7 +667,7 @@ def _wander(series: NDArray[np.float64], time: float) -> float:
 
 
 def _standstills(y: NDArray[np.float64], recordings: Sequence[slice]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return how long each sensor may keep one value, and how little it may move; 0 where that says nothing."""
+    """Return the number of samples that each sensor may keep one value, and the least it must move; 0 if unknown."""
     frozen, quiet = np.zeros(y.shape[1], np.int64), np.zeros(y.shape[1])
     for j in range(y.shape[1]):
         longest, least = 0, np.inf

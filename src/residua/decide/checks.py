@@ -34,7 +34,7 @@ def check_whole(value: object, name: str, *, least: int = 1) -> None:
 
 
 def rate_aimed_at(wish: float | None, rows: int = 0) -> float:
-    """Return the fraction of fault-free samples in alarm that a test aims at: the wish, else what the log can carry.
+    """Return the target fraction of fault-free samples in alarm: the wish, else one that so many rows support.
 
     Parameters
     ----------
@@ -55,6 +55,6 @@ def rate_aimed_at(wish: float | None, rows: int = 0) -> float:
 
 
 def check_rate(rate: float | None) -> None:
-    """Raise unless ``rate`` is a usable false alarm rate, or ``None`` for what the log can carry."""
+    """Raise unless ``rate`` is a usable false alarm rate, or ``None`` for one that suits the log."""
     if rate is not None and (not is_number(rate) or not 0 < rate < 1):
         raise SettingError(f"false_alarm_rate must lie between 0 and 1, got {echo(rate)}")

@@ -33,7 +33,7 @@ _LEAST_FREE = 5
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ChiSquaredTest(StreamTest):
-    """The sum of squares with every number filled in: what runs."""
+    """Fitted sum of squares."""
 
     NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {**StreamTest.NUMBER_KINDS, "window": WINDOW}
 
@@ -51,22 +51,22 @@ class ChiSquaredTest(StreamTest):
 
     @property
     def compiled(self) -> CompiledTest | None:
-        """The same in C."""
+        """Equivalent for the fused loop."""
         return self.compiled_as("chi-squared", window=self.window) if type(self) is ChiSquaredTest else None
 
     @property
     def title(self) -> str:
-        """What is tested."""
+        """Name of the statistic."""
         return f"root of the sum of squares over {self.window} samples" if self.window > 1 else "length"
 
     @property
     def samples(self) -> int:
-        """The window."""
+        """Length of the window."""
         return self.window
 
     @property
     def least_seen(self) -> float:
-        """The mean whose sum of squares is at the threshold without noise."""
+        """Mean whose sum of squares equals the threshold without noise."""
         return self.threshold / np.sqrt(self.window)
 
 
@@ -84,8 +84,8 @@ class ChiSquared(StreamSettings):
     window : int
         N, in samples.
     false_alarm_rate : float, optional
-        The fraction of fault-free samples in alarm; the threshold follows from it exactly. When omitted, what the log
-        of a fit can carry; see :class:`residua.decide.NormThreshold`.
+        The fraction of fault-free samples in alarm; the threshold follows from it exactly. When omitted, one that the
+        log of a fit can support; see :class:`residua.decide.NormThreshold`.
     mean_time_between_false_alarms : float, optional
         In samples, for a window of one sample, where it is the inverse of that fraction.
     threshold : float, optional
@@ -154,7 +154,7 @@ class ChiSquared(StreamSettings):
         return float(np.sqrt(scale * fdtri(dimension * self.window, free, 1 - rate)))
 
     def hurry(self, threshold: float, dimension: int, samples: int) -> float:
-        """Return how many times as many samples are over a threshold where the covariance is from so many samples."""
+        """Return the factor on the rate of alarms if the covariance comes from so many samples."""
         from scipy.special import fdtrc
 
         if samples <= dimension + _LEAST_FREE:
@@ -185,26 +185,26 @@ class ChiSquared(StreamSettings):
         return float(1 - chndtr(threshold**2, dimension * self.window, self.window * shift**2))
 
     def cycle(self, threshold: float, dimension: int) -> AlarmCycle:
-        """Return how long single samples are quiet, and how long a false alarm lasts."""
+        """Return the mean lengths of quiet and of false alarms, for single samples."""
         share = self.fraction(threshold, dimension)
         return AlarmCycle(1 / share, 1 / (1 - share))
 
     @property
     def counted_samples(self) -> int:
-        """The window."""
+        """Length of the window."""
         return self.window
 
     @property
     def harmless_offset(self) -> float:
-        """Half a standard deviation: its square is what counts."""
+        """Half a standard deviation, since its square counts."""
         return 0.5
 
     def test(self, **parts: Any) -> ChiSquaredTest:
-        """Return what runs."""
+        """Build the fitted test."""
         return ChiSquaredTest(**parts, window=self.window)
 
     def promise(self, threshold: float, dimension: int) -> tuple[str, float | None]:
-        """Return what a threshold means, in words, and the time between false alarms where it is known."""
+        """Describe a threshold by its false alarms, and return the time between them where it is known."""
         share = self.fraction(threshold, dimension)
         text = f"{one_in(share)} samples in alarm"
         return text, (1 / share if self.window == 1 else None)
@@ -212,7 +212,7 @@ class ChiSquared(StreamSettings):
     def _contradiction(
         self, values: NDArray[np.float64], seen: NDArray[np.bool_], parts: Sequence[slice], dimension: int
     ) -> str | None:
-        """Return where other numbers of windows are over a threshold than the distribution says, if any can be seen."""
+        """Describe a contradiction between data and distribution; empty without one, ``None`` for too few windows."""
         windows = np.concatenate([values[part][seen[part]][self.window - 1 :: self.window] for part in parts])
         for share in _EXPECTED:
             mean = share * len(windows)
@@ -227,7 +227,7 @@ class ChiSquared(StreamSettings):
 
 
 def _trace(dimension: int, window: int, samples: int) -> tuple[float, float]:
-    """Return the second degrees of freedom, and what squares are of: McKeon's F for Lawley and Hotelling's trace.
+    """Return the second degrees of freedom and the scale of the squares: McKeon's F for Lawley and Hotelling's trace.
 
     References
     ----------

@@ -1,4 +1,4 @@
-"""The longest of three exponentially weighted means that noise does not explain: what a direction is judged by."""
+"""The longest of three exponentially weighted means that noise does not explain, from which a direction is judged."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _CLEAR = 4.26
 
 @dataclass(frozen=True, eq=False)
 class MeansState:
-    """The long means of each plant.
+    """Long means of each plant.
 
     Attributes
     ----------
@@ -30,7 +30,7 @@ class MeansState:
     means: NDArray[np.float64]
 
     def arrays(self) -> tuple[NDArray[np.float64], None, None]:
-        """Return what the fused loop reads and writes, in its order."""
+        """Return the arrays that the fused loop reads and writes, in its order."""
         return self.means, None, None
 
 
@@ -40,7 +40,7 @@ def no_means(plants: int, k: int) -> MeansState:
 
 
 def clear_square(k: int) -> float:
-    """Return the square of the length, in deviations, from which a mean of k residuals is clear of noise."""
+    """Return the squared length, in deviations, beyond which a mean of k residuals is not noise."""
     return float(lengths_at(_CLEAR, [k])[0] ** 2) if k else np.inf
 
 

@@ -1,4 +1,4 @@
-"""What a pattern of fired members says, in values and in words."""
+"""Reading of a pattern of fired members, as values and as text."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ UNKNOWN = "more than one fault, or one that the bank does not know"
 
 @dataclass(frozen=True)
 class CodeReading:
-    """What a pattern of fired members says.
+    """Reading of a pattern of fired members.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class CodeReading:
 
     @property
     def named(self) -> tuple[tuple[str, ...], ...]:
-        """The groups of faults that are there by this reading: the one that was read, or all of several."""
+        """The groups of faults in this reading: the one that was read, or all of several."""
         return self.together or ((self.faults,) if self.faults else ())
 
     @property
@@ -75,7 +75,7 @@ class CodeReading:
 
     @property
     def meaning(self) -> str:
-        """The answer in words."""
+        """The meaning of the answer as text."""
         name = quoted(self.faults, self.settled)
         if self.answer == "none":
             return "no fault"
@@ -92,7 +92,7 @@ class CodeReading:
             return f"several faults: {', '.join(others)} and {last}"
         together = self._pairs(": these two at once would fire the same members: ")
         if self.possible:
-            return f"not told which: {self.either} with members silent, {UNKNOWN}{together}"
+            return f"undecided: {self.either} with members silent, {UNKNOWN}{together}"
         if self.close:
             return f"nearest code: {quoted(self.close)}, 1 member off; but it may be {UNKNOWN}{together}"
         if self.pairs:
@@ -131,7 +131,7 @@ class CodeReading:
 
 
 def quoted(faults: Sequence[str], settled: Sequence[str] = ()) -> str:
-    """Return the faults of a group as text, those last that are meant only once they are constant."""
+    """Return the faults of a group as text, ending with those that apply only once constant."""
     own = " or ".join(f"'{name}'" for name in faults if name not in settled)
     later = " or ".join(f"'{name}'" for name in faults if name in settled)
     return f"{own}{', or of ' if own else ''}{later} once constant" if later else own
@@ -144,7 +144,7 @@ def _listed(items: Iterable[str]) -> str:
 
 
 def each_once(groups: Iterable[tuple[str, ...]]) -> tuple[tuple[str, ...], ...]:
-    """Return groups without the faults that an earlier one has named."""
+    """Return groups without the faults that an earlier group has named."""
     named: set[str] = set()
     out = []
     for group in groups:
@@ -170,7 +170,7 @@ def pairs_of(
 
 
 def distinct_rows(rows: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Return how often each distinct row of a boolean matrix occurs, where first, and which one each row is."""
+    """Return the count and first place of each distinct row of a boolean matrix, and the number of each row."""
     if not len(rows):
         nothing = np.zeros(0, dtype=np.int64)
         return nothing, nothing, nothing

@@ -1,4 +1,4 @@
-"""An alarm by code in words: what fired, what it reads as, and how sure that is."""
+"""Text of an alarm by code: members that fired, the reading, and its certainty."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ DEDICATED_RULES = (
     "that fire change."
 )
 
-#: What an exact code cannot exclude.
+#: Causes that an exact code cannot exclude.
 _SAME_CODE = "Just the members that answer to it fired; a fault that is not listed could fire the same ones."
 
 
@@ -62,7 +62,7 @@ def word_by_code(
 
 
 def statement_by_code(alarm: Alarm, clock: Clock, word: Word, *, dedicated: bool) -> Statement:
-    """Return the statement about an alarm that was read by code; ``dedicated``: every fault has a member of its own."""
+    """Return the statement about an alarm that was read by code; ``dedicated``: every fault has its own member."""
     reading = alarm.reading
     assert reading is not None
     sentences = [f"Fired: {listing(reading.fired) or 'none'}; {reading.meaning}."]
@@ -82,7 +82,7 @@ def statement_by_code(alarm: Alarm, clock: Clock, word: Word, *, dedicated: bool
 def _several(
     alarm: Alarm, reading: CodeReading, word: Word, clock: Clock, sentences: list[str], rules: str
 ) -> Statement:
-    """Return the same where a dedicated bank names several faults, each with its own time."""
+    """Return the statement for several faults of a dedicated bank, each with its own time."""
     sentences += [
         f"{p.name}: its member fell silent at {clock.at(p.until)}." for p in alarm.present if p.until is not None
     ]

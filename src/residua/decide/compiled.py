@@ -1,4 +1,4 @@
-"""What the fused loop of a monitor needs of a test and of an isolation, for those that are written in C too."""
+"""Descriptions of a test and an isolation for the fused loop of a monitor, for kinds that are also written in C."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ STATISTICS = (
 
 @dataclass(frozen=True, eq=False)
 class CompiledTest:
-    """A test as the fused loop runs it, with the same bits as its :meth:`residua.decide.test.ResidualTest.run`.
+    """A test as the fused loop runs it, equal to :meth:`residua.decide.test.ResidualTest.run` to the last bit.
 
     Attributes
     ----------
@@ -37,9 +37,9 @@ class CompiledTest:
     sums : int
         Numbers that the statistic keeps of each plant, but for the window of a norm.
     release_level, allowance, weight, deviation : float
-        Of tests that remember.
+        Of sequential tests.
     coefficients, rewhitening, knots, scores : ndarray or None
-        How a residual is made white and Gaussian.
+        Treatment that makes a residual white and Gaussian.
     along : ndarray, shape (k, directions), or None
         Of a likelihood ratio along directions.
     sizes : ndarray of int, shape (parts,), or None
@@ -81,7 +81,7 @@ class CompiledTest:
 
 @dataclass(frozen=True, eq=False)
 class CompiledIsolation:
-    """An isolation by direction as the fused loop runs it; no bases for none.
+    """An isolation by direction as the fused loop runs it; without bases for no isolation.
 
     Attributes
     ----------
@@ -99,7 +99,7 @@ class CompiledIsolation:
 
 @dataclass(frozen=True, eq=False)
 class CompiledCodes:
-    """An isolation by code as the fused loop runs it, of a test of parts.
+    """An isolation by code as the fused loop runs it, for a test of parts.
 
     Attributes
     ----------

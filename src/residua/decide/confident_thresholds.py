@@ -1,4 +1,4 @@
-"""Thresholds from data with a statement of how sure they are: order statistics, conformal ones, and a Pareto tail."""
+"""Thresholds from data with a confidence statement: order statistics, conformal ones, and a Pareto tail."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _ALL = 0.98
 
 
 def check_source(source: object, among: tuple[str, ...] = get_args(Source)) -> None:
-    """Raise unless ``source`` is one."""
+    """Raise unless ``source`` is known."""
     if source not in among:
         raise SettingError(f"source must be one of {', '.join(among)}, got {echo(source)}")
 
@@ -49,7 +49,7 @@ def least_rate(samples: float) -> float:
 
 
 def samples_for(rate: float) -> int:
-    """Return how many independent samples can promise a rate with 95 % confidence.
+    """Return the number of independent samples that can promise a rate with 95 % confidence.
 
     Examples
     --------
@@ -61,7 +61,7 @@ def samples_for(rate: float) -> int:
 
 @dataclass(frozen=True)
 class StatedPromise(Promise):
-    """A threshold, what the data promise, and what that rests on.
+    """A threshold, the rate that the data promise, and its basis.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ class StatedPromise(Promise):
 
     @property
     def holds(self) -> bool:
-        """Whether the data promise what the source says: an order statistic itself, the others on average."""
+        """True if the data promise the rate: an order statistic itself, other sources on average."""
         reached = self.aimed if self.source == "conformal" else self.promised
         return reached <= self.asked * (1 + SAME) if self.source != "tail" else super().holds
 
@@ -97,7 +97,7 @@ class StatedPromise(Promise):
 
     @property
     def _limit(self) -> str:
-        """Say what such samples can promise, and how many it would take."""
+        """Describe the rate that so many samples can promise, and the number of samples needed."""
         least, share = least_rate(self.worth), self.worth / self.samples
         independent = "" if share >= _ALL else f" (worth {number(self.worth)} independent ones)"
         text = f"with {self.samples} samples{independent} no fewer than {one_in(least)} can be promised at 95 %"
@@ -110,7 +110,7 @@ class StatedPromise(Promise):
 
 
 def promise_by(source: str, seen: Observed, asked: float) -> Promise:
-    r"""Return the threshold for a rate by one of the sources, with what can be promised of it.
+    r"""Return the threshold for a rate by one of the sources, with the rate that can be promised.
 
     ``"auto"``
         :func:`residua.decide.false_alarms.promise_of`.
@@ -148,12 +148,12 @@ def promise_by(source: str, seen: Observed, asked: float) -> Promise:
 
 
 def _over(ordered: NDArray[np.float64], over: int) -> float:
-    """Return the order statistic that so many samples are over: a threshold, which no sample at it exceeds."""
+    """Return the order statistic exceeded by so many samples, as a threshold."""
     return past(float(ordered[len(ordered) - 1 - over]))
 
 
 def _bound(over: int, samples: int, together: float) -> float:
-    """Return the rate that is not exceeded with 95 % confidence, of so many samples over a level."""
+    """Return the upper 95 % confidence limit of a rate, given so many samples over a level."""
     from scipy.special import betaincinv
 
     worth, clusters = max(samples / together, 1.0), over / together
@@ -161,7 +161,7 @@ def _bound(over: int, samples: int, together: float) -> float:
 
 
 def _quantile_exceedances(samples: int, together: float, asked: float) -> int:
-    """Return the most samples over a level that still promise a rate with 95 % confidence; 0 where none do."""
+    """Return the most samples over a level that still promise a rate with 95 % confidence; 0 if none do."""
     low, high = 0, min(int(asked * samples) + 1, samples - 1)
     while low < high:  # the bound grows with them
         middle = (low + high + 1) // 2
@@ -170,12 +170,12 @@ def _quantile_exceedances(samples: int, together: float, asked: float) -> int:
 
 
 def _conformal_exceedances(samples: int, together: float, asked: float) -> int:
-    """Return the most samples over a level with which no more than a rate is expected; 0 where none are."""
+    """Return the most samples over a level for which the expected rate is within a limit; 0 if there are none."""
     return min(max(int(np.floor(asked * (samples + together) - together + SAME)), 0), samples - 1)
 
 
 def _together(seen: Observed, asked: float) -> float:
-    """Return how many samples over a high level are worth one independent one: of the rate, or of one that is seen."""
+    """Return the number of samples over a high level that are worth one independent one."""
     levels = seen.levels[seen.counted]
     n, ordered = len(levels), np.sort(levels)
     for rate in np.geomspace(max(asked, min(ENOUGH / n, HIGHEST)), max(asked, HIGHEST), 6):

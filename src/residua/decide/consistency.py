@@ -1,4 +1,4 @@
-"""Isolation by consistency: which faults can explain the members that fired, and how likely each of them is."""
+"""Isolation by consistency: faults that can explain the members that fired, and their probabilities."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class ConsistentFault:
 
 @dataclass(frozen=True, repr=False)
 class Explanation(Shown):
-    """What may have fired a pattern of members, the most likely fault first.
+    """Faults that may have fired a pattern of members, the most likely first.
 
     Prints as a list.
 
@@ -81,11 +81,11 @@ class Explanation(Shown):
 
     @property
     def consistent(self) -> tuple[ConsistentFault, ...]:
-        """The candidates to which every member that fired answers."""
+        """The candidates that move every member that fired."""
         return tuple(one for one in self.candidates if one.consistent)
 
     def credible(self, level: float = 0.95) -> tuple[ConsistentFault, ...]:
-        """Return the most likely candidates, as many as reach this probability together."""
+        """Return the fewest most likely candidates that together reach this probability."""
         if not 0 < level < 1:
             raise SettingError(f"level must lie between 0 and 1, got {echo(level)}")
         total, out = 0.0, []
@@ -126,7 +126,7 @@ def consistent_faults(
     members: Sequence[str] | None = None,
     prior_rates: float | Mapping[str, float] = PRIOR_RATE,
 ) -> Explanation:
-    r"""Rank the faults that can explain which members of a bank fired.
+    r"""Rank the faults that can explain the fired members of a bank.
 
     For banks of many members of which a fault fires only some: a fault is *consistent* with a pattern when every
     member that fired answers to it, whatever stayed silent. Where codes are part of others, several faults are; they

@@ -1,4 +1,4 @@
-"""Cumulative sums of the residual: of each by itself on both sides, or of all as a vector."""
+"""Cumulative sums of the residual: two-sided for each one, or of all as a vector."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class PageChain(Chain):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CUSUMTest(StreamTest):
-    """Cumulative sums with every number filled in: what runs."""
+    """Fitted cumulative sums."""
 
     NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {**StreamTest.NUMBER_KINDS, "allowance": POSITIVE}
 
@@ -83,7 +83,7 @@ class CUSUMTest(StreamTest):
     def statistic(
         self, sums: NDArray[np.float64], e: NDArray[np.float64], seen: NDArray[np.bool_]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the largest sum, or the length of the vector of sums; what ends an alarm starts the sums again."""
+        """Return the largest sum, or the length of the vector of sums; the end of an alarm restarts the sums."""
         step = {"page": self._page, "crosier": self._crosier, "pignatiello-runger": self._mc1}[self.form]
         if self.form == "page":
             e = np.concatenate([e, -e], axis=-1) - self.allowance
@@ -124,12 +124,12 @@ class CUSUMTest(StreamTest):
 
     @property
     def compiled(self) -> CompiledTest | None:
-        """The same in C."""
+        """Equivalent for the fused loop."""
         return self.compiled_as(self.form, allowance=self.allowance) if type(self) is CUSUMTest else None
 
     @property
     def title(self) -> str:
-        """What is tested."""
+        """Name of the statistic."""
         name = {
             "page": "largest cumulative sum of one part",
             "crosier": "length of Crosier's cumulative sum",
@@ -139,16 +139,16 @@ class CUSUMTest(StreamTest):
 
     @property
     def samples(self) -> int:
-        """Samples that a change of twice the allowance takes to the threshold."""
+        """Number of samples in which a change of twice the allowance reaches the threshold."""
         return max(1, int(np.ceil(min(self.threshold / self.allowance, 1e9))))
 
     @property
     def least_seen(self) -> float:
-        """The mean that the allowance takes off."""
+        """Mean that the allowance cancels."""
         return self.allowance
 
     def check(self, watched: Any) -> None:
-        """Raise where a test from a file is none."""
+        """Raise if a test from a file is invalid."""
         super().check(watched)
         if self.form not in get_args(Form)[1:]:
             raise FileFormatError(f"fitted.form must be one of {', '.join(get_args(Form)[1:])}, got {echo(self.form)}")
@@ -156,7 +156,7 @@ class CUSUMTest(StreamTest):
 
 @dataclass(frozen=True)
 class CUSUM(StreamSettings):
-    r"""Alarm where the residual has been off zero for so long that no chance explains it.
+    r"""Alarm when the residual has been off zero for longer than chance explains.
 
     .. math:: C^\pm_k = \max(0,\; C^\pm_{k-1} \pm e_k - \kappa) > h
 
@@ -179,12 +179,12 @@ class CUSUM(StreamSettings):
         from it by integral equation.
     false_alarm_rate : float, optional
         Where no time is given: the fraction of fault-free samples in alarm, by the same equations (of Pignatiello and
-        Runger's sums about: an alarm is taken to end as its allowance takes it down). When omitted, what the log of a
-        fit can carry; see :class:`residua.decide.NormThreshold`.
+        Runger's sums about: an alarm is taken to end as its allowance takes it down). When omitted, one that the log of
+        a fit can support; see :class:`residua.decide.NormThreshold`.
     threshold : float, optional
-        h, where it is to be neither.
+        h, instead of both.
     form : {"auto", "page", "crosier", "pignatiello-runger"}
-        ``"auto"``: Page's of one residual, Crosier's of several. Page's sees best what moves one residual alone.
+        ``"auto"``: Page's of one residual, Crosier's of several. Page's is best for changes of one residual alone.
     source : {"auto", "design", "data", "quantile", "tail", "conformal"}
         Where the threshold is from after a fit: designed, for white Gaussian residuals; from the fault-free data
         themselves, for a fraction of samples in alarm, in one of the ways of
@@ -269,7 +269,7 @@ class CUSUM(StreamSettings):
         return delay_of_mc1(self.allowance, dimension, threshold, shift)
 
     def cycle(self, threshold: float, dimension: int) -> AlarmCycle:
-        """Return how long the test is quiet, and how long a false alarm lasts."""
+        """Return the mean lengths of quiet and of false alarms."""
         form = self._form(dimension)
         if form == "pignatiello-runger":
             lasting = 1 + (1 - self.falls_to) * threshold / self.allowance
@@ -284,7 +284,7 @@ class CUSUM(StreamSettings):
         return self.allowance / 5
 
     def hurry(self, threshold: float, dimension: int, samples: int) -> float:
-        """Return how many times as often false alarms come where the mean is from so many samples, on average."""
+        """Return the factor on the rate of false alarms if the mean comes from so many samples, on average."""
         if self._form(dimension) == "page":
             known = mean_run_length(PageChain(self.allowance), threshold)
             off = [
@@ -298,7 +298,7 @@ class CUSUM(StreamSettings):
         return max(self.run_length(threshold, dimension) / off, 1.0)
 
     def test(self, **parts: Any) -> CUSUMTest:
-        """Return what runs."""
+        """Build the fitted test."""
         return CUSUMTest(**parts, allowance=self.allowance, form=self._form(len(parts["center"])))
 
     def _form(self, dimension: int) -> str:

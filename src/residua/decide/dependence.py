@@ -1,4 +1,4 @@
-"""How many independent samples a stretch of data is worth."""
+"""Number of independent samples that a stretch of data is worth."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def correlation_times(columns: NDArray[np.float64], parts: Sequence[slice], powe
 def mean_autocorrelation(
     columns: NDArray[np.float64], known: NDArray[np.bool_], parts: Sequence[slice], lags: int
 ) -> NDArray[np.float64]:
-    """Return the autocorrelation at lags from 0 to ``lags``, the mean of all columns that move, whatever is missing.
+    """Return the autocorrelation at lags from 0 to ``lags``, the mean over all columns that move, with gaps left out.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def mean_autocorrelation(
 
 
 def _products(rows: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """Return the sums of products of samples that are 0, 1, 2, ... apart, by column."""
+    """Return the sums of products of samples 0, 1, 2, ... apart. apart, by column."""
     length = 1 << int(2 * len(rows) - 1).bit_length()
     out = np.empty((count, rows.shape[1]))
     for j in range(rows.shape[1]):  # one by one: memory
@@ -88,7 +88,7 @@ def _products(rows: NDArray[np.float64], count: int) -> NDArray[np.float64]:
 
 
 def effective_exceedances(counts: NDArray[np.float64]) -> float:
-    r"""Return how many independent exceedances those of ``B`` blocks are worth, from the number in each block.
+    r"""Return the number of independent exceedances in ``B`` blocks, from the number in each block.
 
     The relative variance of their sum is :math:`\frac{\sum c_i^2}{(\sum c_i)^2} - \frac{1}{B}`, and the inverse of the
     first term is what counts: the number of blocks with exceedances, where all have as many.

@@ -1,4 +1,4 @@
-"""Isolation by direction: which fault's signature does the residual point along."""
+"""Isolation by direction: the fault whose signature is nearest to the residual."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ SAME_SIGNATURE = 1e-3
 #: Bases from a file are orthonormal to that.
 _ORTHONORMAL = 1e-6
 _COSINE = "The score is the cosine of the angle between the residual and a signature, judged over the monitor's window."
-#: Of what runs; 0 for the clear mean.
+#: Of the fitted isolation; 0 for the clear mean.
 _WINDOW = NumberKind(f"a whole number from 0 to {MAX_WINDOW}", "i", lambda n: (n >= 0) & (n <= MAX_WINDOW))
 
 
 @dataclass(frozen=True, eq=False)
 class DirectionTest(Isolation):
-    """Signatures in whitened residual space: what runs.
+    """Fitted isolation by signatures in whitened residual space.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class DirectionTest(Isolation):
 
     @cached_property
     def clear(self) -> float:
-        """The square of the length of a mean that is clear of noise; 0 with a window."""
+        """Squared length beyond which a mean is not noise; 0 with a window."""
         return 0.0 if self.window else clear_square(len(self.bases[0]) if self.bases else 0)
 
     def start(self, plants: int) -> WindowState | MeansState:
@@ -96,27 +96,27 @@ class DirectionTest(Isolation):
 
     @property
     def compiled(self) -> CompiledIsolation | None:
-        """The bases."""
+        """Equivalent for the fused loop."""
         return CompiledIsolation(self.window, self.bases, self.clear) if type(self) is DirectionTest else None
 
     def candidates(self, scores: NDArray[np.float64]) -> tuple[Candidate, ...]:
-        """Return the groups ranked by score, best first; none where the direction is not known.
+        """Return the groups ranked by score, best first; none if the direction is unknown.
 
         Scores that agree to three digits are a tie, which the narrower signature wins: a plane contains more
         residuals by chance than a line.
         """
         return candidates_at(scores, self.groups, self.dimensions)
 
-    # ----------------------------------------------- what the rest of a monitor asks for
+    # ----------------------------------------------- interface to the rest of a monitor
 
     @property
     def samples(self) -> int:
-        """Samples that the residual is averaged over, at most."""
+        """Largest number of samples over which the residual is averaged."""
         return self.window or MEMORY
 
     @property
     def has_words(self) -> bool:
-        """Yes."""
+        """True."""
         return True
 
     @property
@@ -125,7 +125,7 @@ class DirectionTest(Isolation):
         return self.bases
 
     def words(self, step: float) -> dict[str, str]:
-        """Return in words how faults are named."""
+        """Describe how faults are named."""
         if self.window:
             over = f"{self.window} samples ({self.window * step:g} s)"
             return {"isolation": f"direction of the residual averaged over {over}"}
@@ -135,13 +135,13 @@ class DirectionTest(Isolation):
         }
 
     def statement(self, alarm: Alarm, clock: Clock, window: int) -> Statement:
-        """Return the statement about an alarm: the scores, and the angles that they stand for."""
+        """Return the statement about an alarm: the scores, and the angles that they mean."""
         return statement_by_score(alarm, clock, self.word(alarm, window), angle, _COSINE)
 
     # --------------------------------------------------------------------------- files
 
     def check(self, watched: Watched, test: ResidualTest) -> None:
-        """Raise where signatures from a file are not of the residuals and faults, or not orthonormal."""
+        """Raise if signatures from a file do not match the residuals and faults, or are not orthonormal."""
         where, residuals = "running.isolation", watched.generator.n_residuals
         check_groups(self.groups, self.unjudged, where, watched.generator.faults)
         if len(self.bases) != len(self.groups):
@@ -153,7 +153,7 @@ class DirectionTest(Isolation):
                 raise FileFormatError(f"{joined(where, 'bases')}[{k}]: its columns must be orthonormal")
 
     def check_state(self, state: WindowState | MeansState, count: int) -> None:
-        """Raise where a state from a file cannot be one."""
+        """Raise if a state from a file is invalid."""
         if isinstance(state, WindowState):
             state.check("state.isolation")
 
@@ -202,15 +202,15 @@ class Directional(IsolationSettings):
 
     @classmethod
     def for_design(cls, design: Any, generator: ResidualGenerator) -> Self | None:
-        """Return the default: what any generator without codes is read by."""
+        """Return the settings, the default for any generator without codes; else ``None``."""
         return None if generator.codes is not None else cls()
 
     def kept(self, generator: ResidualGenerator) -> tuple[str, int, int]:
-        """Return the window, and that it keeps the residuals."""
+        """Return the window, and the number of values it keeps: the residuals."""
         return f"Directional(window={self.window})", self.window or len(WEIGHTS), generator.n_residuals
 
     def check_record(self, content: Mapping[str, Any], where: str) -> None:
-        """Raise where what runs has another window."""
+        """Raise if the window of the record differs from that of the settings."""
         if content.get("window") != (self.window or 0):
             raise FileFormatError(f"{where}.window must be that of isolate, {self.window or 0}")
 
@@ -337,7 +337,7 @@ def _grouped(bases: Mapping[str, NDArray]) -> list[tuple[list[str], NDArray]]:
 
 
 def _told_apart(faults: list[str], basis: NDArray, lines: Mapping[str, NDArray]) -> list[tuple[list[str], NDArray]]:
-    """Return faults that share a plane by their steady directions in it, where all have one and these differ."""
+    """Return faults that share a plane by their steady directions in it, if all have one and these differ."""
     if len(faults) == 1 or basis.shape[1] == 1 or any(fault not in lines for fault in faults):
         return [(faults, basis)]
     parts = _grouped({fault: lines[fault] for fault in faults})

@@ -24,7 +24,7 @@ from residua.visible import echo
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class EWMATest(StreamTest):
-    """An exponentially weighted moving average with every number filled in: what runs."""
+    """Fitted exponentially weighted moving average."""
 
     NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {**StreamTest.NUMBER_KINDS, "weight": PART}
 
@@ -47,24 +47,24 @@ class EWMATest(StreamTest):
 
     @property
     def compiled(self) -> CompiledTest | None:
-        """The same in C."""
+        """Equivalent for the fused loop."""
         if type(self) is not EWMATest:
             return None
         return self.compiled_as("ewma", weight=self.weight, deviation=_deviation(self.weight))
 
     @property
     def title(self) -> str:
-        """What is tested."""
+        """Name of the statistic."""
         return f"exponentially weighted moving average (weight {self.weight:g})"
 
     @property
     def samples(self) -> int:
-        """Samples that make up most of the average."""
+        """Number of samples that make up most of the average."""
         return int(np.ceil(2 / self.weight - 1))
 
     @property
     def least_seen(self) -> float:
-        """The mean whose average is at the threshold."""
+        """Mean whose average equals the threshold."""
         return self.threshold * _deviation(self.weight)
 
 
@@ -86,8 +86,8 @@ class EWMA(StreamSettings):
     mean_time_between_false_alarms : float, optional
         In samples, from a start at zero to the alarm, on average. The threshold follows from it by integral equation.
     false_alarm_rate : float, optional
-        Where no time is given: the fraction of fault-free samples in alarm, by the same equations. When omitted, what
-        the log of a fit can carry; see :class:`residua.decide.NormThreshold`.
+        Where no time is given: the fraction of fault-free samples in alarm, by the same equations. When omitted, one
+        that the log of a fit can support; see :class:`residua.decide.NormThreshold`.
     threshold : float, optional
         h, where it is to be neither.
     source : {"auto", "design", "data", "quantile", "tail", "conformal"}
@@ -147,7 +147,7 @@ class EWMA(StreamSettings):
         return shifted_run_length(self._chain(dimension), threshold * _deviation(self.weight), shift)
 
     def cycle(self, threshold: float, dimension: int) -> AlarmCycle:
-        """Return how long the test is quiet, and how long a false alarm lasts."""
+        """Return the mean lengths of quiet and of false alarms."""
         level = threshold * _deviation(self.weight)
         return alarm_cycle(self._chain(dimension), level, self.falls_to * level)
 
@@ -157,14 +157,14 @@ class EWMA(StreamSettings):
         return 0.4 * _deviation(self.weight)
 
     def hurry(self, threshold: float, dimension: int, samples: int) -> float:
-        """Return how many times as often false alarms come where the mean is from so many samples, on average."""
+        """Return the factor on the rate of false alarms if the mean comes from so many samples, on average."""
         if dimension > MOST_DIMENSIONS:
             return 1.0
         off = self.delay(threshold, dimension, shift=(dimension / samples) ** 0.5)
         return max(self.run_length(threshold, dimension) / off, 1.0)
 
     def test(self, **parts: Any) -> EWMATest:
-        """Return what runs."""
+        """Build the fitted test."""
         return EWMATest(**parts, weight=self.weight)
 
     def _chain(self, dimension: int) -> LengthChain:
@@ -172,7 +172,7 @@ class EWMA(StreamSettings):
 
 
 def _deviation(weight: float) -> float:
-    """Return the standard deviation of the average, once it has forgotten its start."""
+    """Return the steady-state standard deviation of the average."""
     return float(np.sqrt(weight / (2 - weight)))
 
 

@@ -1,4 +1,4 @@
-"""The fraction of samples in alarm from runs over and under the threshold, where alarms are too rare to be counted."""
+"""Fraction of samples in alarm from runs above and below the threshold, if alarms are too rare to count."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _KNOWN, _COUNTED = 20, 16
 
 @dataclass(frozen=True, eq=False)
 class RunModel:
-    r"""In alarm, by runs of the statistic over and under the threshold.
+    r"""Model of alarms by runs of the statistic above and below the threshold.
 
     Runs of ``p`` samples over the threshold begin at a rate :math:`\nu_1`, and a fraction :math:`B` of the samples is
     the last of ``p`` over it; likewise :math:`\nu_0` and :math:`C` for ``q`` samples under it. Then the fraction in
@@ -69,7 +69,7 @@ class RunModel:
 
     @property
     def worth(self) -> float:
-        """Degrees of freedom of the spread, and one."""
+        """Degrees of freedom of the spread, plus one."""
         return min(self.tail.worth, float(self.groups.max(initial=0)) + 1)
 
     def level(self, rate: float) -> float:
@@ -85,11 +85,11 @@ class RunModel:
         return float(self._fractions(level, whole=True)[0])
 
     def seen(self, rate: float) -> float:
-        """Return the fraction in alarm at the level from which the tail of the statistic is extended, or this rate."""
+        """Return the fraction in alarm at the level where the extended tail begins, or this rate."""
         return max(rate, self.fraction(self.tail.start))
 
     def spread(self, level: float) -> float:
-        """Return the standard deviation of the logarithm of that fraction, by leaving out stretches of time in turn.
+        """Return the jackknife standard deviation of the logarithm of that fraction, over stretches of time.
 
         With that of the fraction of samples over the threshold besides: a few stretches show too little of it.
         """
@@ -102,7 +102,7 @@ class RunModel:
 
     @cached_property
     def limit(self) -> float:
-        """The highest level over which so many runs are seen that their course is known."""
+        """Highest level exceeded by enough runs."""
         before, now = self.statistic[:-1], self.statistic[1:]
         rises = (before < now) & ~self.begins[1:] & self.counted[1:]
         low, high = np.sort(before[rises]), np.sort(now[rises])
@@ -112,7 +112,7 @@ class RunModel:
         return float(np.nextafter(levels[enough[0]], -np.inf)) if len(enough) else float(np.median(self.tail.values))
 
     def _fractions(self, level: float, *, whole: bool) -> NDArray[np.float64]:
-        """Return the fraction from all data, or from all but each stretch of time."""
+        """Return the fraction from all data, and from all but each stretch of time."""
         at = min(level, self.limit)
         course = self._course(at, whole)
         B, raised, C, ended = course.B, course.raised, course.C, course.ended
@@ -125,7 +125,7 @@ class RunModel:
 
     @cached_property
     def _number(self) -> int:
-        """How many stretches of time there are."""
+        """Number of stretches of time."""
         return int(self.groups.max(initial=0)) + 1
 
     @cached_property
@@ -149,7 +149,7 @@ class RunModel:
         return {}
 
     def _left(self, values: NDArray, whole: bool) -> NDArray[np.float64]:
-        """Return the sum of values by stretches of time, or that of all others in place of each."""
+        """Return the sum of values over all stretches of time, or over all but each."""
         total = values.sum(axis=0, keepdims=True).astype(float)
         return total if whole else total - values
 
@@ -157,7 +157,7 @@ class RunModel:
         return self._left(np.bincount(self._counted_groups, values, minlength=self._number)[:, None], whole)[:, 0]
 
     def _course(self, at: float, whole: bool) -> _Course:
-        """Return the course of runs; between two values of the statistic it is the same, and is kept."""
+        """Return the runs at a level, cached between two values of the statistic."""
         key = int(np.searchsorted(self._sorted, at, side="right")), whole
         if key not in self._courses:
             over = self.statistic > at
@@ -168,13 +168,13 @@ class RunModel:
         return self._courses[key]
 
     def _counts(self, which: NDArray[np.bool_], longest: int, whole: bool) -> NDArray[np.float64]:
-        """Return how many samples have a run of 0, 1, ..., ``longest``, and more, up to them."""
+        """Return the number of samples with a run of 0, 1, ..., ``longest``, and more, up to them."""
         run = np.minimum(_run_lengths(which, self.begins)[self.counted], longest + 1)
         table = np.bincount(self._counted_groups * (longest + 2) + run, minlength=self._number * (longest + 2))
         return self._left(table.reshape(self._number, longest + 2), whole)
 
     def _over(self, level: float, whole: bool) -> NDArray[np.float64]:
-        """Return how many samples are over a level: beyond the start of the tail, how many are to be expected."""
+        """Return the number of samples over a level: beyond the start of the tail, the expected number."""
         values = self._counted_values
         if level <= self.tail.start:
             return self._by_stretches((values > level).astype(float), whole)
@@ -192,7 +192,7 @@ class RunModel:
 
 @dataclass(frozen=True, eq=False)
 class _Course:
-    """Of runs over a level and under it: the fractions of samples that end one, how often they begin, samples over."""
+    """Runs above and below a level: the fractions of samples that end one, their frequencies, and samples over."""
 
     B: NDArray[np.float64]
     raised: NDArray[np.float64]
@@ -202,7 +202,7 @@ class _Course:
 
 
 def _run_lengths(which: NDArray[np.bool_], begins: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Return for each sample how many in a row up to it are meant, within one recording."""
+    """Return for each sample the length of the run of marked ones that it ends, within one recording."""
     index = np.arange(1, len(which) + 1)
     last = np.maximum.accumulate(np.where(which & ~begins, 0, np.where(which, index - 1, index)))
     return np.where(which, index - last, 0)
@@ -211,7 +211,7 @@ def _run_lengths(which: NDArray[np.bool_], begins: NDArray[np.bool_]) -> NDArray
 def _runs(
     counts: NDArray[np.float64], samples: NDArray[np.float64], length: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the fraction of samples that end a run of a length or more, and how often such runs begin.
+    """Return the fraction of samples that end a run of a length or more, and the frequency of such runs.
 
     ``counts``: how many samples have a run of 0, 1, ..., length, and more, up to them; a row for each set of data.
     """

@@ -1,4 +1,4 @@
-"""The fraction of samples over a level, and its tail where data are few."""
+"""Fraction of samples over a level, with an extrapolated tail where data are few."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _GOLDEN = (np.sqrt(5) - 1) / 2
 
 @dataclass(frozen=True)
 class Scale:
-    r"""A scale in which the tail of a statistic is about straight: that of scaled chi-squared.
+    r"""Scale on which the tail of a statistic is nearly straight: that of scaled chi-squared.
 
     Where its square is :math:`a \chi^2_\nu`, the depth :math:`-\ln P(J > h)` is exponentially distributed over any
     level; of other data, nearly so in the tail.
@@ -75,7 +75,7 @@ def scale_of(statistic: NDArray[np.float64], degrees: float) -> Scale:
 
 @dataclass(frozen=True, eq=False)
 class Tail:
-    """The fraction of samples over any level, as far as fault-free data tell it.
+    """Fraction of samples over any level, as far as fault-free data show it.
 
     Attributes
     ----------
@@ -104,7 +104,7 @@ class Tail:
     variance: float
 
     def level(self, rate: float) -> float:
-        """Return the level that a fraction of the samples is over."""
+        """Return the level exceeded by a fraction of the samples."""
         if rate >= self.rate:
             return quantile(self.values, rate)
         depth = float(depths(self.scale, self.start)) + np.log(self.rate / rate) / self.slope
@@ -161,7 +161,7 @@ def depths(scale: Scale | None, level: NDArray[np.float64] | float) -> NDArray[n
 
 
 def quantile(ordered: NDArray[np.float64], rate: float) -> float:
-    """Return a level between two samples that at most a fraction of all is over; of equal ones, beyond all of them."""
+    """Return a level, between two samples, exceeded by at most a fraction of all; beyond all equal ones."""
     n = len(ordered)
     above = int(np.floor(rate * n + 1e-9))
     low = ordered[n - 1 - above] if above < n else ordered[0]
@@ -173,12 +173,12 @@ def quantile(ordered: NDArray[np.float64], rate: float) -> float:
 
 
 def past(value: float) -> float:
-    """Return a level that a value is not over, in whatever order of operations it is computed again."""
+    """Return a level that a value does not exceed, in whatever order of operations it is recomputed."""
     return value + DATA_ROUNDING * abs(value)
 
 
 def without_steps(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    r"""Return values as they may have been before they were rounded to steps, and half a step; others as they are.
+    r"""Return values as before their rounding to steps, and half a step; unrounded ones unchanged.
 
     Readings of few digits come in steps, which no smooth tail goes through. Here those that are equal are spread evenly
     over the step, a run of them together, as noise may be slow. Of :math:`\hat x` that is within half a step

@@ -1,6 +1,6 @@
-"""One word for an alarm: how well a listed fault explains it, beside what every fault with a free course would explain.
+"""One word for an alarm, from the fit of each listed fault beside every fault with a free course.
 
-An unlisted state stands beside a single listed fault only if it explains more. It is no component, and with a free
+An unlisted state stands beside a single listed fault only if it explains more. It is not a component, and with a free
 course it often acts as a sensor does. This was chosen by ``benchmarks/verdicts.py`` on its plants of even number, with
 seeds 101, 202 and 303; ``docs/how-sure.rst`` has the alternatives and the check.
 """
@@ -31,24 +31,24 @@ BEFORE, _LEAST_BEFORE = 100, 75
 FIRST, FINAL = 50, 200
 #: A course may begin so many samples before the alarm at any of them, and earlier at every fourth.
 _CLOSE, _EACH = 24, 4
-#: Terms of a course at most, what each must gain, and what each beyond the first is charged.
+#: Largest number of terms in a course, least gain of each, and charge for each beyond the first.
 _TERMS, _GAIN, _CHARGE = 12, 16.0, 10.0
 #: Responses whose cosine is larger are those of one fault; samples that it is taken over.
 _SAME, _COMPARED = 0.9995, 200
 #: Groups of faults that are named together at most.
 _MOST_CLOSE = 3
-#: Evidence from which a fault is judged; what another may fall short of the best, of its evidence, and yet count.
+#: Evidence from which a fault is judged; shortfall from the best, of its evidence, at which another still counts.
 _EVIDENCE, _APART, _PART = 80.0, 20.0, 0.01
-#: What is left may be so many deviations more than noise, or that part of the evidence, or so many less.
+#: Limits on the rest: so many deviations more than noise, or that part of the evidence, or so many less.
 _MORE, _LESS = 3.5, -4.5
 #: Lengths of the sums by which the colour of fault-free residuals is measured.
 BLOCKS = (1, 5, 20, 100, 250)
 
 
 def colour_of(white: NDArray[np.float64], parts: Sequence[slice]) -> tuple[float, ...]:
-    """Return the mean square of white residuals, at most 1, and for each length of :data:`BLOCKS` a variance.
+    """Return the mean square of white residuals, at most 1, and a variance for each length of :data:`BLOCKS`.
 
-    It is the largest, over directions, of sums of so many samples, in units of what it is of white noise, and no less
+    It is the largest, over directions, of sums of so many samples, in units of the value for white noise, and no less
     than 1; of a length for which there are too few samples, that of the one before.
     """
     rows = np.concatenate([white[part] for part in parts]) if parts else white[:0]
@@ -67,7 +67,7 @@ def colour_of(white: NDArray[np.float64], parts: Sequence[slice]) -> tuple[float
 
 @dataclass(frozen=True, eq=False)
 class Whitening:
-    """What makes the fault-free residual of a monitor white: as its test does.
+    """Whitening of the fault-free residual of a monitor, as in its test.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ class Whitening:
     coefficients : ndarray, shape (order, k, k)
         Of an autoregression, the last sample first.
     again : ndarray, shape (k, k)
-        What makes white what it leaves.
+        Whitening of the innovations.
     """
 
     center: NDArray[np.float64]
@@ -86,7 +86,7 @@ class Whitening:
 
     @staticmethod
     def of(test: ResidualTest) -> Whitening | None:
-        """Return that of a test; ``None`` where it does not whiten the residual as a whole."""
+        """Return the whitening of a test; ``None`` if it does not whiten the residual as a whole."""
         test = test.of_residual
         metric = test.metric
         if is_selection(metric) or metric.shape[0] != metric.shape[1]:
@@ -97,7 +97,7 @@ class Whitening:
         return Whitening(test.center, metric, np.zeros((0, k, k)), np.eye(k))
 
     def of_responses(self, responses: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the white residual of responses, (..., time, residuals), before which there was nothing."""
+        """Return white residuals of responses, (..., time, residuals), from rest."""
         q = responses @ self.matrix
         if not len(self.coefficients):
             return q
@@ -109,7 +109,7 @@ class Whitening:
     def of_residuals(
         self, residuals: NDArray[np.float64], usable: NDArray[np.bool_]
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Return the white residual, (time, k), zero where it is not known, and where it is: with its past."""
+        """Return the white residual, (time, k), zero where unknown, and its mask: with its past."""
         usable = usable & np.isfinite(residuals).all(axis=1)
         white = self.of_responses(np.where(usable[:, None], residuals - self.center, 0.0))
         known = usable.copy()
@@ -121,7 +121,7 @@ class Whitening:
 
 @dataclass(frozen=True, eq=False)
 class Explainer:
-    """What the listed faults, and others that nobody listed, do to the whitened residual of a monitor.
+    """Responses of the whitened residual of a monitor to listed and unlisted faults.
 
     Attributes
     ----------
@@ -138,7 +138,7 @@ class Explainer:
 
     @cached_property
     def _known(self) -> tuple[NDArray[np.float64], list[tuple[str, ...]], NDArray[np.bool_]]:
-        """Whitened responses, (groups, samples, k), of listed faults, then others; names; which others are states."""
+        """Whitened responses, (groups, samples, k), of listed faults, then others; names; mask of other states."""
         plant = with_unlisted(self.generator.plant)
         names = plant.faults
         listed = len(self.generator.faults)
@@ -224,7 +224,7 @@ class Explainer:
 
 @dataclass(frozen=True, eq=False)
 class _Fits:
-    """What each fault explains: a row each.
+    """Fits of faults to a residual, one row each.
 
     Attributes
     ----------
@@ -247,7 +247,7 @@ class _Fits:
 
 
 def _fits(e: NDArray[np.float64], usable: NDArray[np.bool_], responses: NDArray[np.float64], before: int) -> _Fits:
-    """Return what each fault explains with a free course: steps and ramps, by orthogonal least squares.
+    """Fit each fault with a free course, steps and ramps, to the residual by orthogonal least squares.
 
     All faults take their next term at once; products with shifted responses are correlations, by fast transforms.
     """
@@ -308,7 +308,7 @@ def _fits(e: NDArray[np.float64], usable: NDArray[np.bool_], responses: NDArray[
 def _left(
     rows: NDArray[np.float64], usable: NDArray[np.bool_], variance: Mapping[int, float]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return of each length of sums what the squares of what is left exceed those of noise by, and in deviations."""
+    """Return for each length of sums the excess of the remaining squares over noise, and its deviations."""
     n, k = rows.shape
     excess, rareness = [], []
     for length, one in variance.items():
@@ -324,7 +324,7 @@ def _left(
 
 
 def with_unlisted(plant: Plant) -> Plant:
-    """Return a plant with faults of every sensor, actuator and state behind those that are listed.
+    """Return a plant with faults of every sensor, actuator and state after the listed ones.
 
     States of an identified plant have no meaning of their own.
     """

@@ -1,4 +1,4 @@
-"""From fault-free statistics to the threshold of a rate of false alarms, and to what the data can promise of it."""
+"""Threshold for a rate of false alarms from fault-free statistics, and the rate that the data can promise."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from residua.words import one_in
 
 #: How sure a promise is.
 CONFIDENCE = 0.95
-#: Over this multiple of the rate that is aimed at, what can be promised is said beside it.
+#: Over this multiple of the target rate, the promised rate is stated beside it.
 TOLERATED = 1.5
 #: Where the data cannot tell, the threshold is set for at least this share of the rate.
 _LEAST_AIM = 0.6
@@ -72,7 +72,7 @@ def within_tolerance(promised: float, asked: float) -> bool:
 
 @dataclass(frozen=True)
 class Promise:
-    """A threshold, and what fault-free data say of the rate of alarms on other data.
+    """A threshold, and the rate of alarms on other data that fault-free data promise.
 
     Attributes
     ----------
@@ -82,10 +82,10 @@ class Promise:
     aimed : float
         The fraction expected with this threshold.
     promised : float
-        The fraction not exceeded, with 95 % confidence, on other data that are like these: what is normal on another
-        day and is not in them is not covered. 1 if the data say nothing.
+        The fraction not exceeded, with 95 % confidence, on other data that are like these; normal operation on another
+        day that is not in them is not covered. 1 if the data say nothing.
     extended : str
-        By what the rate is extended if the data are too few to show it; else empty.
+        Model by which the rate is extended if the data are too few to show it; else empty.
     """
 
     threshold: float
@@ -96,7 +96,7 @@ class Promise:
 
     @property
     def holds(self) -> bool:
-        """Whether the data promise the requested rate, within a factor of 1.5."""
+        """True if the data promise the requested rate, within a factor of 1.5."""
         return within_tolerance(self.promised, self.asked)
 
     def __str__(self) -> str:
@@ -204,7 +204,7 @@ def observed(
 
 
 def promise_of(seen: Observed, asked: float) -> Promise:
-    """Return the threshold for a rate, and what can be promised of it.
+    """Return the threshold for a rate, and the rate that can be promised.
 
     Where thirty independent exceedances or more are seen at that rate, it is read off the levels. Elsewhere the
     fraction of samples over the threshold is extended by its tail (:class:`residua.decide.exceedance_tail.Tail`), and
@@ -234,7 +234,7 @@ def promise_of(seen: Observed, asked: float) -> Promise:
 
 
 def lasting_blocks(seen: Observed, rate: float) -> NDArray[np.int64]:
-    """Return stretches of time of the samples that count in which alarms, which may last long, are independent too."""
+    """Return stretches of time in which alarms, which may last long, are independent too."""
     level = quantile(np.sort(seen.levels[seen.counted]), rate)
     over = np.where(seen.counted, (seen.levels > level) - rate, 0.0)[:, None]
     edges = [*np.flatnonzero(seen.begins).tolist(), len(over)]
@@ -253,7 +253,7 @@ def _known(tail: Tail, rate: float) -> tuple[float, float]:
 def _promise(
     level: Callable[[float], float], known: Callable[[float], tuple[float, float]], asked: float, extended: str
 ) -> Promise:
-    """Return the threshold for a rate from that of any rate and from how well that is known: spread and degrees."""
+    """Return the threshold for a rate, given the threshold for any rate and its uncertainty: spread and degrees."""
     from scipy.special import stdtrit
 
     aim, beyond = asked, np.inf
@@ -265,7 +265,7 @@ def _promise(
             break
         aim = wanted
     promised = min(1.0, aim * float(np.exp(min(beyond, 700.0))))
-    if aim > 1.01 * _LEAST_AIM * asked and promised > TOLERATED * asked:  # what the iteration left
+    if aim > 1.01 * _LEAST_AIM * asked and promised > TOLERATED * asked:  # remainder of the iteration
         aim, promised = aim * TOLERATED * asked / promised, TOLERATED * asked
     return Promise(float(level(aim)), asked, float(aim), promised, extended)
 
@@ -277,7 +277,7 @@ def _grouped(blocks: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def coincidence(members: Sequence[Observed], share: float) -> float:
-    r"""Return how many members are in alarm at once, on average while any is, where each is so at a rate; at least 1.
+    r"""Return the mean number of members in alarm at once while any is, for members with this rate; at least 1.
 
     It is seen at the smallest rate, that one or higher, at which the data show thirty independent alarms of any member.
     Towards smaller rates alarms coincide less often, if they do not always: the further it is extended, the less of it

@@ -1,4 +1,4 @@
-"""Fault-free residuals: their windowed sums, their moments, and the statistic of each on moments of the others."""
+"""Fault-free residuals: their windowed sums, their moments, and cross-fitted statistics."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _PLENTY = 20 * KNOWN
 
 
 def oracle_approximating_intensity(correlation: NDArray[np.float64], samples: float) -> float:
-    r"""Return how far a sample correlation matrix is to be drawn towards the identity: between 0 and 1.
+    r"""Return the shrinkage of a sample correlation matrix towards the identity: between 0 and 1.
 
     .. math::
 
@@ -58,7 +58,7 @@ def oracle_approximating_intensity(correlation: NDArray[np.float64], samples: fl
 
 
 def shrunk(covariance: NDArray[np.float64], samples: float) -> tuple[NDArray[np.float64], float]:
-    """Return a covariance that fits the number of independent samples it is from, and by how much it was changed.
+    """Return a covariance shrunk for its number of independent samples, and the size of the change.
 
     Where they are fewer than ten to a residual the correlations are drawn towards zero
     (:func:`oracle_approximating_intensity`); the variances stay, so that the outcome does not depend on units.
@@ -86,7 +86,7 @@ def shrunk(covariance: NDArray[np.float64], samples: float) -> tuple[NDArray[np.
 
 @dataclass(frozen=True, eq=False)
 class Moments:
-    """Mean and covariance of residuals, as what is subtracted and what is multiplied with.
+    """Mean and covariance of residuals, as an offset to subtract and a matrix to multiply by.
 
     Attributes
     ----------
@@ -133,7 +133,7 @@ class FaultFree:
 
     @cached_property
     def deviations(self) -> NDArray[np.float64]:
-        """Residuals less their mean, zero where not usable and where a residual stands still: its mean is rounded."""
+        """Residuals less their mean, zero where unusable and where a residual is constant: its mean is rounded."""
         out = np.where(self.usable[:, None], self.residuals - self.middle, 0.0)
         rows = self.residuals[self.usable]
         if len(rows):
@@ -142,7 +142,7 @@ class FaultFree:
 
     @cached_property
     def moving(self) -> int:
-        """In how many independent directions the residuals move."""
+        """Number of independent directions in which the residuals move."""
         rows = self.deviations[self.usable]
         return moving_directions(rows.T @ rows / max(1, len(rows)))
 
@@ -159,12 +159,12 @@ class FaultFree:
 
     @cached_property
     def weights(self) -> NDArray[np.float64]:
-        """How many usable samples each of these sums has, as a column."""
+        """Number of usable samples in each of these sums, as a column."""
         return self._summed(self.usable[:, None].astype(float), self.usable)
 
     @cached_property
     def without_holes(self) -> NDArray[np.float64]:
-        r"""Factors that bring each sum to the size that it would have if nothing had been missing, as a column.
+        r"""Factors that scale each sum to its size without gaps, as a column.
 
         .. math:: f_t^2 = \frac{\sum_{i,j} \varrho(i - j)}{\sum_{i,j} \varrho(\tau_i - \tau_j)}
 
@@ -198,12 +198,12 @@ class FaultFree:
 
     @cached_property
     def full(self) -> NDArray[np.bool_]:
-        """Usable samples of which as many as the window has lie behind, in the same recording."""
+        """Mask of usable samples preceded by a whole window in the same recording."""
         seen = np.concatenate([np.cumsum(self.usable[part]) for part in self.parts])
         return self.usable & (seen >= self.window)
 
     def _summed(self, columns: NDArray[np.float64], judged: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """Return sums over the last judged samples, as a test takes them: zero at others."""
+        """Return sums over the last judged samples, as in a test; zero at others."""
         if self.window == 1:
             return columns
         empty = empty_window(1, self.window, columns.shape[1])
@@ -211,7 +211,7 @@ class FaultFree:
         return np.concatenate(sums)
 
     def usable_samples_away(self, place: int, count: int, part: slice) -> int:
-        """Return the place that so many usable samples of a recording lie between, backwards if negative."""
+        """Return the place so many usable samples of a recording away, backwards if negative."""
         rows = np.flatnonzero(self.usable[part]) + part.start
         index = int(np.searchsorted(rows, place)) + count
         return part.start if index < 0 else part.stop if index >= len(rows) else int(rows[index])
@@ -252,8 +252,8 @@ class FaultFree:
         if not summed.any():
             return Moments(self.middle + center, first, 1.0)
         z = (self.sums[summed] - self.window * center) @ first / np.sqrt(self.window) * self.without_holes[summed]
-        # What the first whitening raised to its floor never moved: sums of it count as those of independent samples do,
-        # or the second whitening would take the floor away again.
+        # Directions that the first whitening raised to its floor never moved: their sums count as those of independent
+        # samples do, or the second whitening would take the floor away again.
         raised = 1 - np.sum(first * (covariance @ first), axis=0)
         raised = np.where(raised > VARIANCE_FLOOR, raised, 0.0)
         second, later = shrunk_to_one(z.T @ z / len(z) + np.diag(raised), len(z) / self.worth[1])
@@ -261,7 +261,7 @@ class FaultFree:
 
     @cached_property
     def worth(self) -> tuple[float, float]:
-        """Samples that are worth one independent one: for the covariance of residuals, and for that of their sums."""
+        """Number of samples worth one independent one: for the covariance of residuals, and for that of their sums."""
         single = correlation_times(self.deviations, self.parts, 2)
         if self.window == 1:
             return float(single.mean()), float(single.mean())
@@ -274,13 +274,13 @@ class FaultFree:
 
     @property
     def memory(self) -> int:
-        """Samples after which residuals are independent, or nearly so."""
+        """Lag beyond which residuals are nearly independent."""
         return int(np.ceil(self._correlation_time)) if self._correlation_time > 1.5 else 0
 
     # ------------------------------------------------------------------ holding out
 
     def held_out(self) -> Iterator[tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]]:
-        """Yield stretches of time with the samples that are far enough from each: held, kept, summed.
+        """Yield stretches of time with the samples far enough from each: held, kept, summed.
 
         Between what is held out and what is kept lies a gap of the correlation time, and of the window as well before
         the sums that are kept.
@@ -303,7 +303,7 @@ class FaultFree:
                 yield (index >= start) & (index < stop), kept, self.full & ~reach
 
     def _stretches(self, folds: int) -> list[tuple[int, int]]:
-        """Return where stretches of about as many usable samples begin and end; at a seam, if one is near."""
+        """Return the bounds of stretches of about as many usable samples; at a seam, if one is near."""
         count = np.cumsum(self.usable)
         edges = np.searchsorted(count, np.arange(1, folds) * count[-1] / folds)
         near = len(self.usable) / folds / 3
@@ -315,7 +315,7 @@ class FaultFree:
         return list(pairwise(whole))
 
     def statistic(self, moments: Moments, rows: NDArray[np.bool_] | None = None) -> NDArray[np.float64]:
-        """Return the norms of the whitened sums, as a monitor computes them but for rounding."""
+        """Return the norms of the whitened sums, as a monitor computes them up to rounding."""
         chosen = slice(None) if rows is None else rows
         sums = self.sums[chosen] - self.weights[chosen] * (moments.center - self.middle)
         norms = np.linalg.norm(sums @ moments.whitening, axis=1) / np.sqrt(self.window)
@@ -324,7 +324,7 @@ class FaultFree:
     def scaled(self, moments: Moments, whole: Moments) -> Moments:
         """Return moments in the scale of those of all samples.
 
-        The scale is no part of what is held out: a threshold goes with it, whatever it is.
+        The scale is not held out, since a threshold scales with it.
         """
         inverse = np.linalg.inv(moments.whitening)
         size = np.sqrt(np.sum((inverse @ whole.whitening) ** 2) / len(inverse))
@@ -353,7 +353,7 @@ def shrunk_to_one(covariance: NDArray[np.float64], samples: float) -> tuple[NDAr
 
 
 def held_apart(data: FaultFree) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return the first half of the usable samples, the windows within it, and where the second half is.
+    """Return the first half of the usable samples, the windows within it, and the mask of the second half.
 
     As :meth:`FaultFree.held_out`, once: between the halves lies a gap of the correlation time and the window.
     """
@@ -371,7 +371,7 @@ def held_apart(data: FaultFree) -> tuple[NDArray[np.bool_], NDArray[np.bool_], N
 
 
 def check_enough(samples: int, k: int, window: int) -> None:
-    """Raise unless there are samples enough to see anything at all."""
+    """Raise unless there are enough samples."""
     least = max(30, 2 * window)
     if samples < least:
         raise DataError(

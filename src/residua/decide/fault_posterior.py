@@ -1,4 +1,4 @@
-"""Probabilities of faults over time: a filter over which fault is there, and since when, with its size unknown."""
+"""Probabilities of faults over time: a filter for the fault and its arrival, with its size unknown."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """What the filter knows after a sample.
+    """Belief of the filter after a sample.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class FaultFilter:
     window: int
 
     def start(self, plants: int) -> Belief:
-        """Return that no fault is there."""
+        """Return the belief that no fault is present."""
         shape = (plants, len(self.rates), self.window)
         return Belief(np.zeros(plants), np.full(shape, _NEVER), np.zeros((*shape, self.unknown.shape[-1])))
 
@@ -129,7 +129,7 @@ class FaultFilter:
 
     @cached_property
     def _by_age(self) -> NDArray[np.float64]:
-        """The responses, shape (faults + 1, window, k, k): of a fault only the first part is not zero."""
+        """Responses, shape (faults + 1, window, k, k): only the first slice of a fault is not zero."""
         G, k = len(self.rates), self.unknown.shape[-1]
         ages = np.minimum(np.arange(self.window), self.unknown.shape[0] - 1)
         out = np.zeros((G, self.window, k, k))
@@ -139,7 +139,7 @@ class FaultFilter:
 
     @cached_property
     def _information(self) -> NDArray[np.float64]:
-        """What is known of the size at the ages 0, 1, ..., window, without the prior."""
+        """Information on the size at the ages 0, 1, ..., window, without the prior."""
         H = self._by_age
         J = np.cumsum(np.einsum("gakd,gakc->gadc", H, H), axis=1)
         return np.concatenate([np.zeros_like(J[:, :1]), J], axis=1)

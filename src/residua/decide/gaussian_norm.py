@@ -1,4 +1,4 @@
-"""The length of a Gaussian vector whose mean is not zero: density and tail of the noncentral chi distribution."""
+"""Length of a Gaussian vector whose mean is not zero: density and tail of the noncentral chi distribution."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def norm_density(length: Values, mean: Values, dimension: int) -> Values:
 
 
 def _scaled_bessel(order: float, x: Values) -> Values:
-    """Return the modified Bessel function of the first kind times ``exp(-x)``: of few dimensions by faster means."""
+    """Return the modified Bessel function of the first kind times ``exp(-x)``, with a faster way for few dimensions."""
     from scipy.special import i0e, i1e, ive
 
     if order == 0:
@@ -92,7 +92,7 @@ def _scaled_bessel(order: float, x: Values) -> Values:
 
 
 def _log_scaled_bessel(order: float, x: Values) -> Values:
-    r"""Return the logarithm of the same for large orders, where the function itself is too small for a number.
+    r"""Return the logarithm of the scaled Bessel function for large orders, where the function itself underflows.
 
     By Debye's uniform expansion (Olver 1974, section 10.7), to 1e-9 from an order of ten on.
     """
@@ -106,7 +106,7 @@ def _log_scaled_bessel(order: float, x: Values) -> Values:
 
 
 def norm_above(length: float, mean: Values, dimension: int) -> Values:
-    """Return the probability that a Gaussian vector with unit covariance and a mean of that length is longer."""
+    """Return the probability that a Gaussian vector with unit covariance and a mean of that length exceeds a length."""
     from scipy.special import chndtr
 
     return 1 - chndtr(max(length, 0.0) ** 2, dimension, np.asarray(mean, dtype=float) ** 2)

@@ -1,4 +1,4 @@
-"""The generalised likelihood ratio: the residual summed since any recent time, whichever sum is the least by chance."""
+"""Generalised likelihood ratio: the residual summed since any recent time, whichever sum is least due to chance."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _SMALLEST = 0.01
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class GLRTest(StreamTest):
-    """The generalised likelihood ratio with every number filled in: what runs."""
+    """Fitted generalised likelihood ratio."""
 
     NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {**StreamTest.NUMBER_KINDS, "window": WINDOW}
 
@@ -57,28 +57,28 @@ class GLRTest(StreamTest):
 
     @property
     def compiled(self) -> CompiledTest | None:
-        """The same in C."""
+        """Equivalent for the fused loop."""
         return self.compiled_as("glr", window=self.window) if type(self) is GLRTest else None
 
     @property
     def title(self) -> str:
-        """What is tested."""
+        """Name of the statistic."""
         return f"largest norm of the sum over 1 to {self.window} samples"
 
     @property
     def samples(self) -> int:
-        """The window."""
+        """Length of the window."""
         return self.window
 
     @property
     def least_seen(self) -> float:
-        """The mean whose longest sum is at the threshold."""
+        """Mean whose longest sum equals the threshold."""
         return self.threshold / np.sqrt(self.window)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DirectedGLRTest(GLRTest):
-    """The generalised likelihood ratio for steps in the directions of faults alone: what runs.
+    """Fitted generalised likelihood ratio for steps in the directions of faults alone.
 
     Attributes
     ----------
@@ -100,19 +100,19 @@ class DirectedGLRTest(GLRTest):
 
     @property
     def compiled(self) -> CompiledTest | None:
-        """The same in C."""
+        """Equivalent for the fused loop."""
         if type(self) is not DirectedGLRTest:
             return None
         return self.compiled_as("directed glr", window=self.window, along=self.directions)
 
     @property
     def title(self) -> str:
-        """What is tested."""
+        """Name of the statistic."""
         count = counted(self.directions.shape[1], "direction")
         return f"largest part, along {count} of faults, of the sum over 1 to {self.window} samples"
 
     def check(self, watched: Watched) -> None:
-        """Raise where a test from a file does not fit what it is to watch."""
+        """Raise if a test from a file does not fit the watched generator."""
         super().check(watched)
         if len(self.directions) != len(self.center) or not self.directions.shape[1]:
             raise FileFormatError(f"fitted.directions must be for {len(self.center)} residuals")
@@ -122,7 +122,7 @@ class DirectedGLRTest(GLRTest):
 
 @dataclass(frozen=True)
 class GLR(StreamSettings):
-    r"""Alarm while the residual, summed since some recent time, is larger than chance makes it.
+    r"""Alarm while the residual, summed since some recent time, exceeds the effect of chance.
 
     .. math:: J_k = \max_{1 \le n \le N} \frac{1}{\sqrt n} \left| \sum_{i=0}^{n-1} e_{k-i} \right| > h
 
@@ -140,8 +140,8 @@ class GLR(StreamSettings):
         is within about 5 %.
     false_alarm_rate : float, optional
         Where no time is given: the fraction of fault-free samples in alarm, with alarms as long as simulated ones that
-        are 300 samples apart: exceeded by a tenth at 0.05 and at 0.1, beyond which none is designed. When omitted, what
-        the log of a fit can carry; see :class:`residua.decide.NormThreshold`.
+        are 300 samples apart: exceeded by a tenth at 0.05 and at 0.1, beyond which none is designed. When omitted, one
+        that the log of a fit can support; see :class:`residua.decide.NormThreshold`.
     threshold : float, optional
         h, where it is to be neither.
     source : {"auto", "design", "data", "quantile", "tail", "conformal"}
@@ -186,7 +186,7 @@ class GLR(StreamSettings):
 
     window: int = 50
     directions: str | None = None
-    #: Of a copy that is made for what is watched: the steady responses of faults, and their whitened directions.
+    #: Of a copy for a watched generator: the steady responses of faults, and their whitened directions.
     _steady: ClassVar[NDArray[np.float64] | None] = None
     _along: ClassVar[NDArray[np.float64] | None] = None
 
@@ -216,7 +216,7 @@ class GLR(StreamSettings):
         return _run_length_along(threshold, _Directions(self._along), self.window)
 
     def cycle(self, threshold: float, dimension: int) -> AlarmCycle:
-        """Return how long the test is quiet, and about how long a false alarm lasts."""
+        """Return the mean lengths of quiet and, approximately, of false alarms."""
         if self._along is None:
             made = _compared(dimension, self.window)
         else:
@@ -229,7 +229,7 @@ class GLR(StreamSettings):
         return 0.25 / self.window**0.5
 
     def test(self, **parts: Any) -> GLRTest:
-        """Return what runs."""
+        """Build the fitted test."""
         plain = GLRTest(**parts, window=self.window)
         if self._steady is None:
             return plain
@@ -255,14 +255,14 @@ class GLR(StreamSettings):
         return values_in(content, where, cls, known)
 
     def test_from_record(self, content: Any, where: str, watched: Watched) -> ResidualTest:
-        """Return what runs, from a record, checked against what it is to watch."""
+        """Read a test from a record, and check it against the watched generator."""
         test = values_in(content, where, GLRTest if self.directions is None else DirectedGLRTest)
         test.check(watched)
         return test
 
 
 def _steady_responses(generator: ResidualGenerator) -> NDArray[np.float64]:
-    """Return the responses to constant faults, a row each, those that there are."""
+    """Return the responses to constant faults, a row each, as far as they exist."""
     rows = np.array([*generator.steady_directions.values()]).reshape(-1, generator.n_residuals)
     rows = rows[rows.any(axis=1)]
     if not len(rows):
@@ -275,7 +275,7 @@ def _steady_responses(generator: ResidualGenerator) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, eq=False)
 class _Directions:
-    """Unit vectors in columns, as what a cache goes by."""
+    """Unit vectors in columns, as a key of a cache."""
 
     vectors: NDArray[np.float64]
 
@@ -302,7 +302,7 @@ def _largest_part(sums: Sums) -> NDArray[np.float64]:
 
 
 def _run_length(threshold: float, dimension: int, window: int) -> float:
-    """Return the run length: of single samples that of their norm, else the approximation as simulated runs mend it."""
+    """Return the run length: exact for single samples, else an approximation corrected by simulated runs."""
     if window == 1:
         from scipy.special import chdtrc
 
@@ -312,7 +312,7 @@ def _run_length(threshold: float, dimension: int, window: int) -> float:
 
 
 def _run_length_along(threshold: float, along: _Directions, window: int) -> float:
-    """Return the run length of the largest part along some directions, mended as that of the norm is."""
+    """Return the run length of the largest part along some directions, corrected as that of the norm."""
     made = _compared_along(along, window)
     return made.run_length(threshold) or _approximate_along(threshold, along, window) * made.correction(threshold)
 
@@ -331,7 +331,7 @@ def _approximate_along(threshold: float, along: _Directions, window: int) -> flo
 
 @lru_cache(maxsize=1024)
 def _worth(threshold: float, along: _Directions) -> float:
-    """Return how many independent directions some are worth, far out."""
+    """Return the number of independent directions that some are worth in the tail."""
     from scipy.special import log_ndtr, ndtri_exp
 
     vectors = along.vectors
@@ -349,7 +349,7 @@ def _worth(threshold: float, along: _Directions) -> float:
 
 @lru_cache(maxsize=64)
 def _compared_along(along: _Directions, window: int) -> _Simulated:
-    """Return what simulated runs to a threshold are, beside the approximation."""
+    """Compare simulated runs to a threshold with the approximation."""
     level = threshold_of(lambda h: _approximate_along(h, along, window), _COMPARED, 3.5)
     return _simulated(len(along.vectors), window, lambda sums: np.abs(sums @ along.vectors).max(axis=2), level)
 
@@ -378,14 +378,14 @@ def _overshoot(x: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @lru_cache(maxsize=64)
 def _compared(dimension: int, window: int) -> _Simulated:
-    """Return what simulated runs to a threshold are, beside the approximation."""
+    """Compare simulated runs to a threshold with the approximation."""
     level = threshold_of(lambda h: _approximate(h, dimension, window), _COMPARED, 3.0 + 0.5 * dimension**0.5)
     return _simulated(dimension, window, row_norms, level)
 
 
 @dataclass(frozen=True, eq=False)
 class _Simulated:
-    """What simulated runs say of one threshold, and of lower ones.
+    """Simulated runs to one threshold, and to lower ones.
 
     Attributes
     ----------
@@ -406,18 +406,18 @@ class _Simulated:
     runs: NDArray[np.float64]
 
     def run_length(self, threshold: float) -> float | None:
-        """Return the run length to a threshold that is below all simulated runs; ``None`` of a higher one."""
+        """Return the run length to a threshold below those of all simulated runs; ``None`` for a higher one."""
         if threshold >= self.level:
             return None
         return float(np.exp(np.interp(threshold, self.below, np.log(self.runs))))
 
     def correction(self, threshold: float) -> float:
-        """Return how much longer runs are than the approximation says, which is the better the rarer alarms are."""
+        """Return the factor of runs over the approximation, which is the better the rarer alarms are."""
         return 1 + (self.ratio - 1) * (self.level / threshold) ** 2
 
 
 def _simulated(dimension: int, window: int, size: Callable[[NDArray], NDArray], level: float) -> _Simulated:
-    """Return the runs to a level, and of some the alarm after it and the way to the next; sizes are (runs, window)."""
+    """Return the runs to a level, and for some the alarm after it and the run to the next; sizes are (runs, window)."""
     rng = np.random.default_rng(0)
     start = np.zeros((_RUNS, window, dimension))
     below = np.linspace(0.0, level, _LEVELS + 1)
@@ -444,7 +444,7 @@ def _until(
     ended: Callable[[NDArray[np.float64]], NDArray[np.bool_]],
     size: Callable[[NDArray], NDArray],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the samples of each run until its statistic is so, and its sums then."""
+    """Return the samples of each run until its statistic meets the condition, and its sums then."""
     root = np.sqrt(np.arange(1.0, sums.shape[1] + 1))
     sums, left = sums.copy(), np.arange(len(sums))
     samples, out = np.zeros(len(sums)), np.empty_like(sums)

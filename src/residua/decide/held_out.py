@@ -1,4 +1,4 @@
-"""The last part of fault-free recordings, kept out of a fit: how often the fitted test alarms there."""
+"""Held-out part of fault-free recordings, and the alarms of the fitted test on it."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class HeldOut(Record):
 
     @property
     def interval(self) -> tuple[float, float]:
-        r"""The 95 % confidence interval of the rate, of as many independent samples as they are worth.
+        r"""95 % confidence interval of the rate, from the number of independent samples.
 
         .. math:: B^{-1}_{0.025}(k, n - k + 1), \qquad B^{-1}_{0.975}(k + 1, n - k)
 
@@ -95,12 +95,12 @@ class HeldOut(Record):
 
     @property
     def is_over(self) -> bool:
-        """Whether the rate is over that aimed at, with 97.5 % confidence."""
+        """True if the rate exceeds its target, with 97.5 % confidence."""
         return self.interval[0] > self.asked
 
     @property
     def is_far_over(self) -> bool:
-        """Whether the rate is over ten times that aimed at, with 97.5 % confidence."""
+        """True if the rate exceeds ten times its target, with 97.5 % confidence."""
         return self.interval[0] > _FAR * self.asked
 
     def __str__(self) -> str:
@@ -130,7 +130,7 @@ def held_out_rows(run: FaultFreeRun, share: float, window: int) -> NDArray[np.bo
 
 
 def alarms_held_out(test: ResidualTest, run: FaultFreeRun, held: NDArray[np.bool_], asked: float) -> HeldOut | None:
-    """Run a fitted test over fault-free recordings, and count its alarms where they were held out.
+    """Run a fitted test over fault-free recordings, and count its alarms on the held-out samples.
 
     Those samples are judged whose whole window was held out. The samples are worth ``n / tau`` independent ones, with
     the correlation time of the squared statistic, or of being in alarm where that is longer.

@@ -108,7 +108,7 @@ def minimal_hitting_sets(
     DataError
         If a conflict set is empty: then no fault explains its residual. If there are too many sets.
     SettingError
-        If a rate does not lie between 0 and 1 or is that of no fault here, or ``most_faults`` is no number of faults.
+        If a rate does not lie between 0 and 1 or is for an unknown fault, or ``most_faults`` is not a number of faults.
 
     See Also
     --------
@@ -175,7 +175,7 @@ def _names(one: object, name: str) -> list[Any]:
 
 
 def _hit(found: list[frozenset[str]], conflict: tuple[str, ...], most: int | None) -> tuple[list[frozenset[str]], bool]:
-    """Return the minimal sets that hit one more conflict set, and whether any was left out for its size."""
+    """Return the minimal sets that hit one more conflict set, and a flag for any left out for its size."""
     kept = [one for one in found if not one.isdisjoint(conflict)]
     out, cut = list(kept), False
     for one in found:

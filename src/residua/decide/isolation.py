@@ -1,7 +1,7 @@
-"""The seam of isolations: what tells from residuals, and from what fired, which fault it is.
+"""Interface of isolations, which find the fault from the residuals and from the members that fired.
 
 An isolation is two classes in one file, as a test is (:mod:`residua.decide.test`): the *settings* that users write, and
-what *runs*. A monitor knows no kind of isolation. One of a user's own needs no more than :meth:`Isolation.start`,
+the fitted isolation. A monitor knows no kind of isolation. Your own needs no more than :meth:`Isolation.start`,
 :meth:`Isolation.run` and the names of its groups.
 """
 
@@ -33,7 +33,7 @@ from residua.records import Record, values_in, values_out
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """What an isolation says of each sample; every array starts with (plants, time), or with (time,) for one plant.
+    """Scores of each sample by an isolation; every array starts with (plants, time), or (time,) for one plant.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class Scores:
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What was seen of one plant: a whole recording, or the latest sample.
+    """Data of one plant for an isolation: a whole recording, or the latest sample.
 
     Attributes
     ----------
@@ -115,7 +115,7 @@ class Named:
     no_fault: float | None = None
 
     def of_alarm(self) -> dict[str, Any]:
-        """Return what an :class:`residua.monitor.Alarm` takes over."""
+        """Return the fields that an :class:`residua.monitor.Alarm` takes over."""
         names = ("candidates", "sizes", "arrival", "reading", "read_share", "present", "fired", "learnt")
         names = (*names, "unknown", "no_fault")
         fields = {name: getattr(self, name) for name in names}
@@ -127,7 +127,7 @@ Naming = Callable[[int, int, int], Named]
 
 
 class Isolation(Record, ABC):
-    """What names faults, with every number filled in: what runs. A frozen dataclass with at least these attributes.
+    """Base of isolations with all parameters set, which name faults. A frozen dataclass with at least these attributes.
 
     Attributes
     ----------
@@ -149,18 +149,18 @@ class Isolation(Record, ABC):
 
     @abstractmethod
     def run(self, state: Any, block: Block, tested: Tested) -> tuple[Any, Scores]:
-        """Run over a block of samples, and return the state to go on with and the outcome for each sample.
+        """Run over a block of samples, and return the next state and the outcome for each sample.
 
         A pure function, with the same bits however time is cut into blocks, and for any number of plants at once.
         """
 
     @property
     def compiled(self) -> CompiledIsolation | CompiledCodes | None:
-        """What the fused loop runs in its place, with the same bits; ``None`` where :meth:`run` is all there is."""
+        """Equivalent for the fused loop, equal to the last bit; ``None`` if there is only :meth:`run`."""
         return None
 
     def candidates(self, scores: NDArray[np.float64]) -> tuple[Candidate, ...]:
-        """Return the groups by their scores at one sample, best first; none where nothing is known."""
+        """Return the groups by their scores at one sample, best first; none if unknown."""
         if scores.size == 0 or np.isnan(scores).all():
             return ()
         order = np.argsort(-np.nan_to_num(scores, nan=-np.inf), kind="stable")
@@ -191,27 +191,27 @@ class Isolation(Record, ABC):
         return Named(candidates=self.candidates(seen.scores.scores[0]))
 
     def same_event(self, before: Alarm, alarm: Alarm) -> bool:
-        """Tell whether an alarm that follows another soon is about the same thing."""
+        """Tell whether an alarm that soon follows another is about the same event."""
         return leader(before) == leader(alarm)
 
     def name_of_several(self, parts: Sequence[Alarm], exceeded: NDArray[np.bool_], name: Naming) -> Named | None:
-        """Return the attribution of several alarms that are one; ``None``: that of the longest of them."""
+        """Return the attribution of several merged alarms; ``None`` for that of the longest of them."""
         return None
 
-    # ----------------------------------------------- what the rest of a monitor asks for
+    # ----------------------------------------------- interface to the rest of a monitor
 
     @property
     def samples(self) -> int:
-        """Samples that a name is judged over."""
+        """Number of samples from which a name is judged."""
         return 1
 
     def samples_to_be_sure(self, test: ResidualTest) -> int:
-        """Return how long an alarm has to last for its name to be sure."""
+        """Return the length of an alarm from which its name is reliable."""
         return self.samples
 
     @property
     def signatures(self) -> tuple[NDArray[np.float64], ...]:
-        """For each group an orthonormal basis of where its whitened residual points; empty if not used."""
+        """Orthonormal basis of the whitened residual for each group; empty if not used."""
         return ()
 
     @property
@@ -221,25 +221,25 @@ class Isolation(Record, ABC):
 
     @property
     def has_words(self) -> bool:
-        """Whether alarms get a word by what the responses to faults explain: of names by direction or response."""
+        """True if alarms get a word by the responses to faults, as with names by direction or response."""
         return False
 
     @property
     def names_early(self) -> bool:
-        """Whether it names alarms that the residual is too little moved by for a word: by other things beside it."""
+        """True if it names alarms that move the residual too little for a word, from other evidence."""
         return False
 
     def agreed(self, alarm: Alarm, word: Word) -> Word:
-        """Return the word for an alarm by what faults explain of the residual, as far as it goes with all else."""
+        """Return the word for an alarm from the responses to faults, as far as the other evidence agrees."""
         return word
 
     @property
     def coding(self) -> Any:
-        """The codes that members are read against, a :class:`residua.decide.CodeTest`; or ``None``."""
+        """Codes against which members are read, a :class:`residua.decide.CodeTest`; or ``None``."""
         return None
 
     def words(self, step: float) -> dict[str, str]:
-        """Return in words how faults are named, and what of the test is put in other words here.
+        """Describe how faults are named, and override descriptions of the test.
 
         Parameters
         ----------
@@ -262,7 +262,7 @@ class Isolation(Record, ABC):
         return statement_by_score(alarm, clock, self.word(alarm, window))
 
     def word(self, alarm: Alarm, window: int) -> Word | None:
-        """Return how well listed faults explain an alarm: the word that it has, else by its scores; or ``None``.
+        """Return the word for an alarm: from the fit of listed faults, else from scores; or ``None``.
 
         Parameters
         ----------
@@ -274,15 +274,15 @@ class Isolation(Record, ABC):
 
     @property
     def where_missing(self) -> str:
-        """What of missing values matters to this isolation, in words."""
+        """Text on the role of missing values in this isolation."""
         return ""
 
     def notes(self) -> tuple[str, ...]:
-        """Return what is to be minded of its settings."""
+        """Return remarks on its settings."""
         return ()
 
     def cautions(self, bounds: Mapping[str, MemberBounds], alarms: Sequence[Alarm], seen: Seen) -> tuple[str, ...]:
-        """Return what to mind before a name is believed; ``bounds`` are what a design is certain of its members."""
+        """Return cautions about a name; ``bounds`` are the certified bounds of the members of a design."""
         return ()
 
     # --------------------------------------------------------------------------- files
@@ -292,21 +292,21 @@ class Isolation(Record, ABC):
         return values_out(self)
 
     def check(self, watched: Watched, test: ResidualTest) -> None:
-        """Raise :class:`residua.errors.FileFormatError` where an isolation from a file does not fit what it names."""
+        """Raise :class:`residua.errors.FileFormatError` if an isolation from a file does not fit its generator."""
 
     def check_state(self, state: Any, count: int) -> None:
-        """Raise :class:`residua.errors.FileFormatError` where a state after ``count`` samples cannot be one."""
+        """Raise :class:`residua.errors.FileFormatError` if a state after ``count`` samples is invalid."""
 
 
 class IsolationSettings(Record, ABC):
-    """What users write to have an isolation. A frozen dataclass.
+    """Base of the settings of isolations. A frozen dataclass.
 
     Attributes
     ----------
     kind : str
         The mark of its records in files.
     makes : type
-        What runs: an :class:`Isolation`.
+        Class of the fitted :class:`Isolation`.
     """
 
     kind: ClassVar[str]
@@ -314,24 +314,24 @@ class IsolationSettings(Record, ABC):
 
     @abstractmethod
     def isolation(self, generator: ResidualGenerator, test: ResidualTest) -> Isolation:
-        """Return what names the faults of a generator, of the alarms of a test."""
+        """Return the isolation of the faults of a generator, for the alarms of a test."""
 
-    # ----------------------------------------------- what the rest of a monitor asks for
+    # ----------------------------------------------- interface to the rest of a monitor
 
     @classmethod
     def for_design(cls, design: Any, generator: ResidualGenerator) -> Self | None:
-        """Return the settings for a design that is made to be read like this (``"auto"``); else ``None``."""
+        """Return the settings for a design that is made to be read this way (``"auto"``); else ``None``."""
         return None
 
     def check(self, generator: ResidualGenerator) -> None:
-        """Raise :class:`residua.errors.SettingError` where faults of this generator cannot be named like this."""
+        """Raise :class:`residua.errors.SettingError` if faults of this generator cannot be named this way."""
 
     def parts(self, generator: ResidualGenerator) -> dict[str, tuple[int, ...]] | None:
-        """Return what has to be tested by itself, by name; ``None``: the residual as a whole."""
+        """Return the residuals to be tested separately, by name; ``None`` for the residual as a whole."""
         return None
 
     def own_test(self, design: Any) -> TestSettings | None:
-        """Return the settings of the test that a design has beside this isolation; ``None``: the default."""
+        """Return the settings of the test that a design has beside this isolation; ``None`` for the default."""
         return None
 
     def test_of(self, settings: TestSettings) -> TestSettings:
@@ -339,7 +339,7 @@ class IsolationSettings(Record, ABC):
         return settings
 
     def kept(self, generator: ResidualGenerator) -> tuple[str, int, int] | None:
-        """Return the window as it was set, its samples, and the numbers that are kept of each for a plant."""
+        """Return the setting of the window, its samples, and the numbers kept for each sample of a plant."""
         return None
 
     # --------------------------------------------------------------------------- files
@@ -354,10 +354,10 @@ class IsolationSettings(Record, ABC):
         return values_in(content, where, cls)
 
     def check_record(self, content: Mapping[str, Any], where: str) -> None:
-        """Raise where a record of an isolation is not of these settings, before anything is made of it."""
+        """Raise if a record of an isolation does not match these settings, before anything is built from it."""
 
     def isolation_from_record(self, content: Any, where: str, watched: Watched, test: ResidualTest) -> Isolation:
-        """Return what runs, from a record, checked against what it names."""
+        """Read an isolation from a record, and check it."""
         isolation = values_in(content, where, self.makes)
         isolation.check(watched, test)
         return isolation
@@ -365,13 +365,13 @@ class IsolationSettings(Record, ABC):
 
 @dataclass(frozen=True, eq=False)
 class NoNames(Isolation):
-    """What names nothing."""
+    """Isolation that names nothing."""
 
     groups: tuple[tuple[str, ...], ...] = ()
     unjudged: tuple[str, ...] = ()
 
     def start(self, plants: int) -> None:
-        """Return that nothing is remembered."""
+        """Return ``None``: there is no state."""
 
     def run(self, state: Any, block: Block, tested: Tested) -> tuple[Any, Scores]:
         """Return scores of no group."""
@@ -379,28 +379,28 @@ class NoNames(Isolation):
 
     @property
     def compiled(self) -> CompiledIsolation | None:
-        """Nothing to be done."""
+        """Equivalent for the fused loop, which does nothing."""
         return CompiledIsolation() if type(self) is NoNames else None
 
     def words(self, step: float) -> dict[str, str]:
-        """Return nothing."""
+        """Return no descriptions."""
         return {}
 
 
 @dataclass(frozen=True)
 class NoIsolation(IsolationSettings):
-    """Alarms without names: what a monitor with ``isolate=None`` has."""
+    """Settings for alarms without names, as with ``isolate=None``."""
 
     kind: ClassVar[str] = "none"
     makes: ClassVar[type[Isolation]] = NoNames
 
     def isolation(self, generator: ResidualGenerator, test: ResidualTest) -> Isolation:
-        """Return what names nothing."""
+        """Return an isolation that names nothing."""
         return NoNames()
 
 
 def check_groups(groups: Sequence[Sequence[str]], unjudged: Sequence[str], where: str, faults: Sequence[str]) -> None:
-    """Raise unless groups and faults that are never named have each fault of a plant once."""
+    """Raise unless groups and faults that are never named contain each fault of a plant once."""
     if sorted([*unjudged, *(name for group in groups for name in group)]) != sorted(faults):
         raise FileFormatError(f"{where}: groups and unjudged must be the faults of the plant, each once")
 

@@ -1,4 +1,4 @@
-"""The kinds of tests and isolations: one registry, which files and ``isolate="auto"`` go by."""
+"""Registry of the kinds of tests and isolations, used by files and by ``isolate="auto"``."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ Kind = TypeVar("Kind", bound=type[TestSettings] | type[IsolationSettings])
 
 
 def register(cls: Kind) -> Kind:
-    """Make a test or an isolation of your own known, so that monitors with it can be loaded from files.
+    """Register a test or an isolation of your own, so that monitors with it can be loaded from files.
 
     Use it as a decorator of the settings.
 

@@ -1,4 +1,4 @@
-"""Faults that are known from recordings of them: a direction with its cone, or a code."""
+"""Faults known from recordings of them: a direction with its cone, or a code."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _LEAST_FREEDOM = 3
 
 @dataclass(frozen=True, eq=False)
 class LearntFault(Record):
-    """A fault as recordings of it have shown it.
+    """A fault as shown by recordings of it.
 
     Attributes
     ----------
@@ -76,12 +76,12 @@ class LearntFault(Record):
 
     @property
     def by_code(self) -> bool:
-        """Whether it is known by its code."""
+        """True if the fault is known by its code."""
         return bool(self.code.size)
 
     @property
     def basis(self) -> str:
-        """What it was learnt from, in words."""
+        """Description of the data from which it was learnt."""
         text = f"{counted(self.recordings, 'recording')}, {self.samples} samples"
         if self.by_code:
             return f"{text}, its code in {100 * self.share:.0f} % of them"
@@ -102,7 +102,7 @@ class _Occurrence:
 def learnt_direction(
     name: str, rows: Sequence[NDArray[np.float64]], space: NDArray[np.float64], window: int
 ) -> LearntFault:
-    r"""Return the direction of a fault from residuals while it was there, of one recording or several.
+    r"""Return the direction of a fault from residuals during it, in one recording or several.
 
     .. math::
 
@@ -110,8 +110,8 @@ def learnt_direction(
        \qquad \tan \alpha = \frac{\varrho_{95}(\operatorname{cov} \hat s_\perp)}{\|s\|}
 
     with eigenvalues :math:`\lambda_i`, 1 or more, and vectors :math:`v_i` of the covariance of the whitened residual,
-    and the correlation time :math:`\tau_i` of each component. Of several recordings, the larger of this and of what
-    their own directions say of their mean.
+    and the correlation time :math:`\tau_i` of each component. Of several recordings, the larger of this and of
+    the spread of their own directions about their mean.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ def learnt_direction(
 
 
 def _occurrence(name: str, q: NDArray[np.float64], window: int, number: int, of: int) -> _Occurrence:
-    """Return the mean of one recording with its covariance, or raise where it shows no fault."""
+    """Return the mean of one recording with its covariance, or raise if it shows no fault."""
     from scipy.special import fdtrc  # slow to import, and needed only here
 
     which = f"recording {number} of {of}" if of > 1 else "the recording"
@@ -166,7 +166,7 @@ def _occurrence(name: str, q: NDArray[np.float64], window: int, number: int, of:
     away = q - mean
     if not np.any(mean):
         raise DataError(f"{which} of {name!r} shows no fault: the mean of its residuals is the fault-free one")
-    # What a fault that grows or wavers does along its own direction is no error of the direction.
+    # Variation of a fault along its own direction is not an error of the direction.
     direction = mean / np.linalg.norm(mean)
     values, vectors = np.linalg.eigh(across(direction, away.T @ away / (count - 1)))
     vectors[:, 0] = direction  # at right angles to all others, where nothing is left
@@ -191,7 +191,7 @@ def _occurrence(name: str, q: NDArray[np.float64], window: int, number: int, of:
 
 
 def _times(columns: NDArray[np.float64]) -> NDArray[np.float64]:
-    r"""Return the correlation times of columns whose own mean was taken off.
+    r"""Return the correlation times of columns less their own means.
 
     That lowers each correlation by :math:`\tau / N`, and the sum over ``L`` lags by :math:`2 L \tau / N`, with ``L`` of
     five times :math:`\tau`, and a quarter of the samples at most.
@@ -203,7 +203,7 @@ def _times(columns: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _between(mean: NDArray[np.float64], shifts: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Return the covariance of single shifts about their mean, each brought to its size; of one shift zero."""
+    """Return the covariance of single shifts about their mean, each scaled to its size; zero for one shift."""
     if len(shifts) < 2:
         return np.zeros((len(mean), len(mean)))
     square = float(mean @ mean)
@@ -218,7 +218,7 @@ def across(direction: NDArray[np.float64], covariance: NDArray[np.float64]) -> N
 
 
 def square_at(covariance: NDArray[np.float64], share: float, independent: float = math.inf) -> float:
-    """Return what the squared length of a Gaussian vector stays below with a probability, by its first two moments.
+    """Return a quantile of the squared length of a Gaussian vector, by its first two moments.
 
     ``independent`` is the number of independent samples that the covariance is from.
     """
@@ -235,7 +235,7 @@ def square_at(covariance: NDArray[np.float64], share: float, independent: float 
 
 
 def occurrence_square(between: NDArray[np.float64], recordings: int, share: float, new: bool) -> float:
-    """Return the same for the mean of occurrences, or for a new one, by the spread between those seen.
+    """Return a quantile for the mean of occurrences, or for a new one, by the spread between those seen.
 
     It is taken to be the same in all ``k - 1`` directions across; where so few were seen that its own error has fewer
     than three degrees of freedom, that error is left out.
@@ -267,7 +267,7 @@ def cone_angle(
     radius = max(
         square_at(sideways, CONE_SHARE, independent), occurrence_square(between, recordings, CONE_SHARE, new=False)
     )
-    length = size**2 - float(np.trace(sideways))  # errors lengthen what is measured
+    length = size**2 - float(np.trace(sideways))  # errors lengthen the measured shift
     return math.degrees(math.atan2(math.sqrt(radius), math.sqrt(max(length, 0.0))))
 
 

@@ -47,7 +47,7 @@ _BELIEVED = 0.70
 FARTHEST = math.degrees(math.acos(_BELIEVED))
 #: A cone and noise that are wider, in degrees, leave room for a fault that is not listed.
 _WIDE = math.degrees(math.acos(POOR_SCORE))
-#: Says of each learnt fault what it was learnt from.
+#: States the data of each learnt fault.
 _MEANING = (
     "The score is the cosine of the angle between the residual and a signature, over the monitor's window. A learnt "
     "fault is named where the residual is no further off its direction than the cone of the direction and the noise of "
@@ -58,7 +58,7 @@ _MEANING = (
 
 @dataclass(frozen=True, eq=False)
 class LearntState:
-    """What isolation with learnt faults remembers.
+    """State of an isolation with learnt faults.
 
     Attributes
     ----------
@@ -74,12 +74,12 @@ class LearntState:
 
 @dataclass(frozen=True, eq=False)
 class LearntDirections(Isolation):
-    """Directions learnt from recordings, beside what names the faults of the model: what runs.
+    """Fitted isolation by directions learnt from recordings, beside the faults of the model.
 
     Attributes
     ----------
     base : Isolation
-        What names the faults of the model.
+        Isolation of the faults of the model.
     faults : tuple of LearntFault
     center : ndarray, shape (k,)
         Fault-free mean of the residual.
@@ -99,17 +99,17 @@ class LearntDirections(Isolation):
 
     @property
     def groups(self) -> tuple[tuple[str, ...], ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Those of the model, then the learnt faults."""
+        """Groups of the model, then the learnt faults."""
         return (*self.base.groups, *((label,) for label in self.labels))
 
     @property
     def unjudged(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Those of the model."""
+        """Faults of the model that are not judged."""
         return self.base.unjudged
 
     @cached_property
     def labels(self) -> tuple[str, ...]:
-        """Names of the learnt faults; one that the model has too is marked."""
+        """Names of the learnt faults, marked if the model has the same name."""
         modelled = {name for group in self.base.groups for name in group} | set(self.base.unjudged)
         return tuple(learnt_label(fault.name, modelled) for fault in self.faults)
 
@@ -121,7 +121,7 @@ class LearntDirections(Isolation):
 
     @cached_property
     def sizes(self) -> NDArray[np.float64]:
-        """Lengths of the shifts that were learnt, in the whitened space."""
+        """Lengths of the learnt shifts, in the whitened space."""
         return row_norms(ordered_product(np.array([[fault.shift for fault in self.faults]]), self.space)[0])
 
     @cached_property
@@ -159,7 +159,7 @@ class LearntDirections(Isolation):
         return LearntState(base, window), replace(scores, scores=joint, size=size / self.window)
 
     def matches(self, scores: NDArray[np.float64], size: float) -> tuple[LearntMatch, ...]:
-        """Return how far a window's mean of a size is off each learnt direction, and how far it may be."""
+        """Return the angle of a window's mean to each learnt direction, and the allowed angle."""
         out = []
         for j, label in enumerate(self.labels):
             cosine = float(scores[len(self.base.groups) + j])
@@ -173,9 +173,9 @@ class LearntDirections(Isolation):
         return tuple(out)
 
     def _with_learnt(self, named: Named, scores: NDArray[np.float64], size: float) -> Named:
-        """Return an attribution with the learnt faults; without a name where nothing explains the residual.
+        """Return an attribution with the learnt faults; without a name if nothing explains the residual.
 
-        What the model predicts has no cone: it is believed where it explains the residual well, and no learnt fault
+        A predicted direction has no cone: it is accepted if it explains the residual well, and no learnt fault
         that is excluded explains more. A learnt fault goes before one of the model that it cannot be told from here.
         """
         matches = self.matches(scores, size)
@@ -212,11 +212,11 @@ class LearntDirections(Isolation):
         named = self.base.name_now(self._base_seen(seen))
         return self._with_learnt(named, seen.scores.scores[0], float(seen.scores.size[0]))
 
-    # ----------------------------------------------- what the rest of a monitor asks for
+    # ----------------------------------------------- interface to the rest of a monitor
 
     @property
     def samples(self) -> int:
-        """Samples that a name is judged over."""
+        """Number of samples from which a name is judged."""
         return self.window
 
     @property
@@ -243,7 +243,7 @@ class LearntDirections(Isolation):
         return tuple(sorted(out, key=lambda pair: pair[1]))
 
     def notes(self) -> tuple[str, ...]:
-        """Return which learnt faults cannot be distinguished from another fault, by angle."""
+        """Return the learnt faults that cannot be distinguished from another fault, by angle."""
         place = {label: k for k, label in enumerate(self.labels)}
         out = list(self.base.notes())
         if len(self.space) == 1 and len(self.groups) == 1:
@@ -260,14 +260,14 @@ class LearntDirections(Isolation):
         return tuple(out)
 
     def words(self, step: float) -> dict[str, str]:
-        """Return in words how faults are named."""
+        """Describe how faults are named."""
         own = f"directions of {counted(len(self.faults), 'learnt fault')} over {self.window} samples"
         base = self.base.words(step).get("isolation")
         faults = "; ".join(f"{label}: {f.basis}" for label, f in zip(self.labels, self.faults, strict=True))
         return {**self.base.words(step), "isolation": f"{base}; {own}" if base else own, "learnt faults": faults}
 
     def statement(self, alarm: Alarm, clock: Clock, window: int) -> Statement:
-        """Return the statement about an alarm: the name, what it was learnt from, and what else it is not."""
+        """Return the statement about an alarm: the name, the data it was learnt from, and the faults it excludes."""
         if not alarm.learnt:
             return self.base.statement(alarm, clock, window)
         word = self.word(alarm, window)
@@ -290,7 +290,7 @@ class LearntDirections(Isolation):
         return replace(said, sentences=(*said.sentences, *more), lines=(*said.lines, *lines))
 
     def word(self, alarm: Alarm, window: int) -> Word | None:
-        """Return how well one learnt fault explains an alarm, and no other; of the model's by the base, or by score."""
+        """Return the word if one learnt fault alone explains an alarm; else from the base, or by score."""
         if not alarm.learnt:
             return self.base.word(alarm, window)
         if not alarm.candidates:
@@ -308,22 +308,22 @@ class LearntDirections(Isolation):
         return replace(word, kind=GOOD, faults=(best.faults,), unlisted="", why="by its learnt direction")
 
     def same_event(self, before: Alarm, alarm: Alarm) -> bool:
-        """Tell whether an alarm that follows another soon is about the same thing."""
+        """Tell whether an alarm that soon follows another is about the same event."""
         return self.base.same_event(before, alarm)
 
     def cautions(self, bounds: Mapping[str, MemberBounds], alarms: Sequence[Alarm], seen: Seen) -> tuple[str, ...]:
-        """Return what to mind before a name is believed."""
+        """Return cautions about a name."""
         return self.base.cautions(bounds, alarms, seen)
 
     def check_state(self, state: LearntState, count: int) -> None:
-        """Raise where a state from a file cannot be one."""
+        """Raise if a state from a file is invalid."""
         self.base.check_state(state.base, count)
         state.window.check("state.isolation.window")
 
 
 @dataclass(frozen=True, eq=False)
 class LearntCodes(CodeTest):
-    """Codes of a bank with those of learnt faults: what runs.
+    """Fitted codes of a bank, with those of learnt faults.
 
     Attributes
     ----------
@@ -339,7 +339,7 @@ class LearntCodes(CodeTest):
         return self.faults
 
     def words(self, step: float) -> dict[str, str]:
-        """Return in words how faults are named."""
+        """Describe how faults are named."""
         return super().words(step) | {"learnt faults": "; ".join(f"{f.name}: {f.basis}" for f in self.faults)}
 
 
@@ -359,7 +359,7 @@ def _none_of(alarm: Alarm) -> str:
 
 
 def learnt_label(name: str, modelled: set[str]) -> str:
-    """Return what a learnt fault is called: marked where the model has a fault of that name."""
+    """Return the label of a learnt fault, marked if the model has a fault of that name."""
     return f"{name} (learnt)" if name in modelled else name
 
 
@@ -370,7 +370,7 @@ def with_learnt(
     space: Callable[[], NDArray[np.float64]],
     window: int,
 ) -> Isolation:
-    """Return an isolation that names learnt faults beside those that it has.
+    """Return an isolation that also names learnt faults.
 
     Raises
     ------
@@ -385,7 +385,7 @@ def with_learnt(
 
 
 def _with_codes(base: CodeTest, faults: Sequence[LearntFault]) -> CodeTest:
-    """Return codes with those that were learnt: one equal to another joins its group."""
+    """Return codes extended by learnt ones; one equal to another joins its group."""
     modelled = {name for group in base.groups for name in group} | set(base.unjudged)
     groups, codes = [list(group) for group in base.groups], [base.codes[:, g] for g in range(len(base.groups))]
     settled = list(base.settled)

@@ -1,4 +1,4 @@
-"""Isolation by likelihood: how probable each fault is, and which of them the data cannot tell apart."""
+"""Isolation by likelihood: the probability of each fault, and faults that the data cannot distinguish."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ _RULES = (
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """What the filter says of each sample.
+    """Posterior of each sample.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class Posterior:
 
 @dataclass(frozen=True, eq=False)
 class LikelihoodState:
-    """What is remembered.
+    """State of the filter.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class LikelihoodState:
 
 @dataclass(frozen=True, eq=False)
 class LikelihoodNames(Isolation):
-    """Likelihoods of faults in white residuals: what runs.
+    """Fitted isolation by likelihoods of faults in white residuals.
 
     Attributes
     ----------
@@ -131,7 +131,7 @@ class LikelihoodNames(Isolation):
 
     @cached_property
     def filter(self) -> FaultFilter:
-        """The filter over faults, with the responses that the autoregression leaves of steps."""
+        """The filter over faults, with the step responses after the autoregression."""
         k, live = len(self.center), self.live
         left = np.cumsum(np.concatenate([np.eye(k)[None], -self.coefficients]), axis=0)
         steps = (left @ self.rewhitening)[:, :, live]
@@ -140,7 +140,7 @@ class LikelihoodNames(Isolation):
 
     @cached_property
     def lines(self) -> NDArray[np.float64]:
-        """Where the white residual of a settled fault points: columns of length 1, shape (m, groups)."""
+        """Directions of the white residual under settled faults: columns of length 1, shape (m, groups)."""
         settled = self.filter.responses[:, -1]
         return (settled / np.linalg.norm(settled, axis=1)[:, None]).T
 
@@ -210,20 +210,20 @@ class LikelihoodNames(Isolation):
         )
         return Named(candidates=candidates, unknown=float(probability[-2]), no_fault=float(probability[-1]))
 
-    # ----------------------------------------------- what the rest of a monitor asks for
+    # ----------------------------------------------- interface to the rest of a monitor
 
     @property
     def samples(self) -> int:
-        """The window."""
+        """Length of the window."""
         return self.window
 
     @property
     def signatures(self) -> tuple[NDArray[np.float64], ...]:
-        """The directions in the residual as the test whitens it."""
+        """Directions in the residual as the test whitens it."""
         return tuple(row[:, None] for row in self.directions)
 
     def words(self, step: float) -> dict[str, str]:
-        """Return in words how faults are named."""
+        """Describe how faults are named."""
         over = f"{self.window} samples ({self.window * step:g} s)"
         return {"isolation": f"probability of each fault, by the likelihood of steps, told apart by age up to {over}"}
 
@@ -238,7 +238,7 @@ class LikelihoodNames(Isolation):
     # --------------------------------------------------------------------------- files
 
     def check(self, watched: Watched, test: ResidualTest) -> None:
-        """Raise where an isolation from a file is not of the residuals, the faults and the test."""
+        """Raise if an isolation from a file does not match the residuals, the faults and the test."""
         where, k = "running.isolation", watched.generator.n_residuals
         check_groups(self.groups, self.unjudged, where, watched.generator.faults)
         for name in ("center", "whitening", "coefficients", "rewhitening"):
@@ -256,7 +256,7 @@ class LikelihoodNames(Isolation):
             raise FileFormatError(f"{where}.directions: every group must move a residual that noise moves")
 
     def check_state(self, state: LikelihoodState, count: int) -> None:
-        """Raise where a state from a file cannot be one."""
+        """Raise if a state from a file is invalid."""
         flags = state.recent[..., -1]
         if not np.isin(flags, (0.0, 1.0)).all():
             raise FileFormatError("state.isolation.recent: its last column must be 0 or 1")
@@ -265,7 +265,7 @@ class LikelihoodNames(Isolation):
 
 
 def fit_p_value(z: NDArray[np.float64], line: NDArray[np.float64]) -> float | None:
-    r"""Return the probability that noise leaves as much beside a fault's direction.
+    r"""Return the probability that noise alone leaves as much outside of a fault's direction.
 
     .. math:: |z|^2 - (\ell^T z)^2 \sim \chi^2_{m-1}
 
@@ -280,7 +280,7 @@ def fit_p_value(z: NDArray[np.float64], line: NDArray[np.float64]) -> float | No
 
 
 def pair_p_value(z: NDArray[np.float64], line: NDArray[np.float64], other: NDArray[np.float64]) -> float:
-    r"""Return the probability that noise alone makes another fault explain as much that this one does not.
+    r"""Return the probability that noise alone makes another fault explain as much beyond this one.
 
     .. math:: (n^T z)^2 \sim \chi^2_1, \qquad n \propto (I - \ell \ell^T) \ell'
     """
@@ -349,19 +349,19 @@ def statement_by_probability(alarm: Alarm, clock: Clock, word: Word | None) -> S
 
 @dataclass(frozen=True)
 class Likelihood(IsolationSettings):
-    r"""Say how probable each fault is, and which faults the data cannot tell apart.
+    r"""Report the probability of each fault, and the faults that the data cannot distinguish.
 
     The residual is made white by the test, so that a step of a fault of the direction :math:`\ell` is
 
     .. math:: e_t = \theta H_a + \nu_t, \qquad \nu_t \sim N(0, I), \qquad H_a \to h \ell
 
-    at its age :math:`a`; :math:`H_a` is what the autoregression of the test leaves of a step. A filter over the faults
-    and their arrivals has the probability of each fault, of one that is not listed and of none; see
+    at its age :math:`a`; :math:`H_a` is the response of the autoregression of the test to a step. A filter over the
+    faults and their arrivals has the probability of each fault, of one that is not listed and of none; see
     :class:`residua.decide.fault_posterior.FaultFilter` for the equations. Over the alarm, :math:`z = \sum e / \sqrt n`,
     the generalised likelihood ratio of a fault against none is :math:`2 \ln \Lambda = (\ell^T z)^2`; the *p-value* of a
-    fault is the probability that noise leaves as much of :math:`z` beside it,
-    :math:`|z|^2 - (\ell^T z)^2 \sim \chi^2_{m-1}`, and that of a fault against the first one the probability that noise
-    makes the first explain as much that this one does not, :math:`\chi^2_1`. Both hold whatever the size is.
+    fault is the probability that noise leaves as much of :math:`z` beside it, :math:`|z|^2 - (\ell^T z)^2 \sim
+    \chi^2_{m-1}`, and that of a fault against the first one the probability that noise makes the first explain as much
+    that this one does not, :math:`\chi^2_1`. Both hold whatever the size is.
 
     Guaranteed: of faults that are drawn from the prior rates, with sizes of N(0, size²) standard deviations, those of a
     probability p are right in a fraction p of cases. Assumes: a fault is a step, its direction is the steady one of the
@@ -476,11 +476,11 @@ class Likelihood(IsolationSettings):
         return settings
 
     def isolation(self, generator: ResidualGenerator, test: ResidualTest) -> LikelihoodNames:
-        """Return what names faults by the residual that the test makes white."""
+        """Return the isolation by the residual that the test makes white."""
         assert isinstance(test, StreamTest)
         live = moving(test)
         gain = test.steady_gain[:, live]
-        # Directions are compared where they are judged: in what the test leaves of a settled fault.
+        # Directions are compared as they are judged: in the steady innovations under a fault.
         found = direction_test(
             Directional(1, "steady"), generator.subspaces, generator.steady_directions, test.whitening @ gain
         )
@@ -505,7 +505,7 @@ class Likelihood(IsolationSettings):
         )
 
     def kept(self, generator: ResidualGenerator) -> tuple[str, int, int] | None:
-        """Return the window, and what it keeps for each age: sums and probabilities of every fault."""
+        """Return the window, and the number of values kept for each age: sums and probabilities of every fault."""
         k = generator.n_residuals
         return f"Likelihood(window={self.window})", self.window, (len(generator.faults) + 1) * (k + 1) + k + 1
 
@@ -535,7 +535,7 @@ class Likelihood(IsolationSettings):
             raise FileFormatError(f"{where}: {error}") from error
 
     def check_record(self, content: Mapping[str, Any], where: str) -> None:
-        """Raise where what runs has another window."""
+        """Raise if the window of the record differs from that of the settings."""
         if content.get("window") != self.window:
             raise FileFormatError(f"{where}.window must be that of isolate, {self.window}")
 
@@ -551,7 +551,7 @@ def _rate(rate: Any, of: str = "") -> float:
 
 
 def moving(test: StreamTest) -> NDArray[np.bool_]:
-    """Return which of the residuals that a test makes white are moved by noise: the others are copies, or rounding.
+    """Return the whitened residuals that noise moves; the others are copies, or rounding.
 
     Of less variance than a small part of the largest, before it was made one.
     """

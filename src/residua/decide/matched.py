@@ -1,4 +1,4 @@
-"""Isolation by matched filters: which fault, arrived when, explains the innovations best."""
+"""Isolation by matched filters: the fault and the arrival that explain the innovations best."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ _MEANING = (
 
 @dataclass(frozen=True, eq=False)
 class MatchedNames(Isolation):
-    """What names faults by the likelihood of their responses.
+    """Fitted isolation by the likelihood of fault responses.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class MatchedNames(Isolation):
 
     @property
     def groups(self) -> tuple[tuple[str, ...], ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Faults with responses that are alike."""
+        """Groups of faults with similar responses."""
         return self.matched.groups
 
     @property
@@ -79,7 +79,7 @@ class MatchedNames(Isolation):
         return HeldState.empty(plants)
 
     def run(self, state: HeldState, block: Block, tested: Tested) -> tuple[HeldState, Scores]:
-        """Return the attribution of a standing alarm, and how much of what exceeds the noise each group explains."""
+        """Return the attribution of a standing alarm, and the share of excess over noise that each group explains."""
         seen = tested.likelihood
         assert isinstance(seen, Likelihoods)
         likelihoods = seen.values
@@ -130,25 +130,25 @@ class MatchedNames(Isolation):
             return named
         return name(first.start, who.stop, last_over(exceeded, who.start, who.stop))  # the name that all parts agree on
 
-    # ----------------------------------------------- what the rest of a monitor asks for
+    # ----------------------------------------------- interface to the rest of a monitor
 
     @property
     def samples(self) -> int:
-        """Samples that responses are looked for in."""
+        """Number of samples over which responses are matched."""
         return self.matched.samples
 
     def samples_to_be_sure(self, test: ResidualTest) -> int:
-        """Return that names are as sure after any time."""
+        """Return one: names are equally reliable after any time."""
         return 1
 
     @property
     def signatures(self) -> tuple[NDArray[np.float64], ...]:
-        """The direction that the first fault of each group settles to, no column where that vanishes."""
+        """Steady directions of the first fault of each group, without a column if it vanishes."""
         directions = [self.matched.settled[:, [columns[0]]] for columns in self.matched.columns]
         return tuple(d / np.linalg.norm(d) if d.any() else d[:, :0] for d in directions)
 
     def words(self, step: float) -> dict[str, str]:
-        """Return in words how faults are named."""
+        """Describe how faults are named."""
         window = self.matched.window
         if not len(self.matched.responses):
             return {
@@ -161,20 +161,20 @@ class MatchedNames(Isolation):
 
     @property
     def has_words(self) -> bool:
-        """Yes."""
+        """True."""
         return True
 
     def statement(self, alarm: Alarm, clock: Clock, window: int) -> Statement:
-        """Return the statement about an alarm: by how much the likelihood leads, and when the fault arrived."""
+        """Return the statement about an alarm: the lead of the likelihood, and the arrival of the fault."""
         return statement_by_likelihood(alarm, clock, self.word(alarm, window))
 
     @property
     def where_missing(self) -> str:
-        """What of missing values matters here."""
+        """Text on the role of missing values."""
         return "samples without a decision count for none" if len(self.matched.responses) else ""
 
     def notes(self) -> tuple[str, ...]:
-        """Return a warning where the window is shorter than the responses take to settle."""
+        """Return a warning if the window is shorter than the settling time of the responses."""
         test = self.matched
         late = [test.faults[j] for j in not_settled(test.responses, test.settled)] if len(test.responses) else []
         if not late:
@@ -187,17 +187,17 @@ class MatchedNames(Isolation):
     # --------------------------------------------------------------------------- files
 
     def check_state(self, state: HeldState, count: int) -> None:
-        """Raise where a state from a file cannot be one."""
+        """Raise if a state from a file is invalid."""
         state.check("state.isolation.held", len(self.matched.faults), self.matched.window, count)
 
     def to_record(self) -> dict[str, Any]:
-        """Return nothing: the test has the responses."""
+        """Return an empty record: the test has the responses."""
         return {}
 
 
 @dataclass(frozen=True, eq=False)
 class BesideState(Record):
-    """What names by responses beside a test of another kind remember; a row per plant.
+    """State of an isolation by responses beside a test of another kind; a row per plant.
 
     Attributes
     ----------
@@ -214,7 +214,7 @@ class BesideState(Record):
 
 @dataclass(frozen=True, eq=False)
 class NamesBeside(MatchedNames):
-    """Names by responses beside a test that does not compare these itself: likelihoods of samples in alarm only.
+    """Names by responses beside a test of another kind: likelihoods of samples in alarm only.
 
     Outside alarms the last samples are kept, and nothing is computed: scores are NaN there, and likelihood ratios zero.
     Where outputs are missing and a Kalman filter goes on without them, the responses stay those of the whole filter.
@@ -222,7 +222,7 @@ class NamesBeside(MatchedNames):
     Attributes
     ----------
     scale : ndarray, shape (residuals, residuals), or None
-        What makes the residual of the test white, where the test itself does not; see :func:`scale_beside`.
+        Whitening of the residual of the test, if the test itself does not whiten; see :func:`scale_beside`.
     """
 
     scale: NDArray[np.float64] | None = None
@@ -236,7 +236,7 @@ class NamesBeside(MatchedNames):
     def run(  # pyright: ignore[reportIncompatibleMethodOverride]
         self, state: BesideState, block: Block, tested: Tested
     ) -> tuple[BesideState, Scores]:
-        """Return the attribution of a standing alarm, and how much of what exceeds the noise each group explains."""
+        """Return the attribution of a standing alarm, and the share of excess over noise that each group explains."""
         window, (plants, time) = self.matched.window, tested.usable.shape
         q = tested.whitened if self.scale is None else ordered_product(tested.whitened, self.scale)
         q = np.where(tested.usable[..., None], q, 0.0)
@@ -271,21 +271,21 @@ class NamesBeside(MatchedNames):
 
     @property
     def signatures(self) -> tuple[NDArray[np.float64], ...]:
-        """The directions that faults settle to, in the units of the test."""
+        """Steady directions of faults, in the units of the test."""
         if self.scale is None:
             return super().signatures
         turned = [np.asarray(np.linalg.solve(self.scale.T, one), dtype=float) for one in super().signatures]
         return tuple(one / float(np.linalg.norm(one)) if one.size else one for one in turned)
 
     def check_state(self, state: BesideState, count: int) -> None:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Raise where a state from a file cannot be one."""
+        """Raise if a state from a file is invalid."""
         if state.rows[~state.usable].any():
             raise FileFormatError("state.isolation.rows must be zero where no sample is usable")
         super().check_state(state.held, count)
 
 
 def likelihoods_of(test: MatchedTest, q: NDArray[np.float64], usable: NDArray[np.bool_]) -> Likelihoods:
-    """Return the likelihoods of all samples but the first ``window``, by these and nothing before.
+    """Return the likelihoods of all samples but the first ``window``, from these samples alone.
 
     Products and sums over the window are added in the order of time, from its first sample on: the bits are those of
     any earlier beginning.
@@ -307,7 +307,7 @@ def likelihoods_of(test: MatchedTest, q: NDArray[np.float64], usable: NDArray[np
 
 
 def scale_beside(generator: ResidualGenerator, test: ResidualTest) -> NDArray[np.float64] | None:
-    """Return what makes the residual of a test white by the noise of the plant; ``None`` where the test does so."""
+    """Return a whitening of a test's residual by the noise of the plant; ``None`` if the test whitens already."""
     covariance = generator.covariance
     if test.per_deviation is not None or covariance is None:
         return None
@@ -365,17 +365,17 @@ class Matched(IsolationSettings):
         object.__setattr__(self, "alike", float(self.alike))
 
     def isolation(self, generator: ResidualGenerator, test: ResidualTest) -> MatchedNames:
-        """Return what names faults by the responses that the test compares, or beside it by those that it whitens."""
+        """Return the isolation by the responses of the test, or beside it by responses under the same whitening."""
         if test.responses is not None:
             return MatchedNames(test.responses)
         scale = scale_beside(generator, test)
         return NamesBeside(self._maker(generator)(test.metric if scale is None else test.metric @ scale), scale)
 
-    # ----------------------------------------------- what the rest of a monitor asks for
+    # ----------------------------------------------- interface to the rest of a monitor
 
     @classmethod
     def for_design(cls, design: Any, generator: ResidualGenerator) -> Self | None:
-        """Return the window and grouping of matched filters."""
+        """Return the window and grouping of matched filters; ``None`` for other designs."""
         return cls(design.window, design.steady, design.alike) if isinstance(design, MatchedFilters) else None
 
     def check(self, generator: ResidualGenerator) -> None:
@@ -383,11 +383,11 @@ class Matched(IsolationSettings):
         check_white(generator)
 
     def own_test(self, design: Any) -> TestSettings | None:
-        """Return a threshold on the norm, which becomes one on likelihoods, for matched filters; else any test goes."""
+        """Return a threshold on the norm for matched filters, which becomes one on likelihoods; else ``None``."""
         return NormThreshold() if isinstance(design, MatchedFilters) else None
 
     def test_of(self, settings: TestSettings) -> TestSettings:
-        """Return the test of likelihoods with the threshold, persistence and release of a norm; any other as it is."""
+        """Return the test of likelihoods with the threshold, persistence and release of a norm; any other unchanged."""
         if settings.divides:
             raise SettingError(
                 "groups are for residuals that are named by direction or not at all; here faults are matched: leave "
@@ -398,18 +398,18 @@ class Matched(IsolationSettings):
         return LikelihoodThreshold(settings, self.window, self.steady, self._maker)
 
     def _maker(self, generator: ResidualGenerator) -> Callable[[NDArray[np.float64]], MatchedTest]:
-        """Return what makes responses of a whitening matrix; they are simulated once."""
+        """Return a function from a whitening matrix to responses, which are simulated once."""
         responses, settled = step_responses(generator, self.window)
         return lambda whitening: matched_test(self, generator.faults, responses, settled, whitening)
 
     def kept(self, generator: ResidualGenerator) -> tuple[str, int, int] | None:
-        """Return the window, and what it keeps: residuals, and products with the responses to all faults."""
+        """Return the window, and the number of values it keeps: residuals, and their products with all responses."""
         k = generator.n_residuals
         each = k + 2 + (0 if self.steady else len(generator.faults) * (k + 2))
         return f"Matched(window={self.window})", self.window + 1, each
 
     def isolation_from_record(self, content: Any, where: str, watched: Watched, test: ResidualTest) -> Isolation:
-        """Return what runs: it is made of the responses of the test alone."""
+        """Build the isolation from the test's responses alone; the record is empty."""
         record(content, where, ())
         return self.isolation(watched.generator, test)
 
@@ -441,7 +441,7 @@ def matched_test(
     settled: NDArray[np.float64],
     whitening: NDArray[np.float64],
 ) -> MatchedTest:
-    """Return the test of whitened residuals, with the faults grouped that are alike.
+    """Return the test of whitened residuals, with similar faults grouped.
 
     Parameters
     ----------
@@ -467,7 +467,7 @@ def matched_test(
 
 
 def match_scores(test: MatchedTest, ratios: NDArray, sums: NDArray, usable: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return for each group how much of what exceeds the noise in the window its best response explains, or NaN.
+    """Return for each group the share of the excess over noise in the window that its best response explains, or NaN.
 
     The root of the fraction of energy, so that it is a correlation where noise is small: 1 for the best one where
     nothing is left but what noise alone exceeds in one window of a thousand.

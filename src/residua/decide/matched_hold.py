@@ -53,7 +53,7 @@ class Match:
 
 
 def no_match(plants: int, time: int, faults: int) -> Match:
-    """Return what is known of samples that nothing was looked for in: no fault, and nothing of any."""
+    """Return the matches of samples without a search: no fault."""
     each, all_faults = (plants, time), (plants, time, faults)
     return Match(
         ratios=np.zeros(all_faults),
@@ -69,7 +69,7 @@ def no_match(plants: int, time: int, faults: int) -> Match:
 
 @dataclass(frozen=True, eq=False)
 class HeldState(Record):
-    """What is remembered of the alarm that stands; a row per plant.
+    """State of the standing alarm; a row per plant.
 
     Attributes
     ----------
@@ -91,7 +91,7 @@ class HeldState(Record):
         return HeldState(np.full((plants, 6), np.nan), np.zeros(plants, dtype=bool))
 
     def check(self, where: str, faults: int, window: int, count: int) -> None:
-        """Raise where a state from a file is not that of an alarm of so many faults, within so many samples."""
+        """Raise if a state from a file is not that of an alarm of so many faults, within so many samples."""
         fault, arrival, source, final, raised, peak = self.held[self.on].T
         known = ~np.isnan(fault)
         right = (
@@ -116,13 +116,13 @@ def hold_block(
     over: NDArray[np.bool_],
     count: int | NDArray[np.int64],
 ) -> tuple[Match, HeldState]:
-    """Put each alarm down to one fault and arrival: the most likely as long as that arrival lies within the window.
+    """Attribute each alarm to one fault and arrival: the most likely as long as that arrival lies within the window.
 
     Thereafter the test cannot see how the fault began, so that name and arrival stay until the alarm ends. An alarm
     that begins with a settled fault, one that arrived before the window, has no arrival. Nor can an arrival explain
     an alarm that was raised before it: those of a fault that still grows, or of a filter that settles more slowly than
     the window is long, are not taken. Nor is a sample at which the likelihood has fallen by more than noise does: the
-    fault has gone, and what is left is no step any more.
+    fault has gone, and the rest is no longer a step.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ def hold_block(
     start = np.maximum.accumulate(np.where(begun, at, 0), axis=1)
     raised = np.where(start > 0, count + start - 1, held[:, 4:5])
     ratio = np.take_along_axis(likelihoods["ratios"], best[..., None], axis=2)[..., 0]
-    before = np.where(was, held[:, 5], 0.0)  # what an alarm has reached that nothing explains yet counts too
+    before = np.where(was, held[:, 5], 0.0)  # the peak of an alarm without an explanation counts too
     ratio = np.concatenate([before[:, None], np.where(judged[:, 1:], ratio, 0.0)], axis=1)
     peak = _peak(ratio, start)
     dated = judged & (arrival <= raised) & (ratio >= peak - FALLEN * np.sqrt(peak))
@@ -188,7 +188,7 @@ def _are_whole(values: NDArray[np.float64], first: int, stop: int) -> bool:
 
 
 def _latest(which: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Return for each column the last one up to it of which something holds; -1 without any."""
+    """Return for each column the index of the last true entry so far; -1 without any."""
     return np.maximum.accumulate(np.where(which, np.arange(which.shape[1]), -1), axis=1)
 
 

@@ -32,7 +32,7 @@ from residua.tolerances import SIGNAL_ROUNDING, TINY
 from residua.visible import echo
 from residua.words import one_in
 
-#: What makes a test of the whitening matrix that belongs to it.
+#: Function from a whitening matrix to its test.
 MakeTest = Callable[[NDArray[np.float64]], MatchedTest]
 
 
@@ -45,7 +45,7 @@ class Likelihoods:
     values : dict of str to ndarray
         ``ratios``, ``ages``, ``sizes``, ``deviations`` and ``settled_sizes``.
     sums : ndarray, shape (plants, time, residuals + 2)
-        Of the whitened residual, its square and what is usable, over the window.
+        Of the whitened residual, its square and the usable mask, over the window.
     """
 
     values: dict[str, NDArray]
@@ -54,7 +54,7 @@ class Likelihoods:
 
 @dataclass(frozen=True, eq=False)
 class LikelihoodState:
-    """What the test of likelihoods remembers.
+    """State of the test of likelihoods.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class LikelihoodState:
 
 @dataclass(frozen=True, eq=False)
 class LikelihoodTest(NormTest):
-    """The root of the largest likelihood ratio of any fault and arrival against one threshold: what runs.
+    """Fitted test of the root of the largest likelihood ratio over faults and arrivals.
 
     Attributes
     ----------
@@ -104,11 +104,11 @@ class LikelihoodTest(NormTest):
 
     @property
     def mean_time(self) -> None:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Not known: the largest of many ratios."""
+        """Unknown: the statistic is the largest of many ratios."""
         return None
 
     def words(self, step: float) -> dict[str, str]:
-        """Return in words what the threshold is, what is tested, and when an alarm begins and ends."""
+        """Describe the threshold, the statistic, and the start and end of an alarm."""
         window = self.matched.window
         statistic = f"largest standardised size of a step fault that arrived up to {window} samples ago, or before"
         if not len(self.matched.responses):
@@ -118,7 +118,7 @@ class LikelihoodTest(NormTest):
     # --------------------------------------------------------------------------- files
 
     def check(self, watched: Watched) -> None:
-        """Raise where a test from a file does not fit what it is to watch."""
+        """Raise if a test from a file does not fit the watched generator."""
         super().check(watched)
         where, test, faults = "fitted.matched", self.matched, watched.generator.faults
         check_groups(test.groups, test.unjudged, where, faults)
@@ -129,19 +129,19 @@ class LikelihoodTest(NormTest):
         for name, array, shape in (("responses", test.responses, wanted), ("settled", test.settled, wanted[1:])):
             if array.shape != shape:
                 raise FileFormatError(f"{where}.{name} must be finite numbers of shape {shape}")
-        for group in test.groups:  # of what leaves no trace there is nothing to look for
+        for group in test.groups:  # a fault without a response cannot be found
             columns = [faults.index(name) for name in group]
             if not (test.responses[..., columns].any() or test.settled[:, columns].any()):
                 raise FileFormatError(f"{where}.responses: those of {echo(group[0])} must not all be zero")
 
     def check_state(self, state: LikelihoodState) -> None:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Raise where a state from a file cannot be one."""
+        """Raise if a state from a file is invalid."""
         state.window.check("state.test.window")
 
 
 @dataclass(frozen=True, eq=False)
 class LikelihoodThreshold(TestSettings):
-    """The test of likelihoods that a threshold on a norm becomes beside matched filters; users set the parts of it.
+    """Test of likelihoods made from a threshold on a norm for matched filters; users set the parts of it.
 
     Attributes
     ----------
@@ -149,7 +149,7 @@ class LikelihoodThreshold(TestSettings):
     window : int
     steady : bool
     make : callable
-        From a generator to what makes responses of a whitening matrix.
+        From a generator to a function from a whitening matrix to responses.
     """
 
     kind: ClassVar[str] = "likelihood"
@@ -162,16 +162,16 @@ class LikelihoodThreshold(TestSettings):
 
     @property
     def false_alarm_rate(self) -> float | None:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """That of the settings."""
+        """False alarm rate of the settings."""
         return self.settings.false_alarm_rate
 
     @property
     def remedy(self) -> str:
-        """How to get a threshold."""
+        """Remedy for a missing threshold."""
         return self.settings.remedy
 
     def check(self, watched: Watched) -> None:
-        """Raise where the settings do not fit what is to be watched."""
+        """Raise if the settings do not suit the watched generator."""
         self.settings.check(watched)
 
     def kept(self, watched: Watched) -> tuple[str, int, int] | None:
@@ -202,12 +202,12 @@ class LikelihoodThreshold(TestSettings):
         return self._with(test, make)
 
     def _with(self, test: NormTest, make: MakeTest) -> LikelihoodTest:
-        """Return a test of norms as one of likelihoods."""
+        """Return a test of likelihoods in place of a test of norms."""
         values = {one.name: getattr(test, one.name) for one in fields(NormTest)}
         return LikelihoodTest(**values, matched=make(test.whitening))
 
     def check_record(self, content: Mapping[str, Any], where: str) -> None:
-        """Raise where a record of a test is not of these settings, before anything is made of it."""
+        """Raise if a record of a test does not match these settings, before anything is built from it."""
         self.settings.check_record(content, where)
         matched, at = table_in(content.get("matched"), joined(where, "matched")), joined(where, "matched")
         if matched.get("window") != self.window:
@@ -219,7 +219,7 @@ class LikelihoodThreshold(TestSettings):
 
 
 def level_for_rate(test: MatchedTest, rate: float) -> float:
-    r"""Return the level that the largest of all matched statistics exceeds in at most that fraction of the samples.
+    r"""Return the level that the largest matched statistic exceeds in at most a given fraction of the samples.
 
     Every hypothesis gives a standard normal number on white innovations, and neighbouring ones correlate. With a tree
     over the hypotheses, Hunter's inequality
@@ -258,7 +258,7 @@ def level_for_rate(test: MatchedTest, rate: float) -> float:
 
 
 def _bound(level: float, links: NDArray[np.float64], singles: int) -> float:
-    """Return Hunter's bound on the probability that any hypothesis is over the level, to either side."""
+    """Return Hunter's bound on the probability that any hypothesis exceeds the level, on either side."""
     from scipy.special import ndtr, owens_t
 
     tail = float(ndtr(-level))
@@ -277,7 +277,7 @@ def _tree(test: MatchedTest) -> tuple[NDArray[np.float64], int]:
     singles = 0
 
     def link(j: int, row: NDArray, sizes: NDArray, extra: float) -> int:
-        """Link hypothesis ``j`` to the one that it resembles most, of ``extra`` and those of earlier faults."""
+        """Link hypothesis ``j`` to its nearest one, among ``extra`` and those of earlier faults."""
         others = np.abs(row[:j]) / np.where(sizes[:j] > 0, sizes[:j], np.inf) / sizes[j]
         distance = max(float(others.max(initial=0.0)), extra)
         if distance > 0:
@@ -331,7 +331,7 @@ def fit_matched_test(
     _check_settings(settings)
     check_rate(false_alarm_rate)
     base = fit_moments(
-        replace(settings, threshold=settings.threshold or 1.0),  # that of the norm is of no use here
+        replace(settings, threshold=settings.threshold or 1.0),  # that of the norm does not apply here
         residuals,
         usable,
         covariance=covariance,
@@ -368,7 +368,7 @@ def fit_matched_test(
 def _cross_fitted(
     data: FaultFree, own_statistic: NDArray, test: MatchedTest, whole: Moments, make: MakeTest, *, whiten: bool
 ) -> NDArray:
-    """Return the statistic of every sample by moments of samples that are far from it."""
+    """Return the cross-fitted statistic of every sample, by moments of samples that are far from it."""
     out = own_statistic.copy()
     for held, kept, summed_ in data.held_out():
         if whiten:
@@ -380,7 +380,7 @@ def _cross_fitted(
             inside = np.flatnonzero(held[part])
             if len(inside):
                 first, last = part.start + int(inside[0]), part.start + int(inside[-1]) + 1
-                begin = max(part.start, first - test.samples)  # what came before is remembered that long
+                begin = max(part.start, first - test.samples)  # earlier samples matter that long
                 out[first:last] = _statistic(own_test, own, data, slice(begin, last))[first - begin :]
     return out
 

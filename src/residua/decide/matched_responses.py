@@ -21,7 +21,7 @@ _PASS = 1_000_000
 
 @dataclass(frozen=True, eq=False)
 class MatchedTest(Record):
-    """The responses to faults in whitened residual space: what likelihoods are made of.
+    """Responses to faults in whitened residual space, for likelihoods.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class MatchedTest(Record):
 
     @property
     def samples(self) -> int:
-        """How many samples are looked at: those of the window, and the one of the arrival."""
+        """Number of samples in use: those of the window, and the one of the arrival."""
         return self.window + 1
 
     @cached_property
@@ -74,7 +74,7 @@ class MatchedTest(Record):
 
 @dataclass(frozen=True, eq=False)
 class MatchState:
-    """What the test remembers; every array has one row per plant.
+    """State of the test; every array has one row per plant.
 
     Attributes
     ----------
@@ -91,14 +91,14 @@ class MatchState:
 
 
 def empty_match(test: MatchedTest, plants: int, *, bends: bool = False) -> MatchState:
-    """Return the state before the first sample; ``bends`` says whether responses may differ from what they are."""
+    """Return the state before the first sample; ``bends`` is true if responses may vary."""
     sums = np.zeros((plants, len(test.responses), len(test.faults)))
     extra = np.broadcast_to(0.0, (plants, test.samples if bends else 0, 2 * len(test.faults)))
     return MatchState(sums, sums, extra)
 
 
 def match_after(test: MatchedTest, q: NDArray[np.float64], usable: NDArray[np.bool_]) -> MatchState:
-    """Return the state after samples as if they were the first, with the bits that they have after any others.
+    """Return the state after samples as if they were the first, equal to the last bit.
 
     That holds for the arrivals within them. Of earlier ones no product is known; nor are they missed after a window.
 
@@ -168,7 +168,7 @@ def match_block(
 
 
 def summed(q: NDArray[np.float64], usable: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return what the test needs sums of: the whitened residual, its square and whether it is usable."""
+    """Return the terms to be summed: the whitened residual, its square and the mask of usable samples."""
     return np.concatenate([q, _squares(q)[..., None], usable[..., None].astype(float)], axis=2)
 
 
@@ -224,7 +224,7 @@ def _products(test: MatchedTest, q: NDArray) -> NDArray[np.float64]:
 def _with_extra(
     test: MatchedTest, state: MatchState, q: NDArray, bends: Bends, products: NDArray, weights: NDArray
 ) -> tuple[NDArray, NDArray, MatchState]:
-    """Add to the products and weights of settled faults what they are off by at the samples of the window.
+    """Correct the products and weights of settled faults by their errors at the samples of the window.
 
     Sums over the window are formed anew at each sample, from the oldest on: nothing drifts.
     """
@@ -254,7 +254,7 @@ def _inner(rows: NDArray, q: NDArray) -> NDArray[np.float64]:
 
 
 def _along_arrivals(steps: NDArray, before: NDArray) -> tuple[NDArray, NDArray]:
-    """Add up what belongs to one arrival, into ``steps``: that of age ``k`` now had age ``k - 1`` a sample ago."""
+    """Add up the terms of one arrival, into ``steps``: age ``k`` now was age ``k - 1`` a sample ago."""
     if steps.shape[2]:
         for k in range(1, len(steps)):
             steps[k, :, 0] += before[:, k - 1]
@@ -264,7 +264,7 @@ def _along_arrivals(steps: NDArray, before: NDArray) -> tuple[NDArray, NDArray]:
 
 
 def _likelihood(products: NDArray, weights: NDArray) -> tuple[NDArray, NDArray, NDArray]:
-    """Return likelihood ratio, size and deviation; 0, NaN and infinity where nothing of the response was seen."""
+    """Return likelihood ratio, size and deviation; 0, NaN and infinity if no part of the response was seen."""
     seen = weights > 0
     safe = np.where(seen, weights, 1.0)
     return (
@@ -275,7 +275,7 @@ def _likelihood(products: NDArray, weights: NDArray) -> tuple[NDArray, NDArray, 
 
 
 def _ratios(products: NDArray, weights: NDArray) -> NDArray[np.float64]:
-    """Return the likelihood ratio; 0 where nothing of the response was seen."""
+    """Return the likelihood ratio; 0 if no part of the response was seen."""
     seen = weights > 0
     return np.where(seen, products * products / np.where(seen, weights, 1.0), 0.0)
 

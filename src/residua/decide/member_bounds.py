@@ -1,4 +1,4 @@
-"""What a design is certain of its members, and which other faults may have driven one of them over its threshold."""
+"""Certified bounds of the members of a design, and other faults that may have driven one over its threshold."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ _TOLD = 4
 
 @dataclass(frozen=True)
 class MemberBounds:
-    """What is certain of one member of a bank, which has the name of its fault, over the whole uncertainty set.
+    """Bounds on one member of a bank, named after its fault, over the whole uncertainty set.
 
     Attributes
     ----------
     disturbances : float
-        Bound of what disturbances alone cause.
+        Bound on the effect of disturbances alone.
     response : float
         The least that a lasting fault of size one, the member's own, causes.
     leakage : mapping of str to float
-        Bound of what other faults of size one cause, at any time course.
+        Bound on the effect of other faults of size one, with any time course.
     """
 
     disturbances: float
@@ -72,7 +72,7 @@ def leakage_cautions(
     alarms: Sequence[Alarm],
     statistics: NDArray[np.float64],
 ) -> tuple[str, ...]:
-    """Return for each alarm which of its residuals a single other fault may have driven over their thresholds.
+    """Return for each alarm those of its residuals that a single other fault may have driven over their thresholds.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def leakage_cautions(
 def _explained(
     bounds: Mapping[str, MemberBounds], peaks: Mapping[str, float], fired: Sequence[str]
 ) -> Iterator[tuple[float, str]]:
-    """Yield the other faults that may alone have made a member fire, those first that need the least for it.
+    """Yield the other faults that may alone have made a member fire, smallest size first.
 
     The residual of a member is at most ``disturbances + leakage s`` where another fault alone is of size ``s``, and a
     lasting ``s`` makes that of its own member at least ``response s - disturbances``. So the other is not excluded

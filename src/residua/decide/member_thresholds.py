@@ -1,4 +1,4 @@
-"""A threshold for each part of the residual, so that all together keep the false alarm rate that was asked for.
+"""Thresholds for the parts of the residual that together keep the requested false alarm rate.
 
 Parts are the members of a bank, or groups of residuals that users name.
 """
@@ -51,7 +51,7 @@ Parts = Mapping[str, Sequence[int]] | Sequence[Sequence[int]]
 
 @dataclass(frozen=True, eq=False)
 class BankTest(ResidualTest):
-    """The threshold tests of the members of a bank, every number filled in: what runs.
+    """Fitted threshold tests of the members of a bank.
 
     Each member has its own whitening and threshold. The bank is in alarm while any member is.
 
@@ -93,7 +93,7 @@ class BankTest(ResidualTest):
 
     @property
     def threshold(self) -> float:
-        """1: that of the largest ratio of a member's statistic to its own threshold."""
+        """One: the largest ratio of a member's statistic to its own threshold."""
         return 1.0
 
     @property
@@ -104,7 +104,7 @@ class BankTest(ResidualTest):
 
     @property
     def band(self) -> NDArray[np.float64]:
-        """How far each residual alone, averaged over the window, can be from its mean below every threshold."""
+        """Largest deviation of each residual alone, averaged over the window, below every threshold."""
         out = np.full(len(self.center), np.inf)
         for (start, stop), threshold in zip(self.columns, self.thresholds, strict=True):
             part = self.whitening[:, start:stop]
@@ -143,12 +143,12 @@ class BankTest(ResidualTest):
         return NormState(window, runs), tested
 
     def _whole(self, q: NDArray, usable: NDArray[np.bool_], block: Block) -> NDArray[np.float64]:
-        """Return the residual in units in which its direction is judged: of a bank nothing is."""
+        """Return the residual in units in which its direction is judged: none for a bank."""
         return q
 
     @property
     def compiled(self) -> CompiledTest | None:
-        """The same in C."""
+        """Equivalent for the fused loop."""
         return self._in_c() if type(self) is BankTest else None
 
     def _in_c(self, joint: NDArray[np.float64] | None = None) -> CompiledTest:
@@ -165,47 +165,47 @@ class BankTest(ResidualTest):
             joint=joint,
         )
 
-    # ----------------------------------------------- what the rest of a monitor asks for
+    # ----------------------------------------------- interface to the rest of a monitor
 
     @property
     def samples(self) -> int:
-        """Samples that are summed."""
+        """Number of samples in the sum."""
         return self.window
 
     @property
     def metric(self) -> NDArray[np.float64]:
-        """The whitening."""
+        """Whitening matrix."""
         return self.whitening
 
     @property
     def per_deviation(self) -> NDArray[np.float64] | None:
-        """The whitening."""
+        """Whitening matrix."""
         return self.whitening
 
     @property
     def per_threshold(self) -> NDArray[np.float64]:
-        """The whitening in units of the thresholds."""
+        """Whitening matrix in units of the thresholds."""
         return self.whitening / np.repeat(self.thresholds, self.sizes)
 
     @property
     def guarded(self) -> NDArray[np.float64]:
-        """In deviations."""
+        """Weights in standard deviations."""
         return np.abs(self.whitening)
 
     @property
     def part_names(self) -> tuple[str, ...]:
-        """The members."""
+        """Names of the members."""
         return self.names
 
     @property
     def part_thresholds(self) -> NDArray[np.float64]:
-        """Those of the members."""
+        """Thresholds of the members."""
         return self.thresholds
 
     def leads(
         self, residuals: NDArray[np.float64], changes: NDArray[np.float64], signals: NDArray[np.float64]
     ) -> NDArray[np.float64] | None:
-        """Return how far faults of one lead the nearest part to its threshold; nothing is said of peaks."""
+        """Return the responses of the parts to faults of size one, relative to the thresholds; ``None`` for peaks."""
         if type(self) not in (BankTest, GroupTest):
             return None
         white = residuals @ self.whitening
@@ -219,7 +219,7 @@ class BankTest(ResidualTest):
         return BAND_DEVIATIONS * replace(self, thresholds=np.ones(len(self.thresholds))).band, BAND_SHARE
 
     def words(self, step: float) -> dict[str, str]:
-        """Return in words what the thresholds are, what is tested, and when an alarm begins and ends."""
+        """Describe the thresholds, the statistic, and the start and end of an alarm."""
         summed = f", summed over {self.window} samples" if self.window > 1 else ""
         return {
             "threshold": self._limits(),
@@ -245,7 +245,7 @@ class BankTest(ResidualTest):
     # --------------------------------------------------------------------------- files
 
     def check(self, watched: Watched) -> None:
-        """Raise where a test from a file does not fit what it is to watch."""
+        """Raise if a test from a file does not fit the watched generator."""
         k, parts = watched.generator.n_residuals, self._parts_of(watched)
         sizes = [len(rows) for rows in parts.values()]
         if self.names != tuple(parts):
@@ -261,7 +261,7 @@ class BankTest(ResidualTest):
         return watched.parts or {}
 
     def check_state(self, state: NormState) -> None:
-        """Raise where a state from a file cannot be one."""
+        """Raise if a state from a file is invalid."""
         state.window.check("state.test.window")
 
 
@@ -330,7 +330,7 @@ _NOTABLE = 1.05
 
 
 def fit_together(fits: Sequence[Fitted], rate: float) -> tuple[list[NormTest], float]:
-    """Return the tests of members that keep a rate together, and how many of them are in alarm at once.
+    """Return the tests of members that keep a rate together, and the mean number of them in alarm at once.
 
     The fraction of samples in which any of ``M`` members is in alarm is the sum of theirs, divided by how many are in
     alarm at once on average, ``c``: each gets a rate of ``c / M`` of the whole. Where the data do not show ``c`` it is
@@ -388,7 +388,7 @@ def side_by_side(
 
 
 def _basis(tests: Sequence[NormTest], at_once: float) -> str:
-    """Return where the thresholds of the members come from, in words."""
+    """Describe the origin of the thresholds of the members."""
     bases = list(dict.fromkeys(test.basis for test in tests))
     count = len(tests)
     if count == 1:
@@ -417,7 +417,7 @@ def member_alarms(
     down: NDArray[np.integer],
     alarm: NDArray[np.bool_],
 ) -> tuple[NDArray[np.bool_], NDArray[np.int64], NDArray[np.int64]]:
-    """Run the alarm logic of every member; as :func:`residua.decide.persistence.alarm_logic`, with an axis more.
+    """Run the alarm logic of every member; see :func:`residua.decide.persistence.alarm_logic`.
 
     Parameters
     ----------
@@ -447,7 +447,7 @@ def member_alarms(
 
 @dataclass(frozen=True, eq=False)
 class GroupTest(BankTest):
-    """The threshold tests of groups of residuals, every number filled in: what runs.
+    """Fitted threshold tests of groups of residuals.
 
     As :class:`BankTest`, with the groups as its members; the direction of the residual is that of all of it.
 
@@ -470,7 +470,7 @@ class GroupTest(BankTest):
 
     @property
     def compiled(self) -> CompiledTest | None:
-        """The same in C."""
+        """Equivalent for the fused loop."""
         same = self.whole.shape == self.whitening.shape
         return self._in_c(self.whole) if type(self) is GroupTest and same else None
 
@@ -487,7 +487,7 @@ class GroupTest(BankTest):
         return {name: tuple(np.flatnonzero(rows).tolist()) for name, rows in seen}
 
     def check(self, watched: Watched) -> None:
-        """Raise where a test from a file does not fit what it is to watch."""
+        """Raise if a test from a file does not fit the watched generator."""
         super().check(watched)
         k = watched.generator.n_residuals
         if self.whole.shape != (k, k):
@@ -526,7 +526,7 @@ def rows_of_groups(groups: Groups, residuals: Sequence[str]) -> dict[str, tuple[
 def group_test_from_model(
     settings: NormSettings, covariance: NDArray | None, rows: Mapping[str, Sequence[int]], n_residuals: int
 ) -> GroupTest | None:
-    """Return the test that needs no data, or ``None`` when data are needed; each group has 1/G of the rate."""
+    """Return the test that needs no data, or ``None`` when data are needed; each group gets 1/G of the rate."""
     test = bank_test_from_model(settings, covariance, rows, n_residuals)
     if test is None:
         return None
@@ -546,7 +546,7 @@ def fit_group_test(
     signal_sizes: Sequence[float],
     seams: Sequence[int] = (),
 ) -> GroupTest:
-    """Fit the tests of all groups to fault-free residuals, as :func:`fit_bank_test` does those of members."""
+    """Fit the tests of all groups to fault-free residuals, as :func:`fit_bank_test` does for members."""
     test = fit_bank_test(
         settings,
         residuals,

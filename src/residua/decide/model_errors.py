@@ -1,4 +1,4 @@
-"""What errors of a model do to the residual, as systems from the inputs."""
+"""Effects of model errors on the residual, as systems from the inputs."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _SLOWEST = 1e6
 
 @runtime_checkable
 class ParameterBox(Protocol):
-    """What an uncertain plant must have; :class:`residua.plant.UncertainPlant` does."""
+    """Interface of an uncertain plant, such as :class:`residua.plant.UncertainPlant`."""
 
     @property
     def nominal(self) -> Plant:
@@ -64,7 +64,7 @@ class ParameterBox(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class OutputError(Record):
-    r"""What is wrong with the outputs of a model, :math:`\Delta y = \Delta G\, u`, for one error of it.
+    r"""Error of a model's outputs, :math:`\Delta y = \Delta G\, u`.
 
     Attributes
     ----------
@@ -86,12 +86,12 @@ class OutputError(Record):
 
     @property
     def system(self) -> StateSpace:
-        """The same as a system."""
+        """The error as a system."""
         return StateSpace(self.A, self.B, self.C, self.D, dt=self.dt)
 
 
 def errors_of_parameters(uncertain: ParameterBox) -> tuple[tuple[OutputError, ...], bool]:
-    """Return the errors of the outputs over a box of parameters, and whether they come one instead of another.
+    """Return the errors of the outputs over a box of parameters, and a flag for errors that exclude each other.
 
     Up to four parameters: those of all corners of the box, of which one holds at a time. Of more: each parameter alone,
     at the end that is farther from its nominal value, and all of them at once.
@@ -119,7 +119,7 @@ def errors_of_parameters(uncertain: ParameterBox) -> tuple[tuple[OutputError, ..
 
 
 def errors_of_gains(plant: Plant, *, changes: bool = False) -> tuple[OutputError, ...]:
-    """Return the errors of the outputs where the response of one output to one input is twice what it should be.
+    """Return for each output and input the error that doubles the response.
 
     With ``changes`` also where it comes a sample late: the difference of the response to that of the sample before.
     """
@@ -145,7 +145,7 @@ def errors_of_gains(plant: Plant, *, changes: bool = False) -> tuple[OutputError
 
 
 def residual_errors(errors: Sequence[OutputError], generator: ResidualGenerator) -> tuple[StateSpace, ...]:
-    """Return for each error the system from the inputs to what it does to the residual.
+    """Return for each error the system from the inputs to the residual.
 
     Raises
     ------
@@ -187,7 +187,7 @@ def _times(system: StateSpace, factor: float) -> StateSpace:
 
 
 def _change(system: StateSpace) -> StateSpace:
-    """Return a sampled system with its outputs less those of the sample before."""
+    """Return a sampled system with its outputs differenced."""
     n, p = system.n_states, system.n_outputs
     A = np.block([[system.A, np.zeros((n, p))], [system.C, np.zeros((p, p))]])
     B = np.vstack([system.B, system.D])

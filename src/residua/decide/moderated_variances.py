@@ -1,4 +1,4 @@
-"""Variances of many residuals from few observations each: every one is drawn to what all have in common."""
+"""Variances of many residuals from few observations each, shrunk towards a common value."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _MOST_STEPS = 50
 
 @dataclass(frozen=True, eq=False)
 class ModeratedVariances:
-    """Variances that were drawn to their common value.
+    """Variances shrunk towards a common value.
 
     Attributes
     ----------
@@ -36,12 +36,12 @@ class ModeratedVariances:
 
 
 def moderated_variances(variances: ArrayLike, freedom: ArrayLike) -> ModeratedVariances:
-    r"""Return variances that borrow from one another, for residuals with few observations each.
+    r"""Return shrunk variances, for residuals with few observations each.
 
     A limit from three fault-free days has two degrees of freedom: at one in a thousand it is 22 times the scatter.
-    Where many residuals have few observations, all variances together say what the variance of such a residual is
-    like. With the prior :math:`d_0 s_0^2 / \sigma^2 \sim \chi^2_{d_0}`, of which both numbers are estimated from the
-    mean and the variance of the logarithms,
+    If many residuals have few observations, all variances together show the usual variance of such a residual. With the
+    prior :math:`d_0 s_0^2 / \sigma^2 \sim \chi^2_{d_0}`, of which both numbers are estimated from the mean and the
+    variance of the logarithms,
 
     .. math:: \tilde s_i^2 = \frac{d_0 s_0^2 + d_i s_i^2}{d_0 + d_i}, \qquad
               r_i / \tilde s_i \sim t_{d_0 + d_i}
@@ -113,7 +113,7 @@ def _checked(variances: ArrayLike, freedom: ArrayLike) -> tuple[NDArray[np.float
 
 
 def _inverse_trigamma(value: float) -> float:
-    """Return where the trigamma function, which falls from infinity to zero, has this value: by Newton's method.
+    """Return the inverse of the trigamma function, by Newton's method.
 
     It begins below the place. The reciprocal of the function is convex, so that every step goes up and none too far.
     """

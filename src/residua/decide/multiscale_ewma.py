@@ -1,4 +1,4 @@
-"""A bank of exponentially weighted means under one threshold: short and long changes at once, the default test."""
+"""A bank of exponentially weighted means under one threshold, for short and long changes at once; the default test."""
 
 from __future__ import annotations
 
@@ -64,14 +64,14 @@ _AS_MANY = 11.0
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MultiscaleEWMATest(StreamTest):
-    r"""A bank of exponentially weighted means with every number filled in: what runs.
+    r"""Fitted bank of exponentially weighted means.
 
     Attributes
     ----------
     weights : ndarray, shape (scales,)
         From 1 downwards.
     scaling : ndarray, shape (scales, k, k)
-        M: what makes each mean as long as a standard normal vector is.
+        M: normalises each mean to the length of a standard normal vector.
     sizes : ndarray of int, shape (parts,)
         Whitened residuals of each part that is tested by itself; of the residual as a whole one part.
     clips, fulls : ndarray, shape (parts,)
@@ -147,7 +147,7 @@ class MultiscaleEWMATest(StreamTest):
     def statistic(
         self, sums: NDArray[np.float64], e: NDArray[np.float64], seen: NDArray[np.bool_]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the length of the longest mean of any part, in units of its threshold where there are several."""
+        """Return the length of the longest mean of any part, in units of its threshold if there are several."""
         squares, sums = self._squares(sums, e, seen)
         lengths = np.sqrt(squares)
         return (np.max(lengths / self.thresholds, axis=2) if self.names else lengths[..., 0]), sums
@@ -155,7 +155,7 @@ class MultiscaleEWMATest(StreamTest):
     def _squares(
         self, sums: NDArray[np.float64], e: NDArray[np.float64], seen: NDArray[np.bool_]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the square of the longest mean of each part, (plants, time, parts), and the means to go on with."""
+        """Return the square of the longest mean of each part, (plants, time, parts), and the next means."""
         plants, time, k = e.shape
         largest = np.zeros((plants, time, len(self.sizes)))
         entering = clipped(e, self.columns, self.clips)
@@ -179,7 +179,7 @@ class MultiscaleEWMATest(StreamTest):
         entering: NDArray[np.float64],
         seen: NDArray[np.bool_],
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the squares of one scale, and its mean to go on with; no mean grows beyond its full length."""
+        """Return the squares of one scale, and its next mean, which is limited to its full length."""
         plants, time = entering.shape[:2]
         squares = np.zeros((plants, time, len(self.sizes)))
         full = self.fulls * self.fulls
@@ -217,7 +217,7 @@ class MultiscaleEWMATest(StreamTest):
 
     @property
     def compiled(self) -> CompiledTest | None:
-        """The same in C."""
+        """Equivalent for the fused loop."""
         if type(self) is not MultiscaleEWMATest:
             return None
         numbers: dict[str, Any] = {"weights": self.weights, "scaling": self.scaling}
@@ -225,32 +225,32 @@ class MultiscaleEWMATest(StreamTest):
             numbers |= {"sizes": self.sizes, "limits": self.thresholds}
         return self.compiled_as("means", **numbers, lengths=(self.clips, self.fulls, self.releases))
 
-    # ----------------------------------------------- what the rest of a monitor asks for
+    # ----------------------------------------------- interface to the rest of a monitor
 
     @property
     def title(self) -> str:
-        """What is tested."""
+        """Name of the statistic."""
         listed = ", ".join("1" if weight == 1 else f"1/{1 / weight:g}" for weight in self.weights)
         return f"longest of the exponentially weighted means (weights {listed})"
 
     @property
     def samples(self) -> int:
-        """1: the shortest mean is the sample itself."""
+        """One: the shortest mean is the sample itself."""
         return 1
 
     @property
     def part_names(self) -> tuple[str, ...]:
-        """The parts."""
+        """Names of the parts."""
         return self.names
 
     @property
     def part_thresholds(self) -> NDArray[np.float64]:
-        """Those of the parts."""
+        """Thresholds of the parts."""
         return self.thresholds if self.names else np.zeros(0)
 
     @property
     def metric(self) -> NDArray[np.float64]:
-        """The whitening."""
+        """Whitening matrix."""
         return self.whitening
 
     @property
@@ -262,14 +262,14 @@ class MultiscaleEWMATest(StreamTest):
 
     @property
     def per_threshold(self) -> NDArray[np.float64]:
-        """The whitening in units of the thresholds."""
+        """Whitening matrix in units of the thresholds."""
         if self.names:
             return self.whitening / np.repeat(self.thresholds, self.sizes)
         return self.whitening / self.threshold
 
     @property
     def guarded(self) -> NDArray[np.float64]:
-        """In deviations."""
+        """Weights in standard deviations."""
         return np.abs(self.whitening)
 
     def bands(self) -> tuple[NDArray[np.float64], float]:
@@ -278,17 +278,17 @@ class MultiscaleEWMATest(StreamTest):
         return BAND_DEVIATIONS * np.sqrt(np.sum(inverse**2, axis=0)), BAND_SHARE
 
     def fault_free_residuals(self, normal: NDArray[np.float64]) -> NDArray[np.float64] | None:
-        """Return residuals that this test makes white; ``None`` of parts, which share residuals."""
+        """Return residuals that this test makes white; ``None`` for parts, which share residuals."""
         return None if self.names else super().fault_free_residuals(normal)
 
     def in_white_units(self, response: NDArray[np.float64]) -> NDArray[np.float64] | None:
-        """Return the whitened response, less what its own past foretells."""
+        """Return the innovations of the whitened response."""
         return None if self.names else super().in_white_units(response)
 
     def leads(
         self, residuals: NDArray[np.float64], changes: NDArray[np.float64], signals: NDArray[np.float64]
     ) -> NDArray[np.float64] | None:
-        """Return how far faults of one lead the longest mean of any part to its threshold.
+        """Return the responses of the longest mean to faults of size one, relative to the threshold.
 
         What enters the long means is clipped as it is where a fault is just seen.
         """
@@ -308,7 +308,7 @@ class MultiscaleEWMATest(StreamTest):
         return best
 
     def words(self, step: float) -> dict[str, str]:
-        """Return in words what the threshold is, what is tested, and when an alarm begins and ends."""
+        """Describe the threshold, the statistic, and the start and end of an alarm."""
         said = super().words(step)
         if not self.names:
             return said
@@ -321,7 +321,7 @@ class MultiscaleEWMATest(StreamTest):
         }
 
     def cautions(self, tested: Tested) -> tuple[str, ...]:
-        """Return that alarms are long and slight again and again: of a small fault, or of a slow wander."""
+        """Return a caution about alarms that are long and slight again and again: a small fault, or slow drift."""
         memory, slight = round(1 / self.weights[-1]), _SLIGHT * (1.0 if self.names else self.threshold)
         edges = np.flatnonzero(np.diff(tested.alarm.astype(np.int8), prepend=0, append=0)).reshape(-1, 2).tolist()
         long = [(start, stop) for start, stop in edges if stop - start >= memory > 1]
@@ -339,7 +339,7 @@ class MultiscaleEWMATest(StreamTest):
     # --------------------------------------------------------------------------- files
 
     def check(self, watched: Watched) -> None:
-        """Raise where a test from a file does not fit what it is to watch."""
+        """Raise if a test from a file does not fit the watched generator."""
         n = watched.generator.n_residuals
         parts = watched.parts
         sizes = [n] if parts is None else [len(rows) for rows in parts.values()]
@@ -377,7 +377,7 @@ class MultiscaleEWMA(TestSettings):
        s^{(i)}_k = (1 - \lambda_i) s^{(i)}_{k-1} + \lambda_i \hat e_k, \qquad
        J_k = \max_i \frac{1}{g_i} \Big| \Sigma_i^{-1/2} s^{(i)}_k \Big| > h
 
-    with the whitened residual :math:`e`, less what its past foretells where it is coloured. The mean of weight 1 is the
+    with the whitened residual :math:`e`, less its prediction from the past if coloured. The mean of weight 1 is the
     sample itself and sees large faults at once; the longer ones see small faults that last. :math:`\hat e` is
     :math:`e`, clipped at a length that one sample in a thousand has, so that an outlier does not stay in the long
     means. An alarm is over when all of them are short again: at half the threshold, as normal scores.
@@ -387,14 +387,14 @@ class MultiscaleEWMA(TestSettings):
     give the factors :math:`g_i`, which make scales alike, and the one threshold :math:`h` for all of them, with the
     errors of the fit in it. A fit to few rows turns the long means down and is not refused.
 
-    Guaranteed: residuals that are what the fitted model says are in alarm in the asked fraction of samples, on average
+    Guaranteed: residuals that follow the fitted model are in alarm in the requested fraction of samples, on average
     over fits.
 
     Parameters
     ----------
     false_alarm_rate : float, optional
-        Intended fraction of fault-free samples in alarm, unless ``fit`` gets another one. When omitted, what the log
-        of a fit can carry; see :class:`residua.decide.NormThreshold`.
+        Intended fraction of fault-free samples in alarm, unless ``fit`` gets another one. When omitted, one that the
+        log of a fit can support; see :class:`residua.decide.NormThreshold`.
     weights : sequence of float
         :math:`\lambda_i`, falling from 1. A further 1/512 sees smaller faults, and its alarms outlive them by hundreds
         of samples.
@@ -410,8 +410,8 @@ class MultiscaleEWMA(TestSettings):
 
     Notes
     -----
-    Assumes: fault-free residuals are as in the data of the fit. A wander slower than the recording is no part of these:
-    the notes of a fit and of a run say where they see one.
+    Assumes: fault-free residuals are as in the data of the fit. A wander slower than the recording is not part of
+    these: the notes of a fit and of a run say where they see one.
 
     References
     ----------
@@ -460,7 +460,7 @@ class MultiscaleEWMA(TestSettings):
     # -------------------------------------------------------------------------- thresholds
 
     def from_model(self, watched: Watched) -> MultiscaleEWMATest | None:
-        """Return the test by the noise model of the plant, as if that were known exactly."""
+        """Return the test by the noise model of the plant, as if that were exact."""
         generator, rows = watched.generator, rows_of_parts(watched)
         covariance = generator.covariance_of_sums(1)
         if covariance is None or self.source == "data":
@@ -514,7 +514,7 @@ class MultiscaleEWMA(TestSettings):
 
     @property
     def remedy(self) -> str:
-        """How to get a threshold."""
+        """Remedy for a missing threshold."""
         return super().remedy if self.source == "data" else f"{super().remedy}, or give the plant noise (with_noise)"
 
     def _test(
@@ -526,7 +526,7 @@ class MultiscaleEWMA(TestSettings):
         score: float,
         basis: str,
     ) -> MultiscaleEWMATest:
-        """Return what runs, with a threshold on the normal score of the longest mean."""
+        """Build the test, with a threshold on the normal score of the longest mean."""
         names, rows = tuple(watched.parts or ()), rows_of_parts(watched)
         thresholds, releases = (lengths_at(value, moving) for value in (score, FALLS_TO * score))
         return MultiscaleEWMATest(

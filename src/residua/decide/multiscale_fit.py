@@ -1,4 +1,4 @@
-"""What a bank of means is fitted with: white residuals, the covariance of their means, and levels of held-out data."""
+"""Fit of a bank of means: white residuals, the covariance of their means, and levels of held-out data."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _FOLDS = 4
 
 @dataclass(frozen=True, eq=False)
 class MeansFit:
-    """Residuals as a fit takes them to be, and their means, before there is a threshold."""
+    """Residual model and means of a fit, before the threshold."""
 
     parts: dict[str, Any]
     scaling: NDArray[np.float64]
@@ -52,13 +52,13 @@ class MeansFit:
 
 
 def fit_means(weights: Sequence[float], treatment: str, rows: Sequence[Sequence[int]], run: FaultFreeRun) -> MeansFit:
-    """Fit what makes residuals white, and the covariance of their means, to the usable samples of a run."""
+    """Fit the whitening of residuals, and the covariance of their means, to the usable samples of a run."""
     columns, made = columns_of(rows), [_treated(treatment, run, one) for one in rows]
     parts = side_by_side([one.parts for one in made], rows, run.residuals.shape[1])
     series = _white(parts, run)
     e = np.concatenate(series)
     covariance = e.T @ e / max(1, len(e))
-    for part in columns:  # each is white by itself; what never moves is left out
+    for part in columns:  # each is white by itself; directions without noise are left out
         covariance[part, part] = np.diag((np.diag(covariance[part, part]) > _STILL).astype(float))
     radii = tuple(
         np.sort(np.sqrt(row_squares(e[:, part]))) if one.is_heavy else None
@@ -74,13 +74,13 @@ def fit_means(weights: Sequence[float], treatment: str, rows: Sequence[Sequence[
 
 
 def _treated(treatment: str, run: FaultFreeRun, rows: Sequence[int]) -> Treated:
-    """Return what makes some residuals white; those without noise are measured by the largest that they are."""
+    """Return the whitening of some residuals; those without noise are scaled by their largest value."""
     data = FaultFree(run.residuals[:, list(rows)], run.usable, 1, run.seams)
     rounding = SIGNAL_ROUNDING * run.signal_size(rows)
     if data.spread > rounding:
         try:
             return treated(data, treatment, _HARMLESS, scores=False)
-        except DataError:  # its past foretells all of it: it is judged as it is
+        except DataError:  # its past predicts all of it: it is judged unchanged
             return treated(data, "none", _HARMLESS, scores=False)
     size = max(float(np.abs(data.deviations).max(initial=0.0)), rounding, float(np.finfo(float).tiny))
     parts = plain(data.middle, np.eye(len(rows)) / size)
@@ -88,7 +88,7 @@ def _treated(treatment: str, run: FaultFreeRun, rows: Sequence[int]) -> Treated:
 
 
 def _white(parts: Mapping[str, Any], run: FaultFreeRun) -> list[NDArray[np.float64]]:
-    """Return the white residuals of each recording that has some, where they are known."""
+    """Return the white residuals of each recording that has some, at samples where they are known."""
     A, out = parts["coefficients"], []
     for part in FaultFree(run.residuals, run.usable, 1, run.seams).parts:
         q, usable = whitened_residuals(
@@ -101,7 +101,7 @@ def _white(parts: Mapping[str, Any], run: FaultFreeRun) -> list[NDArray[np.float
 
 
 def means_of(weight: float, series: Sequence[NDArray[np.float64]], fit: MeansFit) -> list[NDArray[np.float64]]:
-    """Return the means of white residuals, of one or several series (..., time, k), each from a start of its own."""
+    """Return the means of white residuals, of one or several series (..., time, k), each with its own start."""
     if weight == 1:
         return list(series)
     out = []
@@ -115,7 +115,7 @@ def means_of(weight: float, series: Sequence[NDArray[np.float64]], fit: MeansFit
 def scaled_anew(
     means: NDArray[np.float64] | Sequence[NDArray[np.float64]], columns: Sequence[slice], weight: float, shrink: float
 ) -> NDArray[np.float64]:
-    """Return what makes means as long as standard normal vectors, by their own covariance; shape (fits, k, k).
+    """Return matrices that normalise means by their own covariance; shape (fits, k, k).
 
     Of one fit to several recordings, or of many fits to one each. What a mean takes to start is left out. Of few rows,
     the covariance is drawn towards that of the mean of white residuals.
@@ -135,7 +135,7 @@ def scaled_anew(
 
 
 def scaled(covariances: NDArray[np.float64], columns: Sequence[slice], weight: float) -> NDArray[np.float64]:
-    """Return the inverse roots of the covariances of a mean, of each part by itself; what never moves as white."""
+    """Return the inverse roots of the covariances of a mean, part by part; directions without variance are white."""
     out = np.zeros_like(covariances)
     for part in columns:
         values, vectors = np.linalg.eigh(covariances[..., part, part])
@@ -145,7 +145,7 @@ def scaled(covariances: NDArray[np.float64], columns: Sequence[slice], weight: f
 
 
 def factors_of(mean: NDArray[np.float64], fit: MeansFit, weight: float, rate: float) -> NDArray[np.float64]:
-    """Return for each column how much longer the means of worlds are than a standard normal vector, at a rate.
+    """Return for each column the factor of the simulated means over standard normal vectors, at a rate.
 
     At the rate asked for, or at the rarest that twenty independent exceedances show.
     """
@@ -175,7 +175,7 @@ def held_out_levels(
     run: FaultFreeRun,
     factors: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the levels that each quarter of the samples has by a fit to the others; none where they are too few."""
+    """Return the levels of each quarter of the samples by a fit to the others; none if they are too few."""
     count = np.cumsum(run.usable)
     edges = np.searchsorted(count, np.arange(_FOLDS + 1) * count[-1] / _FOLDS)
     out = []
@@ -185,7 +185,7 @@ def held_out_levels(
         mine = replace(run, usable=run.usable & ~others)
         try:
             fit = fit_means(weights, treatment, rows, replace(run, usable=others))
-        except DataError:  # what is left is too little for a fit
+        except DataError:  # too few samples remain for a fit
             return np.zeros(0)
         for e in _white(fit.parts, mine):
             if len(e):
@@ -205,13 +205,13 @@ def rows_of_parts(watched: Watched) -> list[list[int]]:
 
 
 def columns_of(rows: Sequence[Sequence[int]]) -> list[slice]:
-    """Return which whitened residuals are those of each part."""
+    """Return the columns of the whitened residuals of each part."""
     ends = np.cumsum([len(one) for one in rows]).tolist()
     return [slice(a, b) for a, b in zip([0, *ends[:-1]], ends, strict=True)]
 
 
 def side_by_side(made: Sequence[Mapping[str, Any]], rows: Sequence[Sequence[int]], n: int) -> dict[str, Any]:
-    """Return what makes the residuals of each part white as one."""
+    """Return the joint whitening of the residuals of all parts."""
     columns = columns_of(rows)
     k, order = columns[-1].stop, max(len(one["coefficients"]) for one in made)
     parts = {**plain(np.zeros(n), np.zeros((n, k))), "coefficients": np.zeros((order, k, k)), "rewhitening": np.eye(k)}
@@ -225,7 +225,7 @@ def side_by_side(made: Sequence[Mapping[str, Any]], rows: Sequence[Sequence[int]
 
 
 def clipped(e: NDArray[np.float64], columns: Sequence[slice], clips: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return samples no longer than the clips of their parts."""
+    """Return samples limited to the clips of their parts."""
     out = np.empty_like(e)
     for part, clip in zip(columns, clips.tolist(), strict=True):
         square = row_squares(e[..., part])
@@ -244,7 +244,7 @@ def averaged(
 
 
 def variance_of(weight: float) -> float:
-    """Return the variance of the mean of white residuals, once it has forgotten its start."""
+    """Return the steady-state variance of the mean of white residuals."""
     return weight / (2 - weight)
 
 

@@ -1,4 +1,4 @@
-"""A threshold on the norm of the residual: of all residuals together, or of each group of them."""
+"""Threshold on the norm of the residual: of all residuals together, or of each group of them."""
 
 from __future__ import annotations
 
@@ -45,14 +45,14 @@ class NormThreshold(NormSettings):
     window : int
         Samples ``N`` over which the residual is summed. A longer window sees smaller and slower faults, and
         sees large ones no more than that later. It holds the last ``N`` judged samples: those where something is
-        missing or the filter settles again are no part of it, and it reaches further back instead.
+        missing or the filter settles again do not count, and it reaches further back instead.
     whiten : {"auto", "data", "model", "none"}
         Whose covariance :math:`\Sigma_N` is used: that of the fault-free data, that of the plant's noise
         model, or the identity. ``"auto"`` takes the data when fitted, else the model, else none.
     false_alarm_rate : float, optional
-        Intended fraction of fault-free samples in alarm, unless ``fit`` gets another one. When omitted, what the log
-        of a fit can carry: 5 / rows, of the usable fault-free rows that the fit uses, between 1e-4 and 1e-2 (1e-3 of
-        5,000 rows); and 1e-4 where the threshold is from the plant's noise. A sample is in alarm from the one that
+        Intended fraction of fault-free samples in alarm, unless ``fit`` gets another one. When omitted, one that the
+        log of a fit can support: 5 / rows, of the usable fault-free rows that the fit uses, between 1e-4 and 1e-2 (1e-3
+        of 5,000 rows); and 1e-4 where the threshold is from the plant's noise. A sample is in alarm from the one that
         raises it, the last of ``persistence`` over the threshold, to the one before that which ends it: the rate counts
         samples, not alarms, on data other than those of the fit, once windows are full.
     groups : "each", mapping of str to sequence of str, or sequence of sequence of str, optional
@@ -66,7 +66,7 @@ class NormThreshold(NormSettings):
         like that of chi-squared. ``"quantile"``: an order statistic, so that the rate is at most ``false_alarm_rate``
         with 95 % confidence, whatever the distribution. ``"conformal"``: mean and covariance of the first half of the
         data, an order statistic of the second: at most the rate on average over fits. ``"tail"``: a generalised Pareto
-        tail, of any weight. All say in ``basis`` what the samples at hand can promise, and how many more it takes.
+        tail, of any weight. All state in ``basis`` the rate that the samples can promise, and the number required.
 
     References
     ----------
@@ -112,10 +112,10 @@ class NormThreshold(NormSettings):
             return fit_group_test(self, run.residuals, run.usable, rows, signal_sizes=sizes, **options)
         return fit_norm_test(self, run.residuals, run.usable, signal_size=run.signal_size(), **options)
 
-    # ----------------------------------------------- what the rest of a monitor asks for
+    # ----------------------------------------------- interface to the rest of a monitor
 
     def check(self, watched: Watched) -> None:
-        """Raise where the groups do not have each residual just once."""
+        """Raise unless the groups have each residual exactly once."""
         if self.groups is not None:
             rows_of_groups(self.groups, watched.generator.residuals)
         if self.source != "auto" and (watched.parts is not None or self.groups is not None):
@@ -126,18 +126,18 @@ class NormThreshold(NormSettings):
 
     @property
     def remedy(self) -> str:
-        """How to get a threshold."""
+        """Remedy for a missing threshold."""
         if self.source != "auto":
             return super().remedy
         return f"{super().remedy}, give the plant noise (with_noise), or set NormThreshold(threshold=...)"
 
     @property
     def divides(self) -> bool:
-        """Whether groups are tested by themselves."""
+        """True if groups are tested separately."""
         return self.groups is not None
 
     def kept(self, watched: Watched) -> tuple[str, int, int] | None:
-        """Return the window, and how many whitened residuals are kept of each of its samples."""
+        """Return the window, and the number of whitened residuals kept for each of its samples."""
         parts = watched.parts
         columns = watched.generator.n_residuals if parts is None else sum(map(len, parts.values()))
         return f"NormThreshold(window={self.window})", self.window, columns
@@ -145,7 +145,7 @@ class NormThreshold(NormSettings):
     # --------------------------------------------------------------------------- files
 
     def to_record(self) -> dict[str, Any]:
-        """Return the settings as a record; ``groups`` are an entry if there are any, ``source`` if it is another."""
+        """Return the settings as a record, with ``groups`` if there are any, and ``source`` if not the default."""
         content = values_out(self)
         groups = content.pop("groups")
         if self.source == "auto":
@@ -166,12 +166,12 @@ class NormThreshold(NormSettings):
         return values_in(content, where, cls, known)
 
     def check_record(self, content: Mapping[str, Any], where: str) -> None:
-        """Raise where a test has another window."""
+        """Raise if a test has another window."""
         if content.get("window") != self.window:
             raise FileFormatError(f"{where}.window must be that of the test, {self.window}")
 
     def test_from_record(self, content: Any, where: str, watched: Watched) -> ResidualTest:
-        """Return what runs, from a record."""
+        """Read a test from a record."""
         cls = BankTest if watched.parts is not None else NormTest if self.groups is None else GroupTest
         if cls is GroupTest:
             watched = replace(watched, parts=rows_of_groups(self.groups, watched.generator.residuals))
@@ -191,7 +191,7 @@ def _checked_groups(groups: object) -> Groups:
         pairs = list(groups.items())
     elif isinstance(groups, Sequence) and not isinstance(groups, str):
         if all(isinstance(one, tuple) and len(one) == 2 and isinstance(one[0], str) and isinstance(one[1], tuple)
-               for one in groups):  # what this function returns  # fmt: skip
+               for one in groups):  # the form that this function returns  # fmt: skip
             pairs = list(groups)
         else:
             pairs = [(None, one) for one in groups]

@@ -1,4 +1,4 @@
-"""Residuals with heavy tails, as Gaussian ones: each value becomes the one that a Gaussian has as rarely."""
+"""Normal scores of residuals with heavy tails: each value becomes the Gaussian one of equal rarity."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def _apart(ordered: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _beyond(above: NDArray[np.float64], last: NDArray[np.float64], rarer: NDArray[np.float64]) -> NDArray[np.float64]:
-    r"""Return the values that are so much rarer than the last ones of each column, by a tail like a power.
+    r"""Return the values so much rarer than the last ones of each column, by a power-law tail.
 
     .. math:: P(e > x) = P(e > x_0)\,(x / x_0)^{-\alpha}
 
@@ -82,7 +82,7 @@ def _beyond(above: NDArray[np.float64], last: NDArray[np.float64], rarer: NDArra
 def normal_scores(
     e: NDArray[np.float64], knots: NDArray[np.float64], scores: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the scores of samples, shape (..., k): linear between the knots, and on as at the outermost ones."""
+    """Return the scores of samples, shape (..., k): linear between the knots, and extrapolated beyond."""
     if not scores.size:
         return e
     out = np.empty_like(e)
@@ -96,7 +96,7 @@ def normal_scores(
 def raw_values(
     values: NDArray[np.float64], knots: NDArray[np.float64], scores: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the samples that have these scores, shape (..., k): the way back from :func:`normal_scores`."""
+    """Return the samples that have these scores, shape (..., k): the inverse of :func:`normal_scores`."""
     if not scores.size:
         return values
     out = np.empty_like(values)

@@ -1,4 +1,4 @@
-"""The test of Page and Hinkley: cumulative deviations of the residual from its own mean so far."""
+"""Test of Page and Hinkley: cumulative deviations of the residual from its own running mean."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _EACH, _LAST = 64, 4096
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PageHinkleyTest(StreamTest):
-    """The test of Page and Hinkley with every number filled in: what runs."""
+    """Fitted test of Page and Hinkley."""
 
     NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {**StreamTest.NUMBER_KINDS, "drift": POSITIVE}
 
@@ -42,7 +42,7 @@ class PageHinkleyTest(StreamTest):
     def statistic(
         self, sums: NDArray[np.float64], e: NDArray[np.float64], seen: NDArray[np.bool_]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the largest sum; what ends an alarm starts the sums and the mean again."""
+        """Return the largest sum; the end of an alarm restarts the sums and the mean."""
         k = e.shape[2]
         values, full = np.empty(seen.shape), _FULL * self.threshold
         now, mean, count, alarmed = sums[:, : 2 * k], sums[:, 2 * k : 3 * k], sums[:, -2], sums[:, -1] > 0
@@ -63,23 +63,23 @@ class PageHinkleyTest(StreamTest):
 
     @property
     def title(self) -> str:
-        """What is tested."""
+        """Name of the statistic."""
         return f"largest cumulative deviation from the mean so far (drift allowed {self.drift:g})"
 
     @property
     def samples(self) -> int:
-        """Samples that a change of twice the drift allowed takes to the threshold."""
+        """Number of samples in which a change of twice the allowed drift reaches the threshold."""
         return max(1, int(np.ceil(min(self.threshold / self.drift, 1e9))))
 
     @property
     def least_seen(self) -> float:
-        """The change of the mean that the drift allowed takes off."""
+        """Change of the mean that the allowed drift cancels."""
         return self.drift
 
 
 @dataclass(frozen=True)
 class PageHinkley(StreamSettings):
-    r"""Alarm where the residual has left the mean that it has had so far, whatever that is.
+    r"""Alarm when the residual leaves its running mean, whatever that is.
 
     .. math:: m_k = \frac1k \sum_{i=1}^k e_i, \qquad U^\pm_k = \sum_{i=1}^{k} (\pm (e_i - m_i) - \delta), \qquad
               U^\pm_k - \min_{i \le k} U^\pm_i > h
@@ -100,8 +100,8 @@ class PageHinkley(StreamSettings):
         from it by integral equation.
     false_alarm_rate : float, optional
         Where no time is given: the fraction of fault-free samples in alarm, by the same equations; at most 0.02, since
-        sooner after a start the mean is not known well enough for an alarm to end as it should. When omitted, what the
-        log of a fit can carry; see :class:`residua.decide.NormThreshold`.
+        sooner after a start the mean is not known well enough for an alarm to end as it should. When omitted, one that
+        the log of a fit can support; see :class:`residua.decide.NormThreshold`.
     threshold : float, optional
         h, where it is to be neither.
     source : {"auto", "design", "data", "quantile", "tail", "conformal"}
@@ -111,12 +111,12 @@ class PageHinkley(StreamSettings):
 
     See Also
     --------
-    residua.decide.CUSUM : Where the mean of the fault-free residual is known: sees what is there from the start.
+    residua.decide.CUSUM : With a known mean of the fault-free residual: also detects faults present from the start.
     residua.decide.SPRT : With the rate of misses designed as well.
 
     Notes
     -----
-    What the mean so far leaves of white Gaussian samples of any mean is independent, with a variance that is known,
+    White Gaussian samples of any mean less their running mean are independent, with a known variance,
 
     .. math:: e_k - m_k = \sqrt{1 - 1/k}\; w_k, \qquad w_k \sim N(0, 1) \text{ independent}
 
@@ -129,7 +129,7 @@ class PageHinkley(StreamSettings):
     References
     ----------
     Page (1954), Biometrika 41; Hinkley (1971), Biometrika 58(3); Brown, Durbin and Evans (1975), Journal of the Royal
-    Statistical Society B 37(2), for the independence of what the mean so far leaves.
+    Statistical Society B 37(2), for the independence of these deviations.
 
     Examples
     --------
@@ -170,22 +170,22 @@ class PageHinkley(StreamSettings):
         return CUSUM(shift=2 * self.drift, form="page").delay(threshold, dimension, shift=shift)
 
     def cycle(self, threshold: float, dimension: int) -> AlarmCycle:
-        """Return how long the test is quiet, and how long a false alarm lasts."""
+        """Return the mean lengths of quiet and of false alarms."""
         lasting = alarm_cycle(PageChain(self.drift), threshold, self.falls_to * threshold).lasting
         return AlarmCycle(self.run_length(threshold, dimension), lasting)
 
     @property
     def harmless_offset(self) -> float:
-        """One deviation: the mean of the stream itself is what counts."""
+        """One standard deviation, since the mean of the stream itself counts."""
         return 1.0
 
     @property
     def uninterrupted(self) -> StreamSettings:
-        """A test that knows the mean, as a long stream does."""
+        """Test with a known mean, as after a long stream."""
         return CUSUM(shift=2 * self.drift, form="page")
 
     def test(self, **parts: Any) -> PageHinkleyTest:
-        """Return what runs."""
+        """Build the fitted test."""
         return PageHinkleyTest(**parts, drift=self.drift)
 
 
@@ -224,7 +224,7 @@ def _summed(drift: float, threshold: float, sides: int, factor: float) -> float:
 def _steps(
     drift: float, values: NDArray[np.float64], nodes: NDArray[np.float64], weights: NDArray[np.float64], size: float
 ) -> NDArray[np.float64]:
-    """Return the weights with which the next sum is each of those of the grid, for steps of a deviation."""
+    """Return the transition weights of the sums on the grid, for steps of a deviation."""
     from scipy.special import ndtr
 
     z = (nodes[None, :] - values[:, None] + drift) / size

@@ -1,4 +1,4 @@
-"""The tail of a statistic by the generalised Pareto distribution, and how sure the rate over a level is."""
+"""Tail of a statistic by the generalised Pareto distribution, with the confidence of a rate."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from residua.tolerances import SAME
 
-#: Shapes of tails that are thought of, and what is known of them before any data: lighter than an exponential one to
+#: Shapes of tails under consideration, and their prior: lighter than an exponential one to
 #: one without a variance; mean and deviation.
 _SHAPES, _PRIOR = np.arange(-10, 20) / 20, (0.1, 0.25)
 #: Scales that are thought of, in means of the excesses.
@@ -25,7 +25,7 @@ _CLOSE, _ROUGHLY = SAME, 0.005
 
 @dataclass(frozen=True, eq=False)
 class ParetoTail:
-    r"""The excesses of a statistic over a level, by how likely each generalised Pareto distribution makes them.
+    r"""Excesses of a statistic over a level, with a posterior over generalised Pareto distributions.
 
     .. math:: P(J > u + y) = \zeta \left(1 + \frac{\xi y}{\sigma}\right)^{-1/\xi}, \qquad
               p(\xi, \sigma) \propto p_0(\xi)\, \sigma^{-1} \prod_i p(y_i | \xi, \sigma)^{1/\tau}
@@ -57,7 +57,7 @@ class ParetoTail:
 
     @cached_property
     def _posterior(self) -> tuple[float, NDArray[np.float64]]:
-        """The mean of the excesses, and the weights of shapes and scales."""
+        """Mean of the excesses, and the weights of shapes and scales."""
         y = self.excesses
         if len(y) > _MOST:  # as many that stand for all of them
             y = np.sort(y)[(np.arange(_MOST) + 0.5).astype(int) * len(y) // _MOST]
@@ -96,11 +96,11 @@ class ParetoTail:
             return np.where(shape == 0, np.exp(-x), inside ** (-1 / np.where(shape == 0, 1, shape)))
 
     def expected(self, level: float) -> float:
-        """Return the fraction of samples over a level that is expected."""
+        """Return the expected fraction of samples over a level."""
         return self.rate * float(np.sum(self._falls(level) * self._posterior[1]))
 
     def bound(self, level: float, confidence: float) -> float:
-        """Return the fraction of samples over a level that is not exceeded, with so much confidence (bisection).
+        """Return the upper confidence limit of the fraction of samples over a level (bisection).
 
         The rate over the start is known as well as the number of independent excesses is, which is Poisson's.
         """
@@ -118,7 +118,7 @@ class ParetoTail:
         return high
 
     def level(self, rate: float) -> float:
-        """Return the level over which a fraction of samples is expected (bisection)."""
+        """Return the level with an expected fraction of samples over it (bisection)."""
         mean, _ = self._posterior
         low, high = self.start, self.start + mean
         if not mean or self.expected(low) <= rate:

@@ -1,4 +1,4 @@
-"""The finite-horizon test: a fault is declared while the largest residual of a moving window is over a threshold."""
+"""Finite-horizon test: a fault is declared while the largest residual of a moving window exceeds a threshold."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _TOLD = 8
 
 
 def told_sample(sample: int, seams: Sequence[int]) -> str:
-    """Say which sample that is, and of which recording if there are several."""
+    """Describe the place of a sample, and its recording if there are several."""
     if not seams:
         return f"sample {sample}"
     before = [0, *(int(s) for s in seams)]
@@ -45,7 +45,7 @@ def told_sample(sample: int, seams: Sequence[int]) -> str:
 
 
 class _Peak:
-    """What a test of peaks says of itself, whether of the residual as a whole or of members one by one."""
+    """Common part of tests of peaks, of the residual as a whole or of members one by one."""
 
     basis: str
     release: int
@@ -54,30 +54,30 @@ class _Peak:
 
     @property
     def horizon(self) -> int:
-        """Samples of the window."""
+        """Length of the window."""
         return self.release
 
     @property
     def is_bound(self) -> bool:
-        """Whether thresholds are certified or set by the user, and not fitted to data."""
+        """True if thresholds are certified or set by the user, and not fitted to data."""
         return self.basis.startswith((CERTIFIED, GIVEN))
 
     @property
     def is_certified(self) -> bool:
-        """Whether the design has certified the thresholds."""
+        """True if the design has certified the thresholds."""
         return self.basis.startswith(CERTIFIED)
 
     @property
     def per_deviation(self) -> NDArray[np.float64] | None:
-        """Nothing is known of the spread."""
+        """Return ``None``: the spread is unknown."""
         return None
 
     def bands(self) -> tuple[NDArray[np.float64], float]:
-        """Return where each residual alone is over its threshold."""
+        """Return the band of each residual alone, below its threshold."""
         return self.band, 0.0
 
     def _said(self, step: float, several: bool) -> str:
-        """Return what is tested, in words."""
+        """Describe the statistic."""
         origin = "certified by the design" if self.is_certified else self.basis.split(" ")[0]
         origin = {"each": "fitted", "threshold": "given"}.get(origin, origin)
         whose = "the residual"
@@ -97,21 +97,21 @@ class PeakTest(_Peak, NormTest):
 
     @property
     def guarded(self) -> NDArray[np.float64]:
-        """In thresholds."""
+        """Weights in thresholds."""
         return np.abs(self.whitening) / self.threshold
 
     @property
     def compiled(self) -> CompiledTest | None:
-        """The same in C."""
+        """Equivalent for the fused loop."""
         return self._in_c() if type(self) is PeakTest else None
 
     def words(self, step: float) -> dict[str, str]:
-        """Return in words what the threshold is, what is tested, and when an alarm begins and ends."""
+        """Describe the threshold, the statistic, and the start and end of an alarm."""
         alarm = f"raised by one sample over it, ended by {self.release} below it"
         return super().words(step) | {"test": self._said(step, False), "alarm": alarm}
 
     def cautions(self, tested: Tested) -> tuple[str, ...]:
-        """Return a doubt of the units of a recording."""
+        """Return a caution about the units of a recording."""
         return _unit_cautions(self, tested.usable, tested.statistic[:, None], np.array([self.threshold]))
 
 
@@ -123,21 +123,21 @@ class PeakBankTest(_Peak, BankTest):
 
     @property
     def guarded(self) -> NDArray[np.float64]:
-        """In thresholds."""
+        """Weights in thresholds."""
         return np.abs(self.whitening) / np.repeat(self.thresholds, self.sizes)
 
     @property
     def compiled(self) -> CompiledTest | None:
-        """The same in C."""
+        """Equivalent for the fused loop."""
         return self._in_c() if type(self) is PeakBankTest else None
 
     def words(self, step: float) -> dict[str, str]:
-        """Return in words what the thresholds are, what is tested, and when an alarm begins and ends."""
+        """Describe the thresholds, the statistic, and the start and end of an alarm."""
         said = self._said(step, len(self.thresholds) > 1)
         return super().words(step) | {"test": said, "alarm": self._raised("one sample")}
 
     def cautions(self, tested: Tested) -> tuple[str, ...]:
-        """Return a doubt of the units of a recording."""
+        """Return a caution about the units of a recording."""
         return _unit_cautions(self, tested.usable, tested.part_statistics, self.thresholds)
 
 
@@ -148,7 +148,7 @@ _FAR = 10.0
 def _unit_cautions(
     test: PeakTest | PeakBankTest, usable: NDArray[np.bool_], statistics: NDArray[np.float64], limits: NDArray
 ) -> tuple[str, ...]:
-    """Return a doubt of the recording where every residual is far over a bound as soon as anything is judged.
+    """Return a caution if every residual is far over a bound from the first decision on.
 
     A fitted threshold would have shown it; one that is certified or set by the user has never seen the data.
     """
@@ -168,7 +168,7 @@ def _unit_cautions(
 
 @dataclass(frozen=True)
 class PeakThreshold(TestSettings):
-    r"""Alarm while the largest norm of the residual over a moving window is over a threshold.
+    r"""Alarm while the largest norm of the residual over a moving window exceeds a threshold.
 
     .. math:: \max_{N_0 \le k \le N} |r(k)|_2 > J_{th}
 
@@ -187,7 +187,7 @@ class PeakThreshold(TestSettings):
 
     Assumes that the filter has settled: a certified threshold holds from an initial error of zero, or once the
     transient of the start has decayed (``Monitor(settle=...)``). Samples that are not judged, because values are
-    missing or the filter settles again, are no part of the window: it holds the last ``window`` judged samples and
+    missing or the filter settles again, do not belong to the window: it holds the last ``window`` judged samples and
     reaches further back in time over a gap. Meanwhile an alarm neither begins nor ends.
 
     Parameters
@@ -201,9 +201,9 @@ class PeakThreshold(TestSettings):
     window : int
         Samples of the window, the last one included.
     false_alarm_rate : float, optional
-        Intended fraction of fault-free samples in alarm for fitted thresholds, what the log can carry when omitted (see
-        :class:`residua.decide.NormThreshold`); it does not change thresholds that the user sets or the design
-        certifies.
+        Intended fraction of fault-free samples in alarm for fitted thresholds, one that the log can support when
+        omitted (see :class:`residua.decide.NormThreshold`); it does not change thresholds that the user sets or the
+        design certifies.
 
     Raises
     ------
@@ -296,7 +296,7 @@ class PeakThreshold(TestSettings):
         return self.from_model(watched)
 
     def fitted(self, watched: Watched, run: FaultFreeRun, rate: float) -> NormTest | BankTest:
-        """Return the test fitted to fault-free data; thresholds that are known stay, and are held against them."""
+        """Return the test fitted to fault-free data; known thresholds stay, and are checked against them."""
         known, parts = self.from_model(watched), watched.parts
         if known is not None:
             return checked_peak_test(known, run.residuals, run.usable, list(parts or ()), run.seams)
@@ -305,10 +305,10 @@ class PeakThreshold(TestSettings):
             self, run.residuals, run.usable, false_alarm_rate=rate, signal_sizes=sizes, members=parts, seams=run.seams
         )
 
-    # ----------------------------------------------- what the rest of a monitor asks for
+    # ----------------------------------------------- interface to the rest of a monitor
 
     def check(self, watched: Watched) -> None:
-        """Raise where thresholds are not for what is tested."""
+        """Raise if the thresholds do not fit the tested members."""
         tested = tested_members(watched)
         self.for_members(tested)
         if self.thresholds is not None or not watched.certified:
@@ -326,17 +326,17 @@ class PeakThreshold(TestSettings):
 
     @property
     def takes_certified(self) -> bool:
-        """Whether thresholds that a design has certified are looked at."""
+        """True if the test can use thresholds certified by a design."""
         return True
 
     @property
     def uses_certified(self) -> bool:
-        """Whether they are used: without thresholds of the user's own."""
+        """True if the user gave no thresholds, so that certified ones are used."""
         return self.thresholds is None
 
     @property
     def remedy(self) -> str:
-        """How to get a threshold."""
+        """Remedy for a missing threshold."""
         return f"{super().remedy}, or set PeakThreshold(thresholds=...)"
 
     # --------------------------------------------------------------------------- files
@@ -357,7 +357,7 @@ class PeakThreshold(TestSettings):
         return cls(_thresholds_in(content["thresholds"], joined(where, "thresholds")), window, rate)
 
     def test_from_record(self, content: Any, where: str, watched: Watched) -> ResidualTest:
-        """Return what runs, from a record."""
+        """Read a test from a record."""
         test = values_in(content, where, PeakTest if watched.parts is None else PeakBankTest)
         if test.kind != self.kind:
             raise FileFormatError(f"{where}.kind must be that of the test, got {echo(test.kind)}")
@@ -366,7 +366,7 @@ class PeakThreshold(TestSettings):
 
 
 def tested_members(watched: Watched) -> list[str]:
-    """Return the members that have a threshold of their own; a generator of one member is that as a whole."""
+    """Return the members with their own thresholds; a single member is tested as a whole."""
     generator = watched.generator
     names = [member.name for member in generator.members]
     alone = len(names) == 1 and len(generator.members[0].residuals) == generator.n_residuals
@@ -401,7 +401,7 @@ def _checked(thresholds: object) -> float | dict[str, float] | tuple[float, ...]
 
 
 def _positive(value: object, what: str) -> float:
-    """Return a threshold as a number; what a design has certified is one."""
+    """Return a threshold as a number."""
     one = isinstance(value, SupportsFloat) and not isinstance(value, (bool, np.bool_)) and np.size(value) == 1  # type: ignore[arg-type]
     number = float(value) if one else np.nan  # type: ignore[arg-type]
     if not (is_number(number) and number > 0):
@@ -416,7 +416,7 @@ def _short(value: object) -> str:
 
 
 def peak_over_window(residuals: ArrayLike, window: int = 60) -> NDArray[np.float64]:
-    r"""Return the largest norm of the residual over a moving window: what :class:`PeakThreshold` compares.
+    r"""Return the largest norm of the residual over a moving window, the statistic of :class:`PeakThreshold`.
 
     .. math:: p(N) = \max_{N - window < k \le N} |r(k)|_2
 
@@ -483,7 +483,7 @@ def peak_test(
     n_residuals: int,
     members: Parts | None = None,
 ) -> NormTest | BankTest:
-    """Return the test with its thresholds: no centre, no whitening, one sample raises it and ``window`` end it.
+    """Return the test with its thresholds: no centre, no whitening, raised by one sample and ended by ``window``.
 
     Parameters
     ----------
@@ -583,7 +583,7 @@ def checked_peak_test(
     members: Sequence[str] = (),
     seams: Sequence[int] = (),
 ) -> NormTest | BankTest:
-    """Hold a test with known thresholds against a fault-free recording; its basis then tells how close that came.
+    """Check known thresholds against a fault-free recording; the basis then states the margin.
 
     Nothing is fitted: a threshold with a proof holds for every recording that its assumptions cover.
 
@@ -633,7 +633,7 @@ def _check_below(
     certified: bool,
     seams: Sequence[int],
 ) -> None:
-    """Raise where a recording that is to be fault-free goes over a threshold; ``norms``: (usable samples, members)."""
+    """Raise if a fault-free recording exceeds a threshold; ``norms``: (usable samples, members)."""
     worst = int((norms.max(axis=0) / limits).argmax())
     over = norms[:, worst] > limits[worst]
     if not over.any():

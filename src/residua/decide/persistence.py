@@ -1,4 +1,4 @@
-"""From samples over a threshold to alarms that last: persistence with release."""
+"""Alarm logic: persistence with release."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ LAST_COUNT = 2**31 - 1
 
 
 def stopped(count: NDArray[np.int64]) -> NDArray[np.int32]:
-    """Return counts as counters of 32 bits, which stop at the largest number that they hold."""
+    """Return counts as 32-bit counters that saturate."""
     return np.minimum(count, LAST_COUNT).astype(np.int32)
 
 
 @dataclass(frozen=True, eq=False)
 class AlarmRuns:
-    """What the alarm logic remembers; a row per plant, or a row and a column for each part.
+    """State of the alarm logic; a row per plant, or a row and a column for each part.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class AlarmRuns:
     alarm: NDArray[np.bool_]
 
     def arrays(self) -> tuple[NDArray, ...]:
-        """Return what the fused loop reads and writes, in its order."""
+        """Return the arrays that the fused loop reads and writes, in its order."""
         return self.up, self.down, self.alarm
 
     @staticmethod
@@ -50,7 +50,7 @@ class AlarmRuns:
         return AlarmRuns(stopped(up[:, -1]), stopped(down[:, -1]), alarm[:, -1].copy())
 
     def without_down(self) -> AlarmRuns:
-        """Return the runs of a test that does not ask how long the statistic has been below the threshold."""
+        """Return the runs of a test that does not need the count of samples below the threshold."""
         return replace(self, down=np.broadcast_to(np.int32(0), self.up.shape))
 
 
@@ -82,7 +82,7 @@ def alarm_logic(
     persistence: int,
     release: int,
 ) -> tuple[NDArray[np.bool_], NDArray[np.int64], NDArray[np.int64]]:
-    """Run the alarm logic over a block of samples; the same for any cutting into blocks.
+    """Run the alarm logic over a block of samples; the same for any split into blocks.
 
     An alarm is raised by ``persistence`` usable samples in a row over the threshold and goes away after
     ``release`` usable samples in a row below it. Samples that are not usable change nothing.
@@ -113,7 +113,7 @@ def alarm_logic(
 
 
 def held(raised: NDArray[np.bool_], ended: NDArray[np.bool_], alarm: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return for each sample whether an alarm is on that some samples raise, others end, and the rest let be.
+    """Return the alarm at each sample, given samples that raise it, end it or leave it unchanged.
 
     Parameters
     ----------

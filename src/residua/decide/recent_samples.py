@@ -1,4 +1,4 @@
-"""Statistics of the last samples: what is missing does not count, and the bits are the same however time is cut."""
+"""Statistics of recent samples: gaps do not count, and results do not depend on how time is split into blocks."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def over_recent(
     seen: NDArray[np.bool_],
     statistic: Callable[[Sums], NDArray[np.float64]],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return a statistic of sums over the last samples that were seen, and the samples to go on with.
+    """Return a statistic of sums over the last samples that were seen, and the next state.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Relations of recorded channels: each from the others without its own past, or outputs from a model further ahead."""
+"""Relations of recorded channels: each from the others without its own past, or outputs predicted further ahead."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ FORMS = (STATIC, CURVE, LAGS, HORIZON)
 LAG_WEIGHTS = (1 / 4, 1 / 16, 1 / 64)
 #: Rows after which the slowest mean has forgotten the first one, to 5 %.
 _FORGOTTEN = round(3 / min(LAG_WEIGHTS))
-#: Contiguous parts of the rows, each of which is foretold by a fit to the others.
+#: Contiguous parts of the rows, each of which is predicted by a fit to the others.
 _FOLDS = 5
 #: Penalties of ridge regression, in parts of the rows.
 _PENALTIES = tuple(10.0**-k for k in (5, 4, 3, 2, 1))
@@ -33,16 +33,16 @@ _PENALTIES = tuple(10.0**-k for k in (5, 4, 3, 2, 1))
 _KNOTS = 13
 #: Rows ahead of a prediction over a horizon, and its largest response to an innovation of one.
 _AHEAD, _EXPLODES = 50, 1e3
-#: What a second driver has to save of the error, how many are tried, and the least scale of a curve in parts of it.
+#: Least saving of the error by a second driver, number of drivers tried, and the least scale of a curve in parts of it.
 _SAVES, _TRIED, _LEAST_SCALE = 0.03, 10, 0.14
-#: Deviations of a relation that driving it outside of what was learnt may add before it is not judged.
+#: Deviations that a relation outside of the learnt range may add before it is not judged.
 _OUTSIDE = 2.0
 _DRIVER = NumberKind("a whole number, -1 or more", "i", lambda n: n >= -1)
 
 
 @dataclass(frozen=True, eq=False)
 class RelationsState:
-    """What relations remember between two blocks.
+    """State of relations between two blocks.
 
     ``averages`` (plants, weights, channels) of relations with lags, ``rows`` (plants,) how many they are of, and
     ``innovations`` (plants, ahead, residuals) of a prediction over a horizon, the latest last.
@@ -55,7 +55,7 @@ class RelationsState:
 
 @dataclass(frozen=True, eq=False)
 class Relations(Record):
-    """Relations of channels with every number filled in: what runs.
+    """Fitted relations of channels.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class Relations(Record):
         ``z`` is the deviation from the middle in spreads; a channel of spread zero never moved, and is left out.
     constant : ndarray, shape (channels,)
     gains : ndarray, shape (channels or 4 channels, channels)
-        By column what each channel is made of: the others, and their means with lags. No rows in other forms.
+        By column the weights for each channel: of the others, and of their means with lags. No rows in other forms.
     drivers : ndarray of int, shape (channels, 2)
         Of a curve the channels that it is a curve of; -1 for none.
     knots : ndarray, shape (channels, knots)
@@ -72,11 +72,11 @@ class Relations(Record):
     scales : ndarray, shape (channels, knots)
         Deviation of the channel around the curve at each knot of its first driver.
     ahead : ndarray, shape (rows, residuals, residuals)
-        Of a horizon: what an innovation does to outputs 1, 2, ... rows later.
+        Of a horizon: effect of an innovation on outputs 1, 2, ... rows later.
     outputs : ndarray of int, shape (residuals,)
         The channel of each residual, for a horizon.
     lows, highs : ndarray, shape (channels,) or (4 channels,)
-        Range of each channel in what was learnt, in spreads; with lags, of their means too.
+        Learnt range of each channel, in spreads; with lags, of their means too.
     reach : ndarray, shape (channels, channels) or (channels, 4 channels)
         By row how much a channel's relation is moved by each driver one spread outside of that range, in parts of what
         is borne.
@@ -101,13 +101,13 @@ class Relations(Record):
 
     @property
     def moving(self) -> NDArray[np.bool_]:
-        """Which channels are judged."""
+        """Mask of channels that are judged."""
         if self.form == HORIZON:
             return np.isin(np.arange(len(self.spread)), self.outputs) & (self.spread > 0)
         return self.spread > 0
 
     def start(self, plants: int, *, settled: bool = False) -> RelationsState:
-        """Return the state before the first row; ``settled``: that of means which have been at the middle for long."""
+        """Return the state before the first row; ``settled`` starts the means at the middle."""
         q, lagged = len(self.spread), len(LAG_WEIGHTS) if self.form == LAGS else 0
         return RelationsState(
             np.zeros((plants, lagged, q)),
@@ -118,7 +118,7 @@ class Relations(Record):
     def run(
         self, state: RelationsState, signals: NDArray[np.float64], innovations: NDArray[np.float64]
     ) -> tuple[RelationsState, NDArray[np.float64]]:
-        """Return what is left of each channel, (plants, time, channels); NaN where it is not judged.
+        """Return the residual of each channel, (plants, time, channels); NaN where it is not judged.
 
         Parameters
         ----------
@@ -144,7 +144,7 @@ class Relations(Record):
         return state, np.where(judged & within, left, np.nan)
 
     def _with_lags(self, state: RelationsState, z: NDArray[np.float64]) -> tuple[RelationsState, NDArray[np.float64]]:
-        """Return channels beside their means; rows with a value missing change none of these.
+        """Return channels beside their means; rows with a missing value change none of these.
 
         Values enter the means no further outside of the range of the fit than it is wide, so as to be forgotten again.
         """
@@ -171,7 +171,7 @@ class Relations(Record):
         return replace(state, averages=averages, rows=count), features
 
     def _off_curves(self, z: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return how far each channel is off its curve, in deviations there."""
+        """Return the deviation of each channel from its curve, in deviations there."""
         left = np.full(z.shape, np.nan)
         for i, (first, second) in enumerate(self.drivers.tolist()):
             if first < 0:
@@ -185,7 +185,7 @@ class Relations(Record):
     def _over_horizon(
         self, state: RelationsState, innovations: NDArray[np.float64]
     ) -> tuple[RelationsState, NDArray[np.float64]]:
-        """Return the errors of predictions so many rows ahead; an innovation that is not known counts as zero."""
+        """Return the errors of predictions so many rows ahead; an unknown innovation counts as zero."""
         known = np.asarray(np.isfinite(innovations).all(axis=2))
         e = np.where(known[..., None], innovations, 0.0)
         past, rows = len(self.ahead), e.shape[1]
@@ -209,7 +209,7 @@ def fit_relations(
     system: StateSpace,
     inputs: int,
 ) -> tuple[Relations, NDArray[np.float64]]:
-    """Fit relations to fault-free rows, and return them with what is left of each row by a fit to the others.
+    """Fit relations to fault-free rows, and return them with the residuals of each row by a fit to the others.
 
     Parameters
     ----------
@@ -269,7 +269,7 @@ def fit_relations(
 def _in_spreads(
     signals: NDArray[np.float64], middle: NDArray[np.float64], spread: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return deviations from the middle in spreads; zero of a channel that never moved, whatever it does now."""
+    """Return deviations from the middle in spreads; zero for a channel that was constant in the data."""
     return np.where(spread > 0, (signals - middle) / np.where(spread > 0, spread, 1.0), 0.0)
 
 
@@ -284,7 +284,7 @@ def _normal_equations(
 def _regressions(
     features: NDArray[np.float64], z: NDArray[np.float64], folds: NDArray[np.int64]
 ) -> tuple[dict[str, NDArray], NDArray[np.float64]]:
-    """Return each channel regressed on features of the others, by the penalty that foretells folds best."""
+    """Return each channel regressed on features of the others, with a cross-validated ridge penalty."""
     count, q = z.shape
     ones = np.hstack([np.ones((count, 1)), features])
     grams, right = _normal_equations(ones, z, folds)
@@ -315,7 +315,7 @@ def _regressions(
 
 
 def _curves(z: NDArray[np.float64], folds: NDArray[np.int64]) -> tuple[dict[str, NDArray], NDArray[np.float64]]:
-    """Return each channel as a piecewise linear curve of one other, or a sum of two, by what foretells folds best."""
+    """Return each channel as a piecewise linear curve of one other, or a sum of two, chosen by cross-validation."""
     count, q = z.shape
     knots = [np.unique(np.quantile(z[:, j], np.linspace(0, 1, _KNOTS))) for j in range(q)]
     hats = [_hats(z[:, j], own) for j, own in enumerate(knots)]
@@ -354,7 +354,7 @@ def _curves(z: NDArray[np.float64], folds: NDArray[np.int64]) -> tuple[dict[str,
 
 
 def _padded(values: NDArray[np.float64], step: float = 0.0) -> NDArray[np.float64]:
-    """Return values at all knots, of a channel with fewer: the last again, each a step further."""
+    """Return values at all knots for a channel with fewer: the last repeated, each a step further."""
     more = _KNOTS - len(values)
     return np.concatenate([values, values[-1] + step * np.arange(1, more + 1)])
 
@@ -367,7 +367,7 @@ def _hats(x: NDArray[np.float64], knots: NDArray[np.float64]) -> NDArray[np.floa
 def _foretold(
     basis: NDArray[np.float64], targets: NDArray[np.float64], folds: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return errors of targets by least squares, each fold by the others, and the weights of all rows."""
+    """Return cross-validated least-squares errors of targets, fold by fold, and the weights of all rows."""
     grams, right = _normal_equations(basis, targets, folds)
     total, whole, held = grams.sum(axis=0), right.sum(axis=0), DATA_ROUNDING * len(basis) * np.eye(basis.shape[1])
     errors = np.empty_like(targets)
@@ -378,7 +378,7 @@ def _foretold(
 
 
 def _ahead(system: StateSpace, inputs: int, size: NDArray[np.float64]) -> NDArray[np.float64]:
-    r"""Return :math:`C A^{j-1} K`, what an innovation of an observer does to the outputs j rows later.
+    r"""Return :math:`C A^{j-1} K`, the effect of an observer's innovation on the outputs j rows later.
 
     ``size`` is that of the innovations: an answer to one of that size is held against it.
     """
@@ -396,7 +396,7 @@ def _ahead(system: StateSpace, inputs: int, size: NDArray[np.float64]) -> NDArra
 
 
 def _outputs_of(system: StateSpace, inputs: int) -> NDArray[np.int64]:
-    """Return the channel of each residual, of a filter whose residuals are outputs less their predictions."""
+    """Return the channel of each residual of a filter whose residuals are outputs less their predictions."""
     now = system.D[:, inputs:]
     if now.shape[0] != now.shape[1] or not np.array_equal(now, np.eye(len(now))):
         raise DataError("a horizon needs residuals that are outputs less their predictions, as of a Kalman filter")

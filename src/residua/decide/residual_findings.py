@@ -1,4 +1,4 @@
-"""What fault-free residuals really are: memory, tails, drift, offset, and size against the noise model."""
+"""Properties of fault-free residuals: memory, tails, drift, offset, and size against the noise model."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class ResidualFacts:
     order : int
         Of the autoregression of this residual alone that leaves least.
     skewness, kurtosis : float
-        Of what that leaves; 0 and 3 of Gaussian samples.
+        Of its innovations; 0 and 3 for Gaussian samples.
     normality : float
         Probability that Gaussian samples show such a skewness or kurtosis.
     below : float
@@ -100,7 +100,7 @@ class ResidualFacts:
 
 @dataclass(frozen=True)
 class Finding:
-    """Something that these residuals are and that a test should know.
+    """A property of these residuals that matters for the choice of a test.
 
     Attributes
     ----------
@@ -121,7 +121,7 @@ class Finding:
 
 @dataclass(frozen=True, repr=False)
 class ResidualReport(Shown):
-    """What fault-free residuals really are, and which test they ask for; :func:`residua.decide.residual_report`.
+    """Properties of fault-free residuals, and the test they call for; see :func:`residua.decide.residual_report`.
 
     Attributes
     ----------
@@ -134,7 +134,7 @@ class ResidualReport(Shown):
     changes : tuple of Change
         Where the residuals begin to be others.
     independent : int
-        How many residuals are no combination of others.
+        Number of residuals that are not combinations of others.
     least_rate : float
         The smallest rate of false alarms that so many samples can promise with 95 % confidence by themselves.
     recommendations : tuple of str
@@ -154,7 +154,7 @@ class ResidualReport(Shown):
         return [dict(vars(one)) for one in self.residuals]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return all of it as plain numbers, texts, lists and dictionaries, as JSON takes them."""
+        """Return all of it as plain numbers, texts, lists and dictionaries for JSON."""
         return {
             "samples": self.samples,
             "recordings": self.recordings,
@@ -167,7 +167,7 @@ class ResidualReport(Shown):
         }
 
     def found(self, kind: str) -> Finding | None:
-        """Return the finding of a kind; ``None`` where there is none."""
+        """Return the finding of a kind; ``None`` without one."""
         return next((one for one in self.findings if one.kind == kind), None)
 
     def __str__(self) -> str:
@@ -190,7 +190,7 @@ def findings_of(
     covariance: NDArray[np.float64] | None = None,
     white: bool | None = None,
 ) -> ResidualReport:
-    """Return what fault-free residuals are.
+    """Return the properties of fault-free residuals.
 
     Parameters
     ----------
@@ -207,7 +207,7 @@ def findings_of(
     check_enough(count, run.residuals.shape[1], 1)
     if whole.spread <= SIGNAL_ROUNDING * run.signal_size():
         raise DataError(
-            "these residuals hold no noise, nothing but rounding: there is nothing to test in them; give a recording "
+            "these residuals hold no noise, only rounding: there is nothing to test; give a recording "
             "with the noise of its sensors"
         )
     places = changes(run, names)
@@ -254,7 +254,7 @@ def findings_of(
 
 
 def _without(places: Sequence[Change], whole: FaultFree) -> FaultFree:
-    """Return the residuals less their means on either side of each change, and with nothing across it."""
+    """Return the residuals less their means on either side of each change, and with a gap across it."""
     if not places:
         return whole
     starts = [whole.parts[one.recording - 1].start + one.sample for one in places]
@@ -269,7 +269,7 @@ def _without(places: Sequence[Change], whole: FaultFree) -> FaultFree:
 def _facts(
     data: FaultFree, j: int, name: str, mean: float, unit: str, expected: float | None
 ) -> tuple[ResidualFacts, NDArray[np.float64]]:
-    """Return the figures of one residual, and what an autoregression of it leaves, in its own deviations."""
+    """Return the figures of one residual, and its innovations in its own deviations."""
     column = data.deviations[:, [j]]
     used = column[data.usable, 0]
     deviation, count = float(np.sqrt(np.mean(used**2))), len(used)
@@ -295,7 +295,7 @@ def _facts(
 
 
 def _left(coefficients: NDArray[np.float64], column: NDArray[np.float64], data: FaultFree) -> NDArray[np.float64]:
-    """Return what the past does not foretell of the samples whose past is known."""
+    """Return the innovations of the samples whose past is known."""
     out = []
     for part in data.parts:
         past = Past.empty(1, coefficients)
@@ -305,7 +305,7 @@ def _left(coefficients: NDArray[np.float64], column: NDArray[np.float64], data: 
 
 
 def _lags(samples: int) -> int:
-    """Return the lags that are looked at: of more, the sum of squares is no chi-squared number in so few samples."""
+    """Return the lags in use: with more, the sum of squares is not chi-squared in so few samples."""
     return min(LAGS, max(samples // _SAMPLES_PER_LAG, 1))
 
 
@@ -320,7 +320,7 @@ def _correlations(x: NDArray[np.float64], parts: Sequence[slice], lags: int) -> 
 
 
 def _moments(e: NDArray[np.float64]) -> tuple[float, float, float]:
-    """Return skewness, kurtosis, and the probability of such ones of Gaussian samples (D'Agostino and Pearson)."""
+    """Return skewness, kurtosis, and their probability for Gaussian samples (D'Agostino and Pearson)."""
     skewness, kurtosis = float(np.mean(e**3)), float(np.mean(e**4))
     if len(e) < _LEAST:
         return skewness, kurtosis, 1.0
@@ -330,7 +330,7 @@ def _moments(e: NDArray[np.float64]) -> tuple[float, float, float]:
 
 
 def _tail(size: NDArray[np.float64]) -> tuple[float, float]:
-    """Return the shape of the tail of the sizes of samples, and its deviation."""
+    """Return the shape of the tail of the sizes of samples, and its standard deviation."""
     start = float(np.quantile(size, 1 - _TAIL))
     over = size[size > start] - start
     return ParetoTail(start, over, _TAIL, float(max(len(over), 1))).shape
@@ -345,7 +345,7 @@ def _squares(data: FaultFree) -> NDArray[np.float64]:
 def _memory(
     data: FaultFree, facts: Sequence[ResidualFacts], moved: Sequence[int], white: bool | None, bursts: Sequence[Finding]
 ) -> list[Finding]:
-    """Return whether the past says anything of the present: of residuals that come in bursts by their signs alone."""
+    """Find correlation in time; by signs alone for residuals with bursts."""
     level, loud = LEVEL / 2 / max(len(moved), 1), {name for one in bursts for name in one.residuals}
     lags, found = _lags(int(data.usable.sum())), []
     for j in moved:
@@ -358,23 +358,24 @@ def _memory(
     names = tuple(one.name for one in found)
     if found:
         sizes = [f"{one.name} {one.correlation:+.2f} at lag {one.lag}" for one in found[:_LISTED]]
-        text = f"{some(names, _LISTED)} remember{'s' * (len(found) == 1)} the past (correlation of {listing(sizes)})"
+        verb = "is" if len(found) == 1 else "are"
+        text = f"{some(names, _LISTED)} {verb} correlated in time (correlation of {listing(sizes)})"
     else:
         q = np.where(data.usable[:, None], data.deviations @ data.moments().whitening, 0.0)
         q = q[:, q.any(axis=0)]
         q = np.sign(q) if loud else q
         if q.shape[1] < 2 or whiteness(q, data.usable, data.parts, most=lags) >= LEVEL / 2:
             return []
-        text = "each residual is white by itself, and their past foretells some of the others"
+        text = "each residual is white by itself, but the past of some predicts others"
     if white:
-        text += "; by the noise model they are white: the model of the plant, or of its noise, is another"
+        text += "; by the noise model they are white: the model of the plant, or of its noise, is wrong"
     elif white is not None:
         text += "; by the noise model they do so too"
     return [Finding("memory", names, text, LEVEL)]
 
 
 def _bursts(left: Sequence[NDArray[np.float64]], facts: Sequence[ResidualFacts], moved: Sequence[int]) -> list[Finding]:
-    """Return whether the size of what an autoregression leaves is correlated in time: by ranks, for any tails."""
+    """Find residuals whose innovations have a size correlated in time: by ranks, for any tails."""
     from scipy.special import ndtri
 
     names = []
@@ -395,7 +396,7 @@ def _bursts(left: Sequence[NDArray[np.float64]], facts: Sequence[ResidualFacts],
 
 
 def _shape(facts: Sequence[ResidualFacts], moved: Sequence[int], samples: int) -> list[Finding]:
-    """Return the residuals whose distribution is not Gaussian."""
+    """Find the residuals whose distribution is not Gaussian."""
     odd = [facts[j] for j in moved if facts[j].normality < LEVEL / max(len(moved), 1)]
     heavy = sorted((one for one in odd if one.kurtosis > 3 + _SKEWNESS), key=lambda one: -one.kurtosis)
     light = [one for one in odd if one.kurtosis < 3 - _SKEWNESS]
@@ -422,7 +423,7 @@ def _shape(facts: Sequence[ResidualFacts], moved: Sequence[int], samples: int) -
 
 
 def _place(facts: Sequence[ResidualFacts], moved: Sequence[int], model: bool) -> list[Finding]:
-    """Return the means that are not zero, where the model of the plant says that they are."""
+    """Find means that are not zero, where the model of the plant says that they are."""
     from scipy.special import ndtri
 
     if not model:
@@ -443,7 +444,7 @@ def _place(facts: Sequence[ResidualFacts], moved: Sequence[int], model: bool) ->
 def _size(
     data: FaultFree, facts: Sequence[ResidualFacts], moved: Sequence[int], covariance: NDArray[np.float64] | None
 ) -> list[Finding]:
-    """Return the variances that are not those of the noise model."""
+    """Find variances that differ from those of the noise model."""
     from scipy.special import ndtri
 
     if covariance is None:
@@ -478,7 +479,7 @@ def _copies(names: Sequence[str], moves: NDArray[np.bool_], independent: int, no
     if still:
         found.append(f"{some(still, _LISTED)} never move{'s' * (len(still) == 1)}")
     if independent < int(moves.sum()):
-        said = [one for one in notes if "independent" in one or "foretold exactly" in one]
+        said = [one for one in notes if "independent" in one or "predicted exactly" in one]
         found.append("; ".join(said) or f"{independent} of the {len(names)} residuals are independent")
     return [Finding("copies", (), "; ".join(found), 0.0)] if found else []
 
@@ -493,7 +494,7 @@ _REMEDIES = {
 
 
 def _advice(found: Sequence[Finding], order: int, samples: int) -> tuple[str, ...]:
-    """Return the test that suits the findings."""
+    """Recommend tests that suit the findings."""
     kinds, out = {one.kind for one in found}, []
     for kind, text in _REMEDIES.items():
         if kind in kinds:

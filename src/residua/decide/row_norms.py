@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 
 def row_norms(rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the norm of each row, its squares added in order: the same bits however the rows are cut."""
+    """Return the norm of each row, its squares added in order: equal to the last bit for any split into blocks."""
     return np.sqrt(row_squares(rows))
 
 

@@ -1,4 +1,4 @@
-"""Run lengths: how many samples a statistic that remembers takes to its threshold, by integral equation."""
+"""Run lengths: mean numbers of samples of sequential statistics to their threshold, by integral equation."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _NODES_PER_DEVIATION, _FEWEST, _MOST = 4.0, 24, 1200
 LONGEST = 1e10
 #: How far a larger number of nodes may move a run length, as a part of it.
 _CONVERGED = 1e-6
-#: The same for what nothing is designed by, and for densities with an edge.
+#: The same for quantities that enter no design, and for densities with an edge.
 NEARLY = 1e-3
 
 
 class Chain(ABC):
-    """A statistic whose next value depends on its present one alone: zero or more, and zero with a probability.
+    """Statistic whose next value depends on its present one alone: zero or more, and zero with positive probability.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class Chain(ABC):
 
 @dataclass(frozen=True)
 class AlarmCycle:
-    """How a statistic goes on between two false alarms.
+    """Mean lengths of the quiet and the alarm between two false alarms.
 
     Attributes
     ----------
@@ -107,7 +107,7 @@ def mean_run_length(chain: Chain, threshold: float, start: float = 0.0) -> float
 
 @lru_cache(maxsize=1024)
 def run_frequency(chain: Chain, threshold: float) -> float:
-    """Return the inverse of a mean run length; none where it is beyond what is computed."""
+    """Return the inverse of a mean run length; zero where it is too long to compute."""
     try:
         return 1 / mean_run_length(chain, threshold)
     except SettingError:
@@ -116,7 +116,7 @@ def run_frequency(chain: Chain, threshold: float) -> float:
 
 @lru_cache(maxsize=1024)
 def alarm_cycle(chain: Chain, threshold: float, release: float) -> AlarmCycle:
-    """Return how long a statistic is quiet from a start at zero, and how long an alarm lasts that it raises.
+    """Return the mean lengths of quiet, from a start at zero, and of the alarm that follows.
 
     The alarm is on from the first value above ``threshold`` to that before the first at or below ``release``.
     """
@@ -132,7 +132,7 @@ def alarm_cycle(chain: Chain, threshold: float, release: float) -> AlarmCycle:
 
 
 def threshold_of(run_length: Callable[[float], float], wanted: float, guess: float) -> float:
-    """Return the threshold with a mean run length, which grows with it.
+    """Return the threshold with a given mean run length, which grows with it.
 
     Parameters
     ----------
@@ -175,15 +175,15 @@ def threshold_of(run_length: Callable[[float], float], wanted: float, guess: flo
 
 
 def _at_most(run_length: Callable[[float], float], threshold: float, wanted: float) -> bool:
-    """Tell whether a threshold has a run length, and one that is not longer."""
+    """Tell whether a threshold has a run length within a limit."""
     try:
         return run_length(threshold) <= wanted
-    except SettingError:  # beyond what is computed
+    except SettingError:  # too long to compute
         return False
 
 
 def settled(solve: Callable[[float], float], what: str, tolerance: float = _CONVERGED) -> float:
-    """Return what a quadrature gives, where a quarter more nodes give the same."""
+    """Return the result of a quadrature, checked against a quarter more nodes."""
     try:
         with np.errstate(over="ignore", invalid="ignore"):
             coarse, fine = solve(1.0), solve(1.25)
@@ -203,7 +203,7 @@ def settled(solve: Callable[[float], float], what: str, tolerance: float = _CONV
 
 
 def nodes_of(length: float, width: float, factor: float) -> tuple[Values, Values]:
-    """Return the nodes and weights of a quadrature from zero to a length, for what changes over a width."""
+    """Return the nodes and weights of a quadrature from zero to a length, for a function that changes over a width."""
     wanted = int(np.ceil(factor * min(max(_NODES_PER_DEVIATION * length / width, _FEWEST), _MOST)))
     nodes, weights = np.polynomial.legendre.leggauss(wanted)
     return length * (nodes + 1) / 2, length * weights / 2
@@ -220,7 +220,7 @@ class _Grid:
         self.steps = self.probabilities(self.values)
 
     def probabilities(self, now: Values) -> Values:
-        """Return the weights with which the next value is each of those of the grid, by present value in rows."""
+        """Return the transition weights on the grid, with present values in rows."""
         out = self.chain.density(now[:, None], self.values[None, 1:]) * self.weights[1:]
         return np.column_stack([self.chain.at_zero(now), out])
 
@@ -229,14 +229,14 @@ class _Grid:
         return float(1 + self.probabilities(np.array([float(start)]))[0] @ mean) if start else float(mean[0])
 
     def visits(self) -> Values:
-        """Return how often each value of the grid is seen after a start at zero, before the threshold is exceeded."""
+        """Return the expected visits to each value of the grid from a start at zero, up to the threshold."""
         first = np.zeros(len(self.values))
         first[0] = 1.0
         return np.asarray(np.linalg.solve(np.eye(len(self.values)) - self.steps.T, first), dtype=float)
 
 
 def _lasting(chain: Chain, threshold: float, release: float, factor: float) -> float:
-    """Return the mean number of samples from the first value above the threshold to that at or below the release."""
+    """Return the mean number of samples from the first value above the threshold to one at or below the release."""
     below = _Grid(chain, threshold, factor)
     top = threshold + 12 * chain.width
     high, high_weights = nodes_of(top - threshold, chain.width, factor)
@@ -244,7 +244,7 @@ def _lasting(chain: Chain, threshold: float, release: float, factor: float) -> f
     values = np.concatenate([low + release, high + threshold])
     weights = np.concatenate([low_weights, high_weights])
     stay = chain.density(values[:, None], values[None, :]) * weights
-    stay[:, -1] += chain.above(values, top)  # what would go beyond stays at the top: it comes back as soon, nearly
+    stay[:, -1] += chain.above(values, top)  # values beyond stay at the top: they return nearly as soon
     mean = np.linalg.solve(np.eye(len(values)) - stay, np.ones(len(values)))
     entry = below.visits() @ chain.density(below.values[:, None], high[None, :] + threshold) * high_weights
     return float(entry @ mean[len(low) :] / entry.sum())

@@ -1,4 +1,4 @@
-"""Sizes of faults that are estimated: over a stretch of samples, with their units."""
+"""Sizes of estimated faults over a stretch of samples, with their units."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from residua.plant import Plant
 
 
 def estimates_of(generator: ResidualGenerator, residuals: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-    """Return the columns that estimate a fault; one estimated more than once gets its residual's name too."""
+    """Return the columns that estimate a fault; one estimated more than once also gets its residual's name."""
     names = generator.estimated
     labels = [f if names.count(f) == 1 else f"{f} ({r})" for f, r in zip(names, generator.residuals, strict=False)]
     return {label: residuals[..., i] for i, label in enumerate(labels) if names[i]}
@@ -46,7 +46,7 @@ def with_sizes(candidates: tuple[Candidate, ...], sizes: tuple[Size, ...]) -> tu
 
 
 def fault_unit(plant: Plant, fault: str) -> str:
-    """Return the unit that a fault is measured in: its own, or that of its channel, where the plant knows it."""
+    """Return the unit of a fault: its own, or that of its channel, if the plant has one."""
     if fault not in plant.faults:
         return ""
     i = plant.faults.index(fault)

@@ -1,4 +1,4 @@
-"""Wald's sequential probability ratio test of each residual, on both sides, again and again."""
+"""Wald's sequential probability ratio test of each residual, two-sided and repeated."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _FULL = 2.0
 
 @dataclass(frozen=True)
 class Decisions:
-    """What one sequential test does from its start to its decision.
+    """Decisions of one sequential test from its start.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class Decisions:
 
 @dataclass(frozen=True)
 class RatioChain(Chain):
-    """The sum of one side over its lower bound, in deviations; zero is a start, which a decision "no fault" leads to.
+    """Sum of one side over its lower bound, in deviations; zero is a restart, after a decision "no fault".
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ class RatioChain(Chain):
         return ndtr(self._place(now) - level)
 
     def at_zero(self, now: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the probability that the next sum is below the bound, which leads to a start."""
+        """Return the probability that the next sum is below the bound, which leads to a restart."""
         from scipy.special import ndtr
 
         return ndtr(-self._place(now))
@@ -87,7 +87,7 @@ class RatioChain(Chain):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SPRTTest(StreamTest):
-    """Sequential tests with every number filled in: what runs."""
+    """Fitted sequential tests."""
 
     NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {
         **StreamTest.NUMBER_KINDS, "shift": POSITIVE, "lower": ENTRY
@@ -103,7 +103,7 @@ class SPRTTest(StreamTest):
     def statistic(
         self, sums: NDArray[np.float64], e: NDArray[np.float64], seen: NDArray[np.bool_]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the largest logarithm of a ratio; a decision "no fault" starts its own again, an alarm's end all."""
+        """Return the largest log-likelihood ratio; "no fault" restarts one side, the end of an alarm all."""
         steps = self.shift * np.concatenate([e, -e], axis=-1) - self.shift**2 / 2
         values, full = np.empty(seen.shape), _FULL * self.threshold
         now, alarmed = sums[:, :-1], sums[:, -1] > 0
@@ -119,22 +119,22 @@ class SPRTTest(StreamTest):
 
     @property
     def title(self) -> str:
-        """What is tested."""
+        """Name of the statistic."""
         return f"largest likelihood ratio (logarithm; for a shift by {self.shift:g}, from zero again below "\
                f"{number(self.lower)}) of one part"  # fmt: skip
 
     @property
     def samples(self) -> int:
-        """Samples that a change of the shift takes to the threshold."""
+        """Number of samples in which a change of the shift reaches the threshold."""
         return max(1, int(np.ceil(min(2 * self.threshold / self.shift**2, 1e9))))
 
     @property
     def least_seen(self) -> float:
-        """Half the shift: of a larger mean the ratio grows."""
+        """Half the shift: the ratio grows for any larger mean."""
         return self.shift / 2
 
     def check(self, watched: Any) -> None:
-        """Raise where a test from a file is none."""
+        """Raise if a test from a file is invalid."""
         super().check(watched)
         if not (self.shift > 0 and self.lower < 0):
             raise FileFormatError("fitted: shift must be positive and lower, where a test starts again, negative")
@@ -142,7 +142,7 @@ class SPRTTest(StreamTest):
 
 @dataclass(frozen=True)
 class SPRT(StreamSettings):
-    r"""Decide between "no fault" and "fault" with as few samples as both rates of errors allow, again and again.
+    r"""Decide between "no fault" and "fault", repeatedly, with as few samples as both error rates allow.
 
     .. math:: \Lambda^\pm_k = \Lambda^\pm_{k-1} \pm \delta e_k - \delta^2 / 2, \qquad
               A = \ln\frac{1 - \beta}{\alpha}, \quad B = \ln\frac{\beta}{1 - \alpha}
@@ -156,8 +156,8 @@ class SPRT(StreamSettings):
     ----------
     false_alarm_rate : float, optional
         :math:`\alpha`, of each decision of each side of each residual, by Wald's bound: **not** a fraction of samples.
-        What it comes to as a time between false alarms is in ``basis`` and in :meth:`run_length`. When omitted, 1e-4,
-        and a fit finds A for the fraction of samples in alarm that its log can carry instead
+        The resulting time between false alarms is in ``basis`` and in :meth:`run_length`. When omitted, 1e-4,
+        and a fit finds A for the fraction of samples in alarm that its log can support instead
         (:class:`residua.decide.NormThreshold`).
     miss_rate : float
         :math:`\beta`: the decisions "no fault" where the mean is off by the shift from a start on.
@@ -270,24 +270,24 @@ class SPRT(StreamSettings):
         return 1 / sum(run_frequency(self._chain(mean), self._level(threshold)) for mean in sides)
 
     def cycle(self, threshold: float, dimension: int) -> AlarmCycle:
-        """Return how long the test is quiet, and how long a false alarm lasts."""
+        """Return the mean lengths of quiet and of false alarms."""
         level, release = self._level(threshold), self._level(self.falls_to * threshold)
         lasting = alarm_cycle(self._chain(0.0), level, release).lasting
         return AlarmCycle(self.run_length(threshold, dimension), lasting)
 
     def hurry(self, threshold: float, dimension: int, samples: int) -> float:
-        """Return how many times as often false alarms come where the mean is from so many samples, on average."""
+        """Return the factor on the rate of false alarms if the mean comes from so many samples, on average."""
         known, off = mean_run_length(self._chain(0.0), self._level(threshold)), samples**-0.5
         return known * sum(run_frequency(self._chain(mean), self._level(threshold)) for mean in (off, -off)) / 2
 
     def designed(self, dimension: int, rate: float | None = None, *, samples: int | None = None) -> float:
-        """Return A: by Wald's bound, or where a time is wanted, or a fraction of samples in alarm, for that."""
+        """Return A: by Wald's bound, or for a wanted time between alarms, or a fraction of samples in alarm."""
         if self.mean_time_between_false_alarms is None and rate is None:
             return self.upper
         return super().designed(dimension, rate, samples=samples)
 
     def promise(self, threshold: float, dimension: int) -> tuple[str, float | None]:
-        """Return what a threshold means, in words, and the time between false alarms."""
+        """Describe a threshold by its false alarms, and return the time between them."""
         exact, (text, time) = self.decisions(threshold), super().promise(threshold, dimension)
         return (
             f"{text}; of the decisions on each side of a residual {exact.false_alarm_rate:.2g} false alarms and, with "
@@ -296,7 +296,7 @@ class SPRT(StreamSettings):
         ), time
 
     def asked(self, watched: Watched, rows: int = 0) -> float:
-        """Return the fraction of fault-free samples in alarm: by rows without a wish, else what is designed for."""
+        """Return the fraction of fault-free samples in alarm: by rows without a wish, else the design value."""
         if rows and self.mean_time_between_false_alarms is None and self.false_alarm_rate is None:
             return rate_aimed_at(None, rows)
         covariance = watched.generator.covariance_of_sums(1)
@@ -309,7 +309,7 @@ class SPRT(StreamSettings):
         return self.shift / 10
 
     def test(self, **parts: Any) -> SPRTTest:
-        """Return what runs."""
+        """Build the fitted test."""
         return SPRTTest(**parts, shift=self.shift, lower=self.lower)
 
     def _chain(self, mean: float) -> RatioChain:

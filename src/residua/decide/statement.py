@@ -1,4 +1,4 @@
-"""The statement about an alarm: one wording for the page, the screen and the printed diagnosis."""
+"""Statement about an alarm, with one wording for the page, the screen and the printed diagnosis."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ RULES = (
 
 @dataclass(frozen=True)
 class Statement:
-    """What an isolation says of one alarm.
+    """Statement of an isolation about one alarm.
 
     Attributes
     ----------
@@ -37,9 +37,9 @@ class Statement:
     margin : float or None
         Lead of the best candidate over the next, in score.
     sentences : tuple of str
-        What the name rests on.
+        Basis of the name.
     lines : tuple of str
-        What a printed diagnosis says of it, without full stops: what makes the name doubtful, before all else.
+        Lines of a printed diagnosis, without full stops: doubts about the name come first.
     present : tuple of tuple of str
         Several faults that are named together.
     rules : str
@@ -56,12 +56,12 @@ class Statement:
 
 
 def raised_text(alarm: Alarm, clock: Clock) -> str:
-    """Return when an alarm was raised."""
+    """Describe the time at which an alarm was raised."""
     return f"alarm raised at {clock.at(alarm.raised)}"
 
 
 def capital(text: str) -> str:
-    """Return a text as the beginning of a sentence."""
+    """Return a text with a capital first letter."""
     return f"{text[:1].upper()}{text[1:]}"
 
 
@@ -76,7 +76,7 @@ def statement_by_score(
 ) -> Statement:
     """Return the statement about an alarm whose candidates are ranked by a score.
 
-    ``beside`` says more of each score, ``meaning`` what a score is.
+    ``beside`` adds to each score, ``meaning`` explains scores.
     """
     if word is None:
         return not_isolated(alarm, clock)
@@ -91,7 +91,7 @@ def statement_by_score(
 def statement_by_word(
     alarm: Alarm, word: Word, clock: Clock, sentences: Sequence[str], rules: str, margin: float | None = None
 ) -> Statement:
-    """Return the statement about an alarm that has a word, with what it rests on and how that is to be read."""
+    """Return the statement about an alarm that has a word, with its basis and how to read it."""
     said = (*sentences, *(line for group in word.faults[:1] for line in not_apart(group)))
     return Statement(word.headline(raised_text(alarm, clock)), word.kind, margin, said, (word.line,), rules=rules)
 
@@ -117,12 +117,12 @@ def scored(alarm: Alarm) -> list[Candidate]:
 
 
 def too_short(window: int) -> str:
-    """Return why it is too early in an alarm that is shorter than what a name is judged by."""
+    """Return the reason why a short alarm has no name yet."""
     return f"the alarm is shorter than the {window} samples that a name is judged by"
 
 
 def not_apart(faults: Sequence[str]) -> list[str]:
-    """Return a sentence about the faults that one name stands for, if they are several."""
+    """Return a sentence about the faults that share one name, if they are several."""
     return [f"This monitor does not distinguish {some(faults)}."] if len(faults) > 1 else []
 
 
@@ -138,7 +138,7 @@ def _comparison(candidates: Sequence[Candidate], beside: Callable[[float], str] 
 
 
 def angle(cosine: float) -> str:
-    """Return the angle that a score stands for, in degrees."""
+    """Return the angle of a score, in degrees."""
     if not math.isfinite(cosine):
         return "–"
     degrees = math.degrees(math.acos(min(1.0, max(0.0, cosine))))
@@ -149,7 +149,7 @@ def angle(cosine: float) -> str:
 
 
 def ranked(candidates: tuple[Candidate, ...]) -> list[tuple[int, Candidate]]:
-    """Return the candidates with their ranks: after the first, those whose scores agree to three digits share one.
+    """Return the candidates with their ranks; scores that agree with the first to three digits share one.
 
     By matched filters those whose likelihood ratios agree to one decimal.
     """
@@ -161,27 +161,27 @@ def ranked(candidates: tuple[Candidate, ...]) -> list[tuple[int, Candidate]]:
 
 
 def _weight(candidate: Candidate) -> float:
-    """Return what a candidate is ranked by, with the digits that are shown."""
+    """Return the ranking weight of a candidate, with the digits that are shown."""
     if candidate.probability is not None:
         return candidate.probability
     return round(candidate.score, 3) if candidate.ratio is None else round(candidate.ratio, 1)
 
 
 def tied_name(candidates: tuple[Candidate, ...], rank: int) -> str:
-    """Return the first candidate of a rank as text, with how many others share it; empty if nobody has it."""
+    """Return the first candidate of a rank as text, with the number of others that share it; empty if nobody has it."""
     names = [candidate.name for place, candidate in ranked(candidates) if place == rank]
     more = len(names) - 1
     return f"{names[0]} (tied with {more} more)" if more > 0 else "".join(names)
 
 
 def weight_text(candidate: Candidate) -> str:
-    """Return the probability of a candidate where there is one, else its score."""
+    """Return the probability of a candidate if there is one, else its score."""
     known = candidate.probability is not None
     return f"probability {number(candidate.probability, 3)}" if known else f"score {candidate.score:.3f}"
 
 
 def arrival_text(candidate: Candidate) -> str:
-    """Return when a fault arrived and how likely it is, as matched filters say it; empty for anything else."""
+    """Describe the arrival of a fault and its probability, as given by matched filters; empty for anything else."""
     if candidate.ratio is None:
         return ""
     when = "before the window" if candidate.arrival is None else f"{candidate.arrival:.6g} s"
@@ -197,12 +197,12 @@ def size_text(size: Size) -> str:
 
 
 def sizes_text(sizes: Sequence[Size], of_one: Callable[[Size], str] = size_text) -> str:
-    """Return the estimated sizes of one candidate: each with its fault where it may be one of several."""
+    """Return the estimated sizes of one candidate: each with its fault if there may be several."""
     return of_one(sizes[0]) if len(sizes) == 1 else ", or ".join(f"{size.fault} {of_one(size)}" for size in sizes)
 
 
 def began_text(alarm: Alarm, clock: Clock) -> str:
-    """Return when what an alarm is about began, as an interval; never its first crossing of the threshold as a fact."""
+    """Describe the beginning of an alarm as an interval; never its first crossing of the threshold as a fact."""
     began = alarm.began
     if began is None:
         return f"began at an unknown time, at or before {clock.at(alarm.raised)}"
@@ -214,7 +214,7 @@ def began_text(alarm: Alarm, clock: Clock) -> str:
 
 
 def longest_alarms(alarms: Sequence[Alarm], most: int) -> list[tuple[int, Alarm]]:
-    """Return the longest alarms, not more than so many, in order of time and with their numbers.
+    """Return the longest alarms, at most so many, in order of time and with their numbers.
 
     A list cut off after the first ones would hide a fault behind the short false alarms before it.
     """
@@ -223,7 +223,7 @@ def longest_alarms(alarms: Sequence[Alarm], most: int) -> list[tuple[int, Alarm]
 
 
 def left_out_text(alarms: Sequence[Alarm], most: int) -> str:
-    """Return how many alarms are not among the longest, and how long they are; empty where all are."""
+    """Describe the number and length of alarms that are not among the longest; empty if all are."""
     lengths = sorted((alarm.samples for alarm in alarms), reverse=True)[most:]
     if not lengths:
         return ""
@@ -231,7 +231,7 @@ def left_out_text(alarms: Sequence[Alarm], most: int) -> str:
 
 
 def over_thresholds(alarm: Alarm, most: int = 10) -> str:
-    """Return which groups of residuals were over their thresholds, the first ones and how many there are besides."""
+    """Describe the groups of residuals over their thresholds: the first ones and the number of others."""
     more = f" and {len(alarm.fired) - most} more" if len(alarm.fired) > most else ""
     return f"over their thresholds: {listing(alarm.fired[:most])}{more}"
 
@@ -239,7 +239,7 @@ def over_thresholds(alarm: Alarm, most: int = 10) -> str:
 def alike(
     groups: Sequence[tuple[str, ...]], settled: Sequence[tuple[str, ...]] = ()
 ) -> list[tuple[tuple[str, ...], tuple[str, ...]]]:
-    """Return the groups of several faults, each with its names as shown: with *once constant* if that is meant.
+    """Return the groups of several faults, each with its names as shown: with *once constant* if it applies.
 
     Parameters
     ----------

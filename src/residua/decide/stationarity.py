@@ -1,4 +1,4 @@
-"""Whether fault-free residuals stay as they are: steps and drifts of their means, and of the norm of all together."""
+"""Stationarity of fault-free residuals: steps and drifts of their means, and of the norm of all together."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _LISTED = 5
 
 @dataclass(frozen=True)
 class Change(Record):
-    """A place at which fault-free residuals begin to be others.
+    """A place at which fault-free residuals change.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class Change(Record):
         after.
     drift : float
         Change of that residual from the start of the recording to its end along the line that fits it best, in
-        standard deviations of what is left.
+        standard deviations of the rest.
     """
 
     NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {
@@ -82,7 +82,7 @@ class Change(Record):
     drift: float = 0.0
 
     def large(self, several: bool) -> str:
-        """Return a large change in words, empty for others; ``several``: whether there are several recordings.
+        """Describe a large change; empty for others; ``several``: whether there are several recordings.
 
         A drift of ten standard deviations from start to end; a step of three, at once, or a change of six in any time,
         unless that is in the first fifth, where the plant may be starting, or in the last tenth.
@@ -103,11 +103,11 @@ class Change(Record):
 
     @property
     def is_transient(self) -> bool:
-        """Whether all residuals together become smaller in the first half of the recording."""
+        """True if all residuals together shrink in the first half of the recording."""
         return not self.residuals and self.size < 1 and 2 * self.sample <= self.samples
 
     def sentence(self, several: bool) -> str:
-        """Return it as a sentence; ``several``: whether there are several recordings."""
+        """Return the change as a sentence; ``several``: whether there are several recordings."""
         where = f" of recording {self.recording}" if several else ""
         if self.is_transient:
             return (
@@ -134,7 +134,7 @@ _REMEDY = (
 
 
 def changes(run: FaultFreeRun, names: Sequence[str]) -> tuple[Change, ...]:
-    r"""Return where fault-free residuals change, each recording by itself.
+    r"""Return the changes of fault-free residuals, each recording by itself.
 
     Of every residual, and of the logarithm of the norm of all of them, whitened by moments of the rest of the data,
 
@@ -183,7 +183,7 @@ def changes(run: FaultFreeRun, names: Sequence[str]) -> tuple[Change, ...]:
 
 
 def _norm(whole: FaultFree, samples: int) -> NDArray[np.float64]:
-    """Return the norm of the whitened residual; of few samples whitened by moments of others, far from each."""
+    """Return the norm of the whitened residual; cross-fitted if there are few samples."""
     if samples < _PLENTY * whole.residuals.shape[1]:
         return whole.cross_fitted(whole.moments(), whiten=True)
     used = whole.deviations[whole.usable]
@@ -199,7 +199,7 @@ def _of_means(
     limit: float,
     length: int,
 ) -> list[Change]:
-    """Return the change of means of one recording: where that of the residual is that changes most."""
+    """Return the change of means of one recording: at the place where the most changed residual changes."""
     places = {
         j: place
         for j in range(len(names))
@@ -218,7 +218,7 @@ def _of_means(
 
 
 def _is_step(x: NDArray[np.float64], at: int, size: float, limit: float) -> bool:
-    """Return whether a mean changes at once, and not half as far again on either side."""
+    """Tell whether a mean changes at once, and not half as far again on either side."""
     near = max(_FEW_AT_ONCE, int(_AT_ONCE * len(x)))
     at_once = x[at : at + near].mean() - x[max(0, at - near) : at].mean()
     if at_once / (x[at:].mean() - x[:at].mean()) < _SHARP:
@@ -228,7 +228,7 @@ def _is_step(x: NDArray[np.float64], at: int, size: float, limit: float) -> bool
 
 
 def likeliest_change(x: NDArray[np.float64], significance: float) -> tuple[int, float] | None:
-    """Return the sample from which a mean is another, and by how many standard deviations; ``None`` if it is not.
+    """Return the sample from which a mean differs, and by how many standard deviations; ``None`` without a change.
 
     Parameters
     ----------
@@ -260,7 +260,7 @@ def likeliest_change(x: NDArray[np.float64], significance: float) -> tuple[int, 
 
 
 def independent_samples(x: NDArray[np.float64]) -> float:
-    """Return how many independent samples a stretch of noise is worth, at least: of slow noise few, of a walk none.
+    """Return a lower bound on the number of independent samples in noise: few if it is slow, none for a walk.
 
     Parameters
     ----------
@@ -272,7 +272,7 @@ def independent_samples(x: NDArray[np.float64]) -> float:
 
 
 def _longest_correlation_time(left: NDArray[np.float64]) -> float:
-    r"""Return a correlation time that is not too short, of what is left after two lines.
+    r"""Return a correlation time, not too short, of the residual of a fit by two lines.
 
     That of the data is too short where few fit into them. So it is at least that of first-order noise,
 
@@ -294,7 +294,7 @@ def _longest_correlation_time(left: NDArray[np.float64]) -> float:
 
 
 def _without_line(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return what is left of a stretch after the line that fits it best; after its mean where it is short."""
+    """Return a stretch less the line that fits it best; less its mean if it is short."""
     centred = x - x.mean()
     if len(x) < 8:
         return centred
@@ -303,7 +303,7 @@ def _without_line(x: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def transient_samples(found: Sequence[Change], recording: int) -> int:
-    """Return the samples at the start of a recording that are not like the rest; 0 if there are none."""
+    """Return the length of a transient at the start of a recording; 0 without one."""
     return max((one.sample for one in found if one.recording == recording and one.is_transient), default=0)
 
 

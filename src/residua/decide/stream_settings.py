@@ -1,4 +1,4 @@
-"""Settings of tests that remember, and their thresholds: designed by integral equation, or from what the data show."""
+"""Settings of sequential tests, and their thresholds: designed by integral equation, or from data."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _BY_CHANCE = 0.001
 _LONG = 4.0
 #: Alarms that show how long they last, and the fractions in alarm among which a threshold is sought that has so many.
 _LEAST_RAISED, _MOST_SHARE, _SHARES = 30, 0.2, 12
-#: Stretches of time of which each is judged by what the others say.
+#: Stretches of time, each of which is judged by a fit to the others.
 _FOLDS = 4
 #: How much more often false alarms come for a mean from few samples, where it is said.
 _NOTABLE = 1.02
@@ -59,7 +59,7 @@ _WINDOWS = (2, 8, 32)
 
 @dataclass(frozen=True)
 class StreamSettings(TestSettings):
-    """What every test that remembers is set by; see :class:`residua.decide.CUSUM`."""
+    """Settings shared by all sequential tests, such as :class:`residua.decide.CUSUM`."""
 
     NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {
         "threshold": POSITIVE,
@@ -72,7 +72,7 @@ class StreamSettings(TestSettings):
     origin: ClassVar[str] = "by integral equation"
     #: The largest fraction of samples in alarm for which the design holds.
     largest_fraction: ClassVar[float] = 1.0
-    #: What of a fit makes false alarms more frequent.
+    #: Uncertain part of a fit that makes false alarms more frequent.
     uncertain: ClassVar[str] = "the mean"
 
     mean_time_between_false_alarms: float | None = None
@@ -99,7 +99,7 @@ class StreamSettings(TestSettings):
             raise SettingError(f"treatment must be one of {', '.join(get_args(Treatment))}, got {echo(self.treatment)}")
         if self.threshold is not None and self.source in _OF_DATA[1:]:
             raise SettingError(
-                f"threshold={self.threshold:g} is given, so that source={self.source!r} is of no use: leave one out"
+                f"threshold={self.threshold:g} and source={self.source!r} cannot be combined: leave one out"
             )
         by_design = time is None and self.threshold is None and self.source not in _OF_DATA
         rate = self.false_alarm_rate
@@ -119,47 +119,47 @@ class StreamSettings(TestSettings):
 
     @abstractmethod
     def cycle(self, threshold: float, dimension: int) -> AlarmCycle:
-        """Return how long such a test is quiet, and how long a false alarm lasts."""
+        """Return the mean lengths of quiet and of false alarms."""
 
     @abstractmethod
     def test(self, **parts: Any) -> StreamTest:
-        """Return what runs."""
+        """Build the fitted test."""
 
     @property
     @abstractmethod
     def harmless_offset(self) -> float:
-        """The length of an error of the mean, in standard deviations, that hardly changes how often alarms come."""
+        """Error of the mean, in standard deviations, that hardly changes the rate of alarms."""
 
     @property
     def uninterrupted(self) -> StreamSettings:
-        """What has alarms as often as this test has where none of them starts it again; as a rule it itself, nearly."""
+        """Settings with as many alarms as this test has without restarts; nearly always these themselves."""
         return self
 
     @property
     def counted_samples(self) -> int:
-        """Samples that every statistic is made of; 1 where it begins with the first."""
+        """Number of samples in every statistic; 1 if it begins with the first."""
         return 1
 
     def for_parts(self, parts: Mapping[str, Any], watched: Watched) -> Self:
-        """Return the settings with what depends on what is watched and on its whitening; as a rule these themselves."""
+        """Return the settings completed for a generator and its whitening; as a rule these themselves."""
         return self
 
     def hurry(self, threshold: float, dimension: int, samples: int) -> float:
-        """Return how many times as often false alarms come where the mean is from so many samples, on average.
+        """Return the factor on the rate of false alarms if the mean comes from so many samples, on average.
 
         1 where that is not known.
         """
         return 1.0
 
     def promise(self, threshold: float, dimension: int) -> tuple[str, float | None]:
-        """Return what a threshold means, in words, and the time between false alarms where it is known."""
+        """Describe a threshold by its false alarms, and return the time between them where it is known."""
         time = self.run_length(threshold, dimension)
         return f"a false alarm each {number(time)} samples on average", time
 
     # -------------------------------------------------------------------------- thresholds
 
     def designed(self, dimension: int, rate: float | None = None, *, samples: int | None = None) -> float:
-        """Return the threshold of the wanted time between false alarms, or of a fraction of samples in alarm.
+        """Return the threshold for the wanted time between false alarms, or for a fraction of samples in alarm.
 
         ``rate`` is another fraction than that of the settings.
         ``samples`` are those that the mean is from, which makes false alarms more frequent; known exactly when omitted.
@@ -178,7 +178,7 @@ class StreamSettings(TestSettings):
         return known if more == 1.0 else solved(more)
 
     def from_model(self, watched: Watched) -> StreamTest | None:
-        """Return the test that needs no data: of a residual that the plant's noise leaves white; else ``None``."""
+        """Return the test that needs no data, if the plant's noise leaves the residual white; else ``None``."""
         covariance = watched.generator.covariance_of_sums(1)
         if covariance is None or self.source in _OF_DATA:
             return None
@@ -228,7 +228,7 @@ class StreamSettings(TestSettings):
         return mine._by_data(blank, values, seen, stretches, rate, [against, *notes])
 
     def _check_mean(self, count: int, k: int) -> None:
-        """Raise where the error of the mean alone is a change that the test would see."""
+        """Raise if the test would detect the error of the mean alone."""
         offset, most = (k / count) ** 0.5, self.harmless_offset
         if offset > most:
             raise DataError(
@@ -238,9 +238,9 @@ class StreamSettings(TestSettings):
             )
 
     def _cross_fitted(self, data: FaultFree) -> tuple[list[slice], NDArray[np.float64], NDArray[np.bool_]]:
-        """Return stretches of time, and the statistic of each by what the others say, and where there is one.
+        """Return stretches of time, the statistic of each by a fit to the others, and a mask of its samples.
 
-        What mean, covariance and memory were fitted to looks quieter than other data.
+        The data of a fit of mean, covariance and memory look quieter than other data.
         """
         values, seen = np.full(len(data.usable), np.nan), np.zeros(len(data.usable), dtype=bool)
         counted = np.cumsum(data.usable)
@@ -261,7 +261,7 @@ class StreamSettings(TestSettings):
         return stretches, values, seen
 
     def _by_later_half(self, data: FaultFree, rate: float) -> StreamTest:
-        """Return the test made white by the first half of the data, with a threshold from the second."""
+        """Return the test whitened by the first half of the data, with a threshold from the second."""
         first, _, second = held_apart(data)
         treatment = self._whitened(replace(data, usable=first))
         notes = treatment.notes
@@ -276,7 +276,7 @@ class StreamSettings(TestSettings):
         return self._by_data(blank, values, seen, stretches, rate, [halves, *notes])
 
     def _whitened(self, data: FaultFree) -> Treated:
-        """Return what makes the residual white and Gaussian."""
+        """Fit the treatment that makes the residual white and Gaussian."""
         return treated(data, self.treatment, self.harmless_offset)
 
     def _by_design(
@@ -298,7 +298,7 @@ class StreamSettings(TestSettings):
     def _contradiction(
         self, values: NDArray[np.float64], seen: NDArray[np.bool_], parts: Sequence[slice], dimension: int
     ) -> str | None:
-        """Return where other numbers of false alarms are seen than the design says; empty where they agree.
+        """Describe a contradiction between the design and the number of false alarms seen; empty without one.
 
         ``None`` where there are too few samples to see any.
         """
@@ -327,7 +327,7 @@ class StreamSettings(TestSettings):
         parts: Sequence[slice],
         dimension: int,
     ) -> str:
-        """Return that more false alarms are seen at the threshold of the design than chance explains; else nothing.
+        """Describe an excess of false alarms over the design that chance does not explain; empty without one.
 
         Or longer ones. Lower thresholds say nothing of values that are rare, and then far beyond the others.
         """
@@ -358,7 +358,7 @@ class StreamSettings(TestSettings):
         parts: Sequence[slice],
         designed: float,
     ) -> float:
-        """Return the fraction in alarm that goes with a time between alarms, with alarms as long as in these data."""
+        """Return the fraction in alarm for a time between alarms, with alarms as long as in these data."""
         levels = [_levels(values[part][seen[part]], self.falls_to) for part in parts]
         level = np.concatenate(levels)
         for share in np.geomspace(max(designed, 1 / len(level)), max(designed, _MOST_SHARE), _SHARES):
@@ -378,7 +378,7 @@ class StreamSettings(TestSettings):
         rate: float,
         notes: Sequence[str],
     ) -> StreamTest:
-        """Return the test with a threshold from the data, and what these promise."""
+        """Return the test with a threshold from the data, and the promised rate."""
         k = len(blank.center)
         levels, blocks, begins, first = [], [], [], 0
         squares = np.where(seen, values**2 - np.mean(values[seen] ** 2), 0.0)[:, None]
@@ -401,10 +401,10 @@ class StreamSettings(TestSettings):
             blank, threshold=threshold, release=self.falls_to * threshold, basis=basis, promised=float(promise.promised)
         )
 
-    # ----------------------------------------------- what the rest of a monitor asks for
+    # ----------------------------------------------- interface to the rest of a monitor
 
     def asked(self, watched: Watched, rows: int = 0) -> float:
-        """Return the fraction of fault-free samples in alarm: that which goes with the wanted time between alarms."""
+        """Return the fraction of fault-free samples in alarm for the wanted time between alarms."""
         if self.mean_time_between_false_alarms is None:
             return super().asked(watched, rows)
         covariance = watched.generator.covariance_of_sums(1)
@@ -415,7 +415,7 @@ class StreamSettings(TestSettings):
         return mine.cycle(mine.designed(k), k).fraction
 
     def check(self, watched: Watched) -> None:
-        """Raise where parts have to be tested by themselves."""
+        """Raise if parts have to be tested separately."""
         if watched.parts is not None:
             raise SettingError(
                 f"{type(self).__name__} tests the residual as a whole, and an isolation by codes asks which part "
@@ -424,14 +424,14 @@ class StreamSettings(TestSettings):
 
     @property
     def remedy(self) -> str:
-        """How to get a threshold."""
+        """Remedy for a missing threshold."""
         if self.source in _OF_DATA:
             return super().remedy
         return f"{super().remedy}, or give the plant noise (with_noise) that leaves the residual white"
 
 
 def is_white(generator: ResidualGenerator) -> bool:
-    """Tell whether the noise of the plant leaves the residual white: sums over any window have the same covariance."""
+    """Tell whether the plant's noise leaves the residual white: sums over any window have the same covariance."""
     covariance = generator.covariance_of_sums(1)
     if covariance is None:
         return False
@@ -441,7 +441,7 @@ def is_white(generator: ResidualGenerator) -> bool:
 
 
 def _levels(values: NDArray[np.float64], falls_to: float) -> NDArray[np.float64]:
-    r"""Return for every sample the level below which a threshold has it in alarm.
+    r"""Return for every sample the threshold below which it is in alarm.
 
     .. math:: a_t = \max(s_t, \min(a_{t-1}, s_t / \gamma))
 

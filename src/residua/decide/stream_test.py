@@ -1,4 +1,4 @@
-"""Tests that remember: from residuals, whitened and without their memory, to a statistic and its alarm."""
+"""Sequential tests: from whitened residuals without memory to a statistic and its alarm."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from residua.words import number
 
 @dataclass(frozen=True, eq=False)
 class StreamState:
-    """What a test that remembers remembers.
+    """State of a sequential test.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class StreamState:
     runs: AlarmRuns
 
     def arrays(self) -> tuple[NDArray | None, ...]:
-        """Return what the fused loop reads and writes, in its order: window, past and sums, runs.
+        """Return the arrays that the fused loop reads and writes, in its order: window, past and sums, runs.
 
         How long the statistic has been below the threshold is not counted, whatever became of its broadcast zeros.
         """
@@ -50,7 +50,7 @@ class StreamState:
 
 @dataclass(frozen=True, eq=False)
 class StreamTest(ResidualTest):
-    r"""A test that remembers, with every number filled in: what runs.
+    r"""Fitted sequential test.
 
     .. math:: q_k = W^T (r_k - \bar r), \qquad e_k = V^T \Big(q_k - \sum_i A_i q_{k-i}\Big)
 
@@ -68,7 +68,7 @@ class StreamTest(ResidualTest):
     rewhitening : ndarray, shape (k, k)
         V.
     knots, scores : ndarray, shapes (k, m) and (m,)
-        Where heavy tails are made Gaussian: values of each part of e, and what they become; none elsewhere.
+        With heavy tails: values of each part of e, and their normal scores; else none.
     threshold, release : float
     basis : str
         Where the threshold comes from, in words.
@@ -109,13 +109,13 @@ class StreamTest(ResidualTest):
 
     @abstractmethod
     def first_sums(self, plants: int) -> NDArray[np.float64]:
-        """Return what the statistic starts from, with a row for each plant."""
+        """Return the initial value of the statistic, with a row for each plant."""
 
     @abstractmethod
     def statistic(
         self, sums: NDArray[np.float64], e: NDArray[np.float64], seen: NDArray[np.bool_]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the statistic for each sample, shape (plants, time), and the sums to go on with.
+        """Return the statistic for each sample, shape (plants, time), and the next sums.
 
         Samples that are not seen change nothing.
         """
@@ -123,7 +123,7 @@ class StreamTest(ResidualTest):
     @property
     @abstractmethod
     def title(self) -> str:
-        """What is tested, in words."""
+        """Name of the statistic."""
 
     # ------------------------------------------------------------------------- running
 
@@ -152,7 +152,7 @@ class StreamTest(ResidualTest):
         return StreamState(past, sums[:, :-1] if self.sums_alarm else sums, runs), tested
 
     def compiled_as(self, statistic: str, **numbers: Any) -> CompiledTest:
-        """Return what the fused loop runs, of a statistic that is written in C too."""
+        """Return the equivalent for the fused loop, for a statistic that is written in C too."""
         return CompiledTest(
             statistic,
             self.center,
@@ -168,7 +168,7 @@ class StreamTest(ResidualTest):
         )
 
     def fault_free_residuals(self, normal: NDArray[np.float64]) -> NDArray[np.float64] | None:
-        """Return residuals that this test makes white and Gaussian: the same steps, backwards."""
+        """Return residuals that this test makes white and Gaussian: the inverse of its treatment."""
         e = raw_values(normal, self.knots, self.scores)
         order, plants, k = len(self.coefficients), len(e), len(self.center)
         if order:
@@ -182,7 +182,7 @@ class StreamTest(ResidualTest):
         return self.center + ordered_product(e, np.linalg.inv(self.whitening))
 
     def in_white_units(self, response: NDArray[np.float64]) -> NDArray[np.float64] | None:
-        """Return the whitened response, less what its own past foretells; of heavy tails nothing is said."""
+        """Return the innovations of the whitened response; ``None`` with heavy tails."""
         if self.scores.size:
             return None
         q, everywhere = (response @ self.whitening)[None], np.ones((1, len(response)), dtype=bool)
@@ -190,44 +190,44 @@ class StreamTest(ResidualTest):
         e = unforetold(self.coefficients, start, q, everywhere)[0][0]
         return e @ self.rewhitening if self.coefficients.size else e
 
-    # ----------------------------------------------- what the rest of a monitor asks for
+    # ----------------------------------------------- interface to the rest of a monitor
 
     @property
     def metric(self) -> NDArray[np.float64]:
-        """The whitening."""
+        """Whitening matrix."""
         return self.whitening
 
     @property
     def per_deviation(self) -> NDArray[np.float64] | None:
-        """The whitening."""
+        """Whitening matrix."""
         return self.whitening
 
     @property
     def steady_gain(self) -> NDArray[np.float64]:
-        """What a constant whitened residual becomes: ``q @ steady_gain``."""
+        """Steady-state gain of the treatment of whitened residuals: ``q @ steady_gain``."""
         if not self.coefficients.size:
             return np.eye(len(self.center))
         return (np.eye(len(self.center)) - self.coefficients.sum(axis=0)) @ self.rewhitening
 
     @property
     def per_threshold(self) -> NDArray[np.float64]:
-        """The whitening in units of the constant residual that ends in an alarm."""
+        """Whitening matrix in units of the smallest constant residual that raises an alarm."""
         return self.whitening @ self.steady_gain / self.least_seen
 
     @property
     @abstractmethod
     def least_seen(self) -> float:
-        """The length of the smallest constant mean, in standard deviations, that surely ends in an alarm."""
+        """Length of the smallest constant mean, in standard deviations, that is certain to raise an alarm."""
 
     def bands(self) -> tuple[NDArray[np.float64], float]:
-        """Return the band of each residual alone, averaged over as many samples as the statistic is made of."""
+        """Return the band of each residual alone, averaged over the samples of the statistic."""
         whole = self.whitening if self.samples == 1 else self.whitening @ self.steady_gain
         inverse = np.linalg.pinv(whole)
         return BAND_DEVIATIONS * np.sqrt(np.sum(inverse**2, axis=0) / self.samples), BAND_SHARE
 
     def words(self, step: float) -> dict[str, str]:
-        """Return in words what the threshold is, what is tested, and when an alarm begins and ends."""
-        memory = f", less what the last {len(self.coefficients)} samples foretell" if self.coefficients.size else ""
+        """Describe the threshold, the statistic, and the start and end of an alarm."""
+        memory = f", less a prediction from the last {len(self.coefficients)} samples" if self.coefficients.size else ""
         return {
             "threshold": f"{self.threshold:.4g} ({self.basis})",
             "test": f"{self.title} of the whitened residual{memory}",
@@ -237,7 +237,7 @@ class StreamTest(ResidualTest):
     # --------------------------------------------------------------------------- files
 
     def check(self, watched: Watched) -> None:
-        """Raise where a test from a file does not fit what it is to watch."""
+        """Raise if a test from a file does not fit the watched generator."""
         k = watched.generator.n_residuals
         square = (k, k)
         if self.center.shape != (k,) or self.whitening.shape != square or self.rewhitening.shape != square:
@@ -254,7 +254,7 @@ class StreamTest(ResidualTest):
         check_invertible(self.rewhitening)
 
     def check_state(self, state: StreamState) -> None:
-        """Raise where a state from a file cannot be one."""
+        """Raise if a state from a file is invalid."""
         fresh = self.start(len(state.sums))
         for one, other in (
             (state.sums, fresh.sums),
@@ -269,7 +269,7 @@ class StreamTest(ResidualTest):
 
 
 def plain(center: NDArray[np.float64], whitening: NDArray[np.float64]) -> dict[str, Any]:
-    """Return the parts of a test whose residual is white once it is whitened."""
+    """Return the parts of a test whose residual is white after whitening."""
     k = len(center)
     return {
         "center": center,

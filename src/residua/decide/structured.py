@@ -1,4 +1,4 @@
-"""Isolation by code: which members of a bank fired, read against the code that each fault promises."""
+"""Isolation by code: the members of a bank that fired, compared with the code of each fault."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from residua.visible import echo
 
 @dataclass(frozen=True, eq=False)
 class CodeState:
-    """What the reading of codes remembers.
+    """State of the reading of codes.
 
     Attributes
     ----------
@@ -49,13 +49,13 @@ class CodeState:
     fired: NDArray[np.bool_]
 
     def arrays(self) -> tuple[NDArray | None, ...]:
-        """Return what the fused loop reads and writes, in its order: window, since and fired."""
+        """Return the arrays that the fused loop reads and writes, in its order: window, since and fired."""
         return *self.window.arrays(), self.since, self.fired
 
 
 @dataclass(frozen=True, eq=False)
 class CodeTest(Isolation):
-    """The codes of a bank, equal ones grouped, and the faults that a pattern of fired members is read as.
+    """Codes of a bank, equal ones grouped, and the reading of patterns of fired members.
 
     A fault that some members see only while it changes has two codes, and may be in two groups: that of all members
     that it fires, and that of those which it still fires once it is constant.
@@ -90,12 +90,12 @@ class CodeTest(Isolation):
     at_once: bool = False
 
     def __post_init__(self) -> None:
-        """Fill in that no fault has another code once it is constant."""
+        """Fill in equal codes for constant faults."""
         object.__setattr__(self, "settled", self.settled or ((),) * len(self.groups))
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """The groups as text, no two alike: a fault that has this code only once it is constant is marked *settled*."""
+        """Groups as text, all distinct: a fault that has this code only once it is constant is marked *settled*."""
         return tuple(
             " or ".join(f"{name}, settled" if name in later else name for name in group)
             for group, later in zip(self.groups, self.settled, strict=True)
@@ -103,12 +103,12 @@ class CodeTest(Isolation):
 
     @cached_property
     def strongly_isolating(self) -> bool:
-        """Whether no code turns into another one when members that should fire stay silent."""
+        """True if no code turns into another one when members that should fire stay silent."""
         return strongly_isolating(self.codes, self.groups)
 
     @cached_property
     def dedicated(self) -> bool:
-        """Whether every code is a single member: then each fault fires its own, and several at once are all read."""
+        """True if every code is a single member: then each fault fires its own, and several at once are all read."""
         return bool(self.groups) and bool((self.codes.sum(axis=0) == 1).all())
 
     def member_of(self, group: tuple[str, ...]) -> int:
@@ -116,7 +116,7 @@ class CodeTest(Isolation):
         return int(self.codes[:, self.groups.index(group)].argmax())
 
     def read(self, fired: ArrayLike) -> CodeReading:
-        """Return what one pattern of fired members says; see :func:`read_code`."""
+        """Read one pattern of fired members; see :func:`read_code`."""
         pattern = np.asarray(fired, dtype=bool)
         codes, groups, settled = self.codes, self.groups, self.settled
         made = (tuple(bool(x) for x in pattern), self.members)
@@ -157,7 +157,7 @@ class CodeTest(Isolation):
         return CodeState(empty_window(plants, self.window, count), none, none.astype(bool))
 
     def run(self, state: CodeState, block: Block, tested: Tested) -> tuple[CodeState, Scores]:
-        """Return which members count as fired over the window, and how many agree with the code of each group."""
+        """Return the members that fired over the window, and the number that agree with the code of each group."""
         fired, usable = tested.fired, tested.usable
         counts, window = moving_sum((fired & usable[..., None]).astype(float), state.window)  # whole numbers: exact
         largest = counts.max(axis=2, initial=0.0)[..., None]
@@ -176,13 +176,13 @@ class CodeTest(Isolation):
 
     @property
     def compiled(self) -> CompiledCodes | None:
-        """The same in C."""
+        """Equivalent for the fused loop."""
         if type(self) is not CodeTest:
             return None
         return CompiledCodes(self.window, self.share, self.codes, self.at_once and self.dedicated)
 
     def name(self, seen: Seen, start: int, stop: int, last: int) -> Named:
-        """Return what the fired members say: the pattern that stood the longest, and the candidates by it.
+        """Return the pattern of members that stood the longest, and the candidates by it.
 
         Of a dedicated bank with all members that lasted: each is a fault of its own.
         """
@@ -204,7 +204,7 @@ class CodeTest(Isolation):
         )
 
     def name_now(self, seen: Seen) -> Named:
-        """Return what the members say that fired over the window up to now."""
+        """Read the members that fired over the window up to now."""
         assert seen.scores.code is not None
         reading = self.read(seen.scores.code[0])
         present = present_now(self, reading, seen.state.since[0], seen.generator.dt)
@@ -219,30 +219,30 @@ class CodeTest(Isolation):
         return super().same_event(before, alarm)
 
     def name_of_several(self, parts: Sequence[Alarm], exceeded: NDArray[np.bool_], name: Naming) -> Named | None:
-        """Return what a dedicated bank says of several alarms that are one: all faults of their whole time."""
+        """Read several alarms of a dedicated bank as one: all faults of their whole time."""
         if not self.dedicated:
             return None
         first, last = parts[0], parts[-1]
         return name(first.start, last.stop, last_over(exceeded, last.start, last.stop))
 
-    # ----------------------------------------------- what the rest of a monitor asks for
+    # ----------------------------------------------- interface to the rest of a monitor
 
     @property
     def coding(self) -> CodeTest:
-        """These codes."""
+        """The codes themselves."""
         return self
 
     @property
     def samples(self) -> int:
-        """Samples over which it is judged which members fired."""
+        """Number of samples over which members count as fired."""
         return self.window
 
     def samples_to_be_sure(self, test: ResidualTest) -> int:
-        """Return how long an alarm has to last; where members count as fired at once, a name is as sure at any time."""
+        """Return the length of an alarm from which its name is reliable: one for a dedicated bank read at once."""
         return 1 if self.at_once and self.dedicated else self.window
 
     def words(self, step: float) -> dict[str, str]:
-        """Return in words how faults are named."""
+        """Describe how faults are named."""
         if self.dedicated and self.at_once:
             return {
                 "isolation": "every fault has a member of its own: each member that fires in an alarm names its fault"
@@ -256,7 +256,7 @@ class CodeTest(Isolation):
         return {"isolation": f"{sentence}; nearest codes up to {self.distance} off"}
 
     def statement(self, alarm: Alarm, clock: Clock, window: int) -> Statement:
-        """Return the statement about an alarm: what fired, and what it reads as."""
+        """Return the statement about an alarm: the members that fired, and their reading."""
         return statement_by_code(alarm, clock, self.word(alarm, window), dedicated=self.dedicated)
 
     def word(self, alarm: Alarm, window: int) -> Word:
@@ -270,7 +270,7 @@ class CodeTest(Isolation):
         return word_by_code(alarm, window, *(each_once(self.groups[g] for g in which) for which in (around, near)))
 
     def cautions(self, bounds: Mapping[str, MemberBounds], alarms: Sequence[Alarm], seen: Seen) -> tuple[str, ...]:
-        """Return for each alarm which of its residuals a single other fault may have driven over their thresholds."""
+        """Return for each alarm its residuals that a single other fault may have driven over their thresholds."""
         if not bounds or not self.dedicated or not self.at_once:
             return ()
         return leakage_cautions(bounds, self.members, alarms, seen.tested.part_statistics)
@@ -278,7 +278,7 @@ class CodeTest(Isolation):
     # --------------------------------------------------------------------------- files
 
     def check(self, watched: Watched, test: ResidualTest) -> None:
-        """Raise where codes from a file are not of the members and faults."""
+        """Raise if codes from a file do not match the members and faults."""
         where, count = "running.isolation", len(watched.parts or ())
         if len(self.settled) != len(self.groups) or any(
             set(s) - set(g) for s, g in zip(self.settled, self.groups, strict=True)
@@ -292,7 +292,7 @@ class CodeTest(Isolation):
             raise FileFormatError(f"{where}.at_once must be as the test is")
 
     def check_state(self, state: CodeState, count: int) -> None:
-        """Raise where a state from a file cannot be one."""
+        """Raise if a state from a file is invalid."""
         state.window.check("state.isolation.window")
         if ((state.since < 0) | (state.since > count)).any():
             raise FileFormatError("state.isolation.since must lie between 0 and state.count")
@@ -340,7 +340,7 @@ class Structured(IsolationSettings):
         """Return the codes of a bank."""
         return codes_of(generator, self, at_once=test.horizon > 0)
 
-    # ----------------------------------------------- what the rest of a monitor asks for
+    # ----------------------------------------------- interface to the rest of a monitor
 
     @classmethod
     def for_design(cls, design: Any, generator: ResidualGenerator) -> Self | None:
@@ -370,17 +370,17 @@ class Structured(IsolationSettings):
         return settings
 
     def kept(self, generator: ResidualGenerator) -> tuple[str, int, int] | None:
-        """Return the window, and that it keeps the alarms of the members."""
+        """Return the window, and the number of values it keeps: the alarms of the members."""
         return f"Structured(window={self.window})", self.window, len(generator.members)
 
     def check_record(self, content: Mapping[str, Any], where: str) -> None:
-        """Raise where what runs has another window."""
+        """Raise if the window of the record differs from that of the settings."""
         if content.get("window") != self.window:
             raise FileFormatError(f"{where}.window must be that of isolate, {self.window}")
 
 
 def settled_codes(generator: ResidualGenerator) -> NDArray[np.bool_]:
-    """Return which members a constant fault still fires once the residual has settled: (members, faults).
+    """Return the members that a constant fault still fires once the residual has settled: (members, faults).
 
     A member may see a fault only while it changes; then fewer members fire in the end than the code promises.
     """
@@ -393,7 +393,7 @@ def settled_codes(generator: ResidualGenerator) -> NDArray[np.bool_]:
 
 
 def codes_of(generator: ResidualGenerator, isolate: Structured, *, at_once: bool = False) -> CodeTest:
-    """Return the codes that a bank is read by: those of its faults, and those of constant faults where they differ."""
+    """Return the codes of a bank: those of its faults, and those of constant faults if they differ."""
     assert generator.codes is not None
     names = [member.name for member in generator.members]
     made = code_test(isolate, generator.codes, generator.faults, names, settled=settled_codes(generator))
@@ -439,7 +439,7 @@ def read_code(
     members: Sequence[str] | None = None,
     distance: int = 1,
 ) -> CodeReading:
-    """Read which members of a bank fired against the codes of the faults.
+    """Read the fired members of a bank against the codes of the faults.
 
     In this order:
 
@@ -553,7 +553,7 @@ def read_codes(
 
 
 def candidates_of_code(reading: CodeReading, codes: CodeTest) -> tuple[Candidate, ...]:
-    """Return the group that was read, then the others by the members that agree; none where nothing was read.
+    """Return the group that was read, then the others by the members that agree; none without a reading.
 
     Every fault is named once: with that of its codes which agrees better.
     """
@@ -581,7 +581,7 @@ def column_read(reading: CodeReading, codes: CodeTest) -> int | None:
 
 
 def longest_code(code: NDArray[np.bool_], counted: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], float]:
-    """Return the pattern that stood for the most samples, the latest of those, and the fraction in which it did.
+    """Return the pattern that stood for the most samples, the latest of those, and its share of the samples.
 
     Parameters
     ----------
@@ -604,7 +604,7 @@ def named_pattern(
     fired: NDArray[np.bool_],
     usable: NDArray[np.bool_],
 ) -> tuple[NDArray[np.bool_], float]:
-    """Return the members that an alarm of a dedicated bank names, and the fraction of its samples with just these.
+    """Return the members that an alarm of a dedicated bank names, and the share of its samples with just these.
 
     They are those of the pattern that stood the longest, and every other that counted as fired for an isolation window
     in all: a fault that came later has its member too, and a false alarm of a member is shorter. By a peak test they
@@ -649,7 +649,7 @@ def present_faults(
 def present_now(
     codes: CodeTest, reading: CodeReading, since: NDArray[np.int64], step: float
 ) -> tuple[PresentFault, ...]:
-    """Return the faults that are read now; ``since``: samples when each member fired first, ``step`` in seconds."""
+    """Return the faults that are read now; ``since``: sample at which each member first fired, ``step`` in seconds."""
     if not codes.dedicated:
         return ()
     fired = [(group, codes.member_of(group)) for group in reading.named]
@@ -663,7 +663,7 @@ def _named_by(alarm: Alarm) -> set[tuple[str, ...]]:
 
 
 def alarms_since(fired: NDArray[np.bool_], state: CodeState, count: int | NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return when each member first fired in the alarm that stands: how many samples had been seen with that one.
+    """Return the sample number at which each member first fired in the standing alarm.
 
     0 without a standing alarm, or if the time is not known because the state is one of an earlier version.
 

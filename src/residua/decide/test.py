@@ -1,7 +1,7 @@
-"""The seam of tests: what turns residuals into a statistic and an alarm.
+"""Interface of tests, which turn residuals into a statistic and an alarm.
 
-A test is two classes in one file. Its *settings* are what users write; they make what *runs* from the noise model of a
-plant, or from fault-free data. A monitor knows no kind of test: it asks for what stands here. A test of a user's own is
+A test is two classes in one file. Its *settings* are written by users; they make the fitted test from the noise model
+of a plant, or from fault-free data. A monitor knows no kind of test: it uses the methods below. A test of your own is
 written the same way, in a file outside of the package (:func:`residua.decide.register`).
 """
 
@@ -27,14 +27,14 @@ Bends = Sequence[tuple[int, int, NDArray[np.float64]]]
 
 @dataclass(frozen=True, eq=False)
 class Watched:
-    """What a test is made for.
+    """Generator, parts and certified thresholds for which a test is made.
 
     Attributes
     ----------
     generator : ResidualGenerator
         Sampled.
     parts : mapping of str to tuple of int, or None
-        Residual numbers of what has to be tested by itself, by name, for an isolation that asks which of them fired:
+        Residual numbers of the parts to test separately, by name, for an isolation by the parts that fired:
         the members of a bank. ``None`` if the residual is tested as a whole.
     certified : mapping of str to float
         Thresholds that the design has certified, by member; empty for a design that brings none.
@@ -47,7 +47,7 @@ class Watched:
 
 @dataclass(frozen=True, eq=False)
 class FaultFreeRun:
-    """What a generator makes of fault-free recordings, one after the other.
+    """Residuals of a generator over fault-free recordings, one after the other.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class FaultFreeRun:
     levels : ndarray, shape (k,)
         For each residual the size of the signals that it is the difference of.
     signals : ndarray, shape (time, channels), or None
-        What they were made from: inputs, then outputs, as deviations from the operating point; NaN where missing.
+        Their source: inputs, then outputs, as deviations from the operating point; NaN where missing.
     """
 
     residuals: NDArray[np.float64]
@@ -75,7 +75,7 @@ class FaultFreeRun:
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Residuals that a test is run over.
+    """Block of residuals for a test.
 
     Attributes
     ----------
@@ -88,7 +88,7 @@ class Block:
     bends : sequence
         Where faults have other responses for a while; see :data:`Bends`.
     signals : ndarray, shape (plants, time, channels), or None
-        What the residuals were made from: inputs, then outputs, as deviations; NaN where a value is missing. ``None``
+        Source of the residuals: inputs, then outputs, as deviations; NaN where a value is missing. ``None``
         where residuals come by themselves.
     """
 
@@ -105,7 +105,7 @@ def _nothing() -> NDArray[Any]:
 
 @dataclass(frozen=True, eq=False)
 class Tested:
-    """What a test says of a block; every array starts with (plants, time), or with (time,) for one plant.
+    """Result of a test on a block; every array starts with (plants, time), or (time,) for one plant.
 
     Attributes
     ----------
@@ -121,9 +121,9 @@ class Tested:
     whitened : ndarray, shape (..., k)
         The residual, zero where not usable, in units in which its direction is judged.
     part_statistics, fired : ndarray, shape (..., parts)
-        Of what is tested by itself: its statistic, and whether it is in alarm. No columns where nothing is.
+        Statistic and alarm of each part tested separately. No columns without such parts.
     likelihood : dataclass or None
-        Of a test that compares hypotheses: what an isolation that goes with it reads.
+        Of a test that compares hypotheses: input of an isolation that belongs to it.
     """
 
     __test__: ClassVar[bool] = False  # no test of pytest's
@@ -140,7 +140,7 @@ class Tested:
 
 
 class ResidualTest(Record, ABC):
-    """A test with every number filled in: what runs. A frozen dataclass with at least the attributes below.
+    """Base of tests with all parameters set. A frozen dataclass with at least the attributes below.
 
     Attributes
     ----------
@@ -170,21 +170,21 @@ class ResidualTest(Record, ABC):
 
     @abstractmethod
     def run(self, state: Any, block: Block) -> tuple[Any, Tested]:
-        """Run over a block of samples, and return the state to go on with and the outcome for each sample.
+        """Run over a block of samples, and return the next state and the outcome for each sample.
 
         A pure function, with the same bits however time is cut into blocks, and for any number of plants at once.
         """
 
-    # ----------------------------------------------- what the rest of a monitor asks for
+    # ----------------------------------------------- interface to the rest of a monitor
 
     @property
     def of_residual(self) -> ResidualTest:
-        """The part that tests the residual itself: all of it, but where a test looks at other things beside."""
+        """Part that tests the residual itself: the whole test, unless it looks at other things beside."""
         return self
 
     @property
     def samples(self) -> int:
-        """Samples that the statistic is made of; alarms nearer to each other may be one."""
+        """Number of samples in the statistic; alarms nearer to each other may be merged."""
         return 1
 
     @property
@@ -194,27 +194,27 @@ class ResidualTest(Record, ABC):
 
     @property
     def reads_signals(self) -> bool:
-        """Whether the threshold depends on the recorded signals besides the residual: on ``Block.signals``."""
+        """True if the threshold depends on the recorded signals, ``Block.signals``, besides the residual."""
         return False
 
     @property
     def compiled(self) -> CompiledTest | None:
-        """What the fused loop runs in its place, with the same bits; ``None`` where :meth:`run` is all there is."""
+        """Equivalent for the fused loop, equal to the last bit; ``None`` if there is only :meth:`run`."""
         return None
 
     @property
     def is_bound(self) -> bool:
-        """Whether no fault-free run exceeds the thresholds, certified or the user's: then the test waits longer."""
+        """True if no fault-free run exceeds the thresholds, certified or the user's: then the test waits longer."""
         return False
 
     @property
     def is_certified(self) -> bool:
-        """Whether the design has certified the thresholds."""
+        """True if the design has certified the thresholds."""
         return False
 
     @property
     def metric(self) -> NDArray[np.float64]:
-        """What the residual is multiplied with before its direction is judged, ``r @ metric``: shape (k, K)."""
+        """Matrix applied to the residual before its direction is judged, ``r @ metric``: shape (k, K)."""
         return np.eye(len(self.center))
 
     @property
@@ -224,36 +224,36 @@ class ResidualTest(Record, ABC):
 
     @property
     def per_threshold(self) -> NDArray[np.float64]:
-        """What brings the residual to units of the threshold, shape (k, K)."""
+        """Matrix that scales the residual to units of the threshold, shape (k, K)."""
         return self.metric / self.threshold
 
     @property
     def guarded(self) -> NDArray[np.float64]:
-        """What a value is weighed by that is too large to be a measurement, shape (k, K)."""
+        """Weights that detect values too large to be a measurement, shape (k, K)."""
         return np.abs(self.per_threshold)
 
     @property
     def part_names(self) -> tuple[str, ...]:
-        """Names of what is tested by itself; empty if the residual is tested as a whole."""
+        """Names of the parts tested separately; empty if the residual is tested as a whole."""
         return ()
 
     @property
     def part_thresholds(self) -> NDArray[np.float64]:
-        """Thresholds of what is tested by itself."""
+        """Thresholds of the parts tested separately."""
         return np.zeros(0)
 
     @property
     def groups_of_residuals(self) -> dict[str, tuple[int, ...]]:
-        """Residual numbers of the groups that users asked to be tested by themselves; empty without."""
+        """Residual numbers of the groups that users asked to test separately; empty without."""
         return {}
 
     @property
     def responses(self) -> Any:
-        """The responses to faults that the statistic is made of, a ``MatchedTest``; or ``None``."""
+        """Responses to faults in the statistic, a ``MatchedTest``; or ``None``."""
         return None
 
     def fault_free_residuals(self, normal: NDArray[np.float64]) -> NDArray[np.float64] | None:
-        """Return fault-free residuals as this test takes them to be; ``None`` if it knows nothing of them.
+        """Return fault-free residuals as modelled by this test; ``None`` without a model.
 
         Parameters
         ----------
@@ -272,7 +272,7 @@ class ResidualTest(Record, ABC):
     def leads(
         self, residuals: NDArray[np.float64], changes: NDArray[np.float64], signals: NDArray[np.float64]
     ) -> NDArray[np.float64] | None:
-        """Return how far faults of one lead the test to an alarm; ``None`` where it cannot tell.
+        """Return the responses of the test to faults of size one, relative to the threshold; ``None`` if unknown.
 
         At each sample: the inverse of the size that is over the threshold in nine of ten runs.
 
@@ -292,7 +292,7 @@ class ResidualTest(Record, ABC):
         return None
 
     def outside_share(self, tested: Tested) -> float:
-        """Return the fraction of the decided samples that lie outside of what was learnt, as far as a test asks."""
+        """Return the fraction of decided samples outside of the range of the training data, if a test checks it."""
         return 0.0
 
     def bands(self) -> tuple[NDArray[np.float64], float]:
@@ -304,7 +304,7 @@ class ResidualTest(Record, ABC):
         return np.full(len(self.center), np.inf), 0.0
 
     def words(self, step: float) -> dict[str, str]:
-        """Return in words what the threshold is, what is tested, and when an alarm begins and ends.
+        """Describe the threshold, the statistic, and the start and end of an alarm.
 
         Parameters
         ----------
@@ -318,7 +318,7 @@ class ResidualTest(Record, ABC):
         }
 
     def cautions(self, tested: Tested) -> tuple[str, ...]:
-        """Return what to mind before an outcome is believed; ``tested`` is that of a whole recording of one plant."""
+        """Return cautions about an outcome; ``tested`` is that of a whole recording of one plant."""
         return ()
 
     # --------------------------------------------------------------------------- files
@@ -328,24 +328,24 @@ class ResidualTest(Record, ABC):
         return values_out(self)
 
     def check(self, watched: Watched) -> None:
-        """Raise :class:`residua.errors.FileFormatError` where a test from a file does not fit what it is to watch."""
+        """Raise :class:`residua.errors.FileFormatError` if a test from a file does not fit the watched generator."""
 
     def check_state(self, state: Any) -> None:
-        """Raise :class:`residua.errors.FileFormatError` where a state from a file cannot be one."""
+        """Raise :class:`residua.errors.FileFormatError` if a state from a file is invalid."""
 
 
 class TestSettings(Record, ABC):
-    """What users write to have a test. A frozen dataclass with at least the attributes below.
+    """Base of the settings of tests. A frozen dataclass with at least the attributes below.
 
     Attributes
     ----------
     kind : str
         The mark of its records in files.
     makes : type
-        What runs: a :class:`ResidualTest`.
+        Class of the fitted :class:`ResidualTest`.
     false_alarm_rate : float or None
-        Intended fraction of fault-free samples in alarm, unless ``fit`` gets another one; ``None``: what the log of a
-        fit can carry (:func:`residua.decide.checks.rate_aimed_at`).
+        Intended fraction of fault-free samples in alarm, unless ``fit`` gets another one; ``None``: one that the log of
+        a fit can support (:func:`residua.decide.checks.rate_aimed_at`).
     """
 
     __test__: ClassVar[bool] = False  # no test of pytest's
@@ -359,20 +359,20 @@ class TestSettings(Record, ABC):
         return None
 
     def known(self, watched: Watched) -> ResidualTest | None:
-        """Return the test whose thresholds data do not change, which wait longer and start from rest; else ``None``."""
+        """Return the test if its thresholds do not depend on data, to wait longer, from rest; else ``None``."""
         return None
 
     @abstractmethod
     def fitted(self, watched: Watched, run: FaultFreeRun, rate: float) -> ResidualTest:
         """Return the test fitted to fault-free data, for a rate of false alarms."""
 
-    # ----------------------------------------------- what the rest of a monitor asks for
+    # ----------------------------------------------- interface to the rest of a monitor
 
     def check(self, watched: Watched) -> None:
-        """Raise :class:`residua.errors.SettingError` where the settings do not fit what is to be watched."""
+        """Raise :class:`residua.errors.SettingError` if the settings do not suit the watched generator."""
 
     def asked(self, watched: Watched, rows: int = 0) -> float:
-        """Return the fraction of fault-free samples in alarm that is aimed at, unless ``fit`` gets another one.
+        """Return the target fraction of fault-free samples in alarm, unless ``fit`` gets another one.
 
         ``rows`` are the usable fault-free rows that a fit uses; 0 without data.
         """
@@ -380,26 +380,26 @@ class TestSettings(Record, ABC):
 
     @property
     def takes_certified(self) -> bool:
-        """Whether thresholds that a design has certified are looked at."""
+        """True if the test can use thresholds certified by a design."""
         return False
 
     @property
     def uses_certified(self) -> bool:
-        """Whether they are used."""
+        """True if certified thresholds are used."""
         return self.takes_certified
 
     @property
     def remedy(self) -> str:
-        """How to get a threshold, after "this monitor has no threshold"."""
+        """Remedy for a missing threshold, as text after "this monitor has no threshold"."""
         return "fit(u, y) it to fault-free data"
 
     @property
     def divides(self) -> bool:
-        """Whether users divided the residual into groups that are tested by themselves."""
+        """True if users divided the residual into groups that are tested separately."""
         return False
 
     def kept(self, watched: Watched) -> tuple[str, int, int] | None:
-        """Return the window as it was set, its samples, and the numbers that are kept of each for a plant."""
+        """Return the setting of the window, its samples, and the numbers kept for each sample of a plant."""
         return None
 
     # --------------------------------------------------------------------------- files
@@ -414,10 +414,10 @@ class TestSettings(Record, ABC):
         return values_in(content, where, cls)
 
     def check_record(self, content: Mapping[str, Any], where: str) -> None:
-        """Raise where a record of a test is not of these settings, before anything is made of it."""
+        """Raise if a record of a test does not match these settings, before anything is built from it."""
 
     def test_from_record(self, content: Any, where: str, watched: Watched) -> ResidualTest:
-        """Return what runs, from a record, checked against what it is to watch."""
+        """Read a test from a record, and check it against the watched generator."""
         test = values_in(content, where, self.makes)
         test.check(watched)
         return test

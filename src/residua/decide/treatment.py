@@ -1,4 +1,4 @@
-"""Residuals made white and Gaussian: whitened, less what their past foretells, and with heavy tails as scores."""
+"""Treatment of residuals: whitening, autoregression, and scores for heavy tails."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _ENDS, _FOLDS = 3.0, 4
 
 @dataclass(frozen=True, eq=False)
 class Treated:
-    """What makes fault-free residuals white and Gaussian.
+    """Treatment that makes fault-free residuals white and Gaussian.
 
     Attributes
     ----------
@@ -34,9 +34,9 @@ class Treated:
     moving : int
         Independent directions that are left.
     notes : list of str
-        What is said of it.
+        Remarks on it.
     is_heavy : bool
-        Whether what is left has heavy tails.
+        Whether the innovations have heavy tails.
     """
 
     parts: dict[str, Any]
@@ -46,7 +46,7 @@ class Treated:
 
 
 def treated(data: FaultFree, treatment: str, harmless_offset: float, *, scores: bool = True) -> Treated:
-    """Return what makes fault-free residuals white and Gaussian.
+    """Fit the treatment that makes fault-free residuals white and Gaussian.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def treated(data: FaultFree, treatment: str, harmless_offset: float, *, scores: 
     whole, moving = data.moments(), data.moving
     parts, notes = plain(whole.center, whole.whitening), []
     if whole.intensity:
-        notes.append(f"covariance of too few samples, drawn by {whole.intensity:.2g} towards a simpler one")
+        notes.append(f"covariance of too few samples, shrunk by {whole.intensity:.2g} towards a simpler one")
     q = np.where(data.usable[:, None], (data.residuals - whole.center) @ whole.whitening, 0.0)
     if moving < q.shape[1]:
         notes.append(f"{moving} of the {q.shape[1]} residuals are independent")
@@ -84,8 +84,9 @@ def treated(data: FaultFree, treatment: str, harmless_offset: float, *, scores: 
         exact = int(np.count_nonzero(~varies))
         if exact == moving:
             raise DataError(
-                f"the past foretells all of this residual but for {number(float(values[-1]), 2)} of its variance, "
-                f"which {len(e)} samples do not tell from their mean: give more, or fit with treatment='none'"
+                f"the past predicts all but {number(float(values[-1]), 2)} of the variance of this residual, "
+                f"which {len(e)} samples cannot distinguish from an error of their mean: give more, or fit with "
+                "treatment='none'"
             )
         if exact:
             notes.append(f"{counted(exact, 'combination')} of residuals predicted exactly")
@@ -99,7 +100,7 @@ def treated(data: FaultFree, treatment: str, harmless_offset: float, *, scores: 
     if is_heavy and scores:
         knots, values = knots_of(e[:, varies])
         notes.append("heavy tails: each value is replaced by its normal score")
-        # what never moves, or is foretold exactly, stays as it is: that is rounding, and the ends of recordings
+        # directions that never move, or are predicted exactly, stay unchanged: rounding, and the ends of recordings
         everywhere = np.tile(values, (len(parts["center"]), 1))
         everywhere[live[varies]] = knots
         parts = {**parts, "knots": everywhere, "scores": values}
@@ -107,10 +108,10 @@ def treated(data: FaultFree, treatment: str, harmless_offset: float, *, scores: 
 
 
 def _floor(samples: int, harmless_offset: float) -> float:
-    """Return the part of its variance below which what is left of a direction is less than the error of its mean.
+    """Return the share of variance below which a direction's innovations are less than the error of its mean.
 
-    Where decoupling makes residuals depend on each other over time, an autoregression foretells combinations of them
-    exactly. What is left there of the ends of a recording, divided by its length, is all the noise they have.
+    Where decoupling makes residuals depend on each other over time, an autoregression predicts combinations of them
+    exactly. Their only innovations, at the ends of a recording, divided by its length, are all the noise they have.
     """
     return max(VARIANCE_FLOOR, (_ENDS * _FOLDS / max(samples, 1) / harmless_offset) ** 2)
 
@@ -118,7 +119,7 @@ def _floor(samples: int, harmless_offset: float) -> float:
 def _innovations(
     coefficients: NDArray[np.float64], q: NDArray[np.float64], usable: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
-    """Return what the past does not foretell, of the samples whose past is known."""
+    """Return the innovations of the samples whose past is known."""
     e, seen, _ = unforetold(coefficients, Past.empty(1, coefficients), q[None], usable[None])
     return e[0, seen[0]]
 

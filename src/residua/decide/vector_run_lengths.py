@@ -15,9 +15,9 @@ from residua.errors import SettingError
 _ON_RADIUS, _ON_ARC, _FEWEST, _MOST = 1.7, 1.2, 12, 96
 #: Residuals up to which run lengths after a shift are computed on the way to something else: it takes seconds beyond.
 MOST_DIMENSIONS = 3
-#: Sums of more samples than that many over the square of the allowance are no chance any more.
+#: Sums of more samples than that many over the square of the allowance are beyond chance.
 _LONGEST_SUM = 60.0
-#: A step whose density is less than the exponential of minus this is none: 1e-20, far below what settles.
+#: A step whose density is less than the exponential of minus this is none: 1e-20, far below any effect.
 _NEVER = 46.0
 #: Most samples in a sum that are followed one by one.
 _MOST_IN_A_SUM = 20_000
@@ -25,7 +25,7 @@ _MOST_IN_A_SUM = 20_000
 
 @dataclass(frozen=True)
 class LengthChain(Chain):
-    r"""The length of a vector that is drawn on by Gaussian ones.
+    r"""Length of a vector with Gaussian increments.
 
     .. math:: v_k = c\, s_{k-1} + q_k, \qquad |s_k| = g \max(|v_k| - \kappa, 0), \quad s_k \parallel v_k
 
@@ -47,7 +47,7 @@ class LengthChain(Chain):
 
     @property
     def width(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The deviation of a step."""
+        """Standard deviation of a step."""
         return self.gain
 
     def density(self, now: Values, then: Values) -> Values:
@@ -59,7 +59,7 @@ class LengthChain(Chain):
         return norm_above(level / self.gain + self.allowance, self.kept * now, self.dimension)
 
     def at_zero(self, now: Values) -> Values:
-        """Return the probability that the next vector is none."""
+        """Return the probability that the next vector is zero."""
         if not self.allowance:
             return np.zeros_like(now)
         return 1 - norm_above(self.allowance, self.kept * now, self.dimension)
@@ -67,7 +67,7 @@ class LengthChain(Chain):
 
 @lru_cache(maxsize=256)
 def shifted_run_length(chain: LengthChain, threshold: float, shift: float) -> float:
-    """Return the mean number of samples to the threshold from a start at zero, where the vectors have a mean.
+    """Return the mean number of samples to the threshold from a start at zero, for vectors with a mean.
 
     By a quadrature over the part of the vector along the mean and the length of the rest: as polar coordinates, in
     which the density is smooth where an allowance leaves a hole in the middle.

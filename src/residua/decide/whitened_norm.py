@@ -1,4 +1,4 @@
-"""The norm of the whitened residual against one threshold: what runs, and how it is fitted."""
+"""Norm of the whitened residual against one threshold, and its fit."""
 
 from __future__ import annotations
 
@@ -34,19 +34,19 @@ BAND_SHARE, BAND_DEVIATIONS = 0.999, 3.2905267314918945
 #: Deviations of a normal number that nine of ten are above, below its mean.
 NINE_OF_TEN = 1.28
 #: Columns of a whitening matrix this near to being dependent, in units of their own rows, see some residuals no more;
-#: what is fitted stays above 1e-5.
+#: fitted values stay above 1e-5.
 _DEPENDENT = 1e-10
 #: Weights above this overflow when they are squared twice.
 _HEAVIEST = 1e75
 
-#: What the numbers of tests and their settings may be.
+#: Kinds of the numbers in tests and their settings.
 RUNS: Mapping[str, NumberKind] = {"persistence": COUNT, "release": COUNT, "window": WINDOW}
 FITTED: Mapping[str, NumberKind] = {"center": ENTRY, "whitening": ENTRY, "promised": SHARE, "shrinkage": PART}
 
 
 @dataclass(frozen=True)
 class NormSettings(TestSettings):
-    """What every norm of a whitened residual is set by; the parameters of :class:`residua.decide.NormThreshold`."""
+    """Settings shared by all norms of a whitened residual; the parameters of :class:`residua.decide.NormThreshold`."""
 
     NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {**RUNS, "threshold": POSITIVE, "false_alarm_rate": PROBABILITY}
 
@@ -72,7 +72,7 @@ class NormSettings(TestSettings):
         check_source(self.source)
         if self.source != "auto" and self.threshold is not None:
             raise SettingError(
-                f"threshold={self.threshold:g} is given, so that source={self.source!r} is of no use: leave one out"
+                f"threshold={self.threshold:g} and source={self.source!r} cannot be combined: leave one out"
             )
         for name in ("persistence", "release", "window"):  # plain numbers, whatever they came as
             value = getattr(self, name)
@@ -83,12 +83,12 @@ class NormSettings(TestSettings):
 
 
 def length_for_nine(threshold: float, k: int) -> float:
-    """Return how long the mean of a standard normal vector must be for nine of ten of its samples to be over."""
+    """Return the length of the mean of a standard normal vector for which nine of ten samples exceed a threshold."""
     return float(np.sqrt(max(threshold**2 - k + 1, 1.0)) + NINE_OF_TEN)
 
 
 def leads_of_sums(white: NDArray[np.float64], window: int, threshold: float) -> NDArray[np.float64]:
-    """Return the lengths of sums of whitened responses over a window, (faults, time), in what nine of ten need."""
+    """Return whitened responses summed over a window, as lengths, (faults, time), in units that nine of ten need."""
     sums = np.cumsum(white, axis=1)
     sums[:, window:] -= sums[:, :-window].copy()
     return np.sqrt(row_squares(sums) / window) / length_for_nine(threshold, white.shape[2])
@@ -96,7 +96,7 @@ def leads_of_sums(white: NDArray[np.float64], window: int, threshold: float) -> 
 
 @dataclass(frozen=True, eq=False)
 class NormState:
-    """What a test of norms remembers.
+    """State of a test of norms.
 
     Attributes
     ----------
@@ -110,13 +110,13 @@ class NormState:
     runs: AlarmRuns
 
     def arrays(self) -> tuple[NDArray | None, ...]:
-        """Return what the fused loop reads and writes, in its order: window, past and sums, runs."""
+        """Return the arrays that the fused loop reads and writes, in its order: window, past and sums, runs."""
         return *self.window.arrays(), None, None, None, *self.runs.arrays()
 
 
 @dataclass(frozen=True, eq=False)
 class NormTest(ResidualTest):
-    """A norm threshold with every number filled in: what runs.
+    """Fitted norm threshold.
 
     Attributes
     ----------
@@ -153,7 +153,7 @@ class NormTest(ResidualTest):
 
     @property
     def band(self) -> NDArray[np.float64]:
-        """How far each residual alone, averaged over the window, can be from its mean below threshold."""
+        """Largest deviation of each residual alone, averaged over the window, below threshold."""
         inverse = np.linalg.pinv(self.whitening)
         return self.threshold * np.sqrt(np.sum(inverse**2, axis=0) / self.window)
 
@@ -172,7 +172,7 @@ class NormTest(ResidualTest):
 
     @property
     def compiled(self) -> CompiledTest | None:
-        """The same in C."""
+        """Equivalent for the fused loop."""
         return self._in_c() if type(self) is NormTest else None
 
     def _in_c(self) -> CompiledTest:
@@ -180,36 +180,36 @@ class NormTest(ResidualTest):
             "norm", self.center, self.whitening, self.threshold, self.window, self.persistence, self.release
         )
 
-    # ----------------------------------------------- what the rest of a monitor asks for
+    # ----------------------------------------------- interface to the rest of a monitor
 
     @property
     def samples(self) -> int:
-        """Samples that are summed."""
+        """Number of samples in the sum."""
         return self.window
 
     @property
     def metric(self) -> NDArray[np.float64]:
-        """The whitening."""
+        """Whitening matrix."""
         return self.whitening
 
     @property
     def per_deviation(self) -> NDArray[np.float64] | None:
-        """The whitening."""
+        """Whitening matrix."""
         return self.whitening
 
     @property
     def per_threshold(self) -> NDArray[np.float64]:
-        """The whitening in units of the threshold."""
+        """Whitening matrix in units of the threshold."""
         return self.whitening / self.threshold
 
     @property
     def guarded(self) -> NDArray[np.float64]:
-        """In deviations; without a threshold nothing is too large to be judged."""
+        """Weights in standard deviations; without a threshold no value is too large."""
         return np.abs(self.whitening) / self.threshold if self.threshold == np.inf else np.abs(self.whitening)
 
     @property
     def mean_time(self) -> float | None:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The samples from a start to so many in a row over the threshold, if the residual is white; fewer of sums."""
+        """Samples from a start to so many in a row over the threshold, if the residual is white; fewer for sums."""
         if not self._knows_spread or not np.isfinite(self.threshold):
             return None
         share = float(norm_above(self.threshold, np.zeros(1), len(self.center))[0])
@@ -221,7 +221,7 @@ class NormTest(ResidualTest):
         return self.kind == "norm" and not is_selection(self.whitening)
 
     def fault_free_residuals(self, normal: NDArray[np.float64]) -> NDArray[np.float64] | None:
-        """Return white residuals whose sums over the window have the covariance that the whitening is of."""
+        """Return white residuals whose sums over the window have the fitted covariance."""
         if not self._knows_spread:
             return None
         return self.center + ordered_product(normal, np.linalg.inv(self.whitening))
@@ -233,13 +233,13 @@ class NormTest(ResidualTest):
     def leads(
         self, residuals: NDArray[np.float64], changes: NDArray[np.float64], signals: NDArray[np.float64]
     ) -> NDArray[np.float64] | None:
-        """Return how far faults of one lead the norm to its threshold; nothing is said of peaks."""
+        """Return the responses of the norm to faults of size one, relative to the threshold; ``None`` for peaks."""
         if type(self) is not NormTest:
             return None
         return leads_of_sums(residuals @ self.whitening, self.window, self.threshold)
 
     def bands(self) -> tuple[NDArray[np.float64], float]:
-        """Return the band of each residual alone: by its own spread where the covariance is known, else by threshold.
+        """Return the band of each residual alone: by its own spread if the covariance is known, else by threshold.
 
         Whatever the threshold on all together is; of the average over the window where the test has one.
         """
@@ -248,7 +248,7 @@ class NormTest(ResidualTest):
         return BAND_DEVIATIONS * replace(self, threshold=1.0).band, BAND_SHARE
 
     def words(self, step: float) -> dict[str, str]:
-        """Return in words what the threshold is, what is tested, and when an alarm begins and ends."""
+        """Describe the threshold, the statistic, and the start and end of an alarm."""
         summed = f", summed over {self.window} samples" if self.window > 1 else ""
         return {
             "threshold": f"{self.threshold:.4g} ({self.basis})",
@@ -259,14 +259,14 @@ class NormTest(ResidualTest):
     # --------------------------------------------------------------------------- files
 
     def check(self, watched: Watched) -> None:
-        """Raise where a test from a file does not fit what it is to watch."""
+        """Raise if a test from a file does not fit the watched generator."""
         k = watched.generator.n_residuals
         if self.center.shape != (k,) or self.whitening.shape != (k, k):
             raise FileFormatError(f"fitted: center and whitening must be for {k} residuals")
         check_invertible(self.whitening)
 
     def check_state(self, state: NormState) -> None:
-        """Raise where a state from a file cannot be one."""
+        """Raise if a state from a file is invalid."""
         state.window.check("state.test.window")
 
 
@@ -333,7 +333,7 @@ def fit_norm_test(
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """A test with mean and covariance fitted, and what its threshold is to be fitted to.
+    """A test with mean and covariance fitted, and the data for its threshold.
 
     Attributes
     ----------
@@ -365,7 +365,7 @@ def fit_moments(
     signal_size: float,
     seams: Sequence[int] = (),
 ) -> Fitted:
-    """Fit mean and covariance, and return what the threshold is to be fitted to; see :func:`fit_norm_test`."""
+    """Fit mean and covariance, and return the data for the threshold; see :func:`fit_norm_test`."""
     data = FaultFree(residuals, usable, settings.window, tuple(seams))
     k, count = residuals.shape[1], int(usable.sum())
     check_enough(count, k, settings.window)
@@ -412,7 +412,7 @@ def with_threshold(base: Fitted, rate: float) -> NormTest:
     if base.source == "conformal":
         basis += "; mean and covariance of the first half of them, the threshold of the second"
     if base.test.shrinkage:
-        basis += f"; covariance of too few samples, drawn by {base.test.shrinkage:.2g} towards a simpler one"
+        basis += f"; covariance of too few samples, shrunk by {base.test.shrinkage:.2g} towards a simpler one"
     if base.rounding is not None:
         threshold, basis = above_rounding(threshold, base.rounding, basis)
     return replace(base.test, threshold=float(threshold), basis=basis, promised=float(promise.promised))
@@ -427,7 +427,7 @@ def above_rounding(threshold: float, rounding: float, basis: str) -> tuple[float
 def whitened_residuals(
     center: NDArray[np.float64], whitening: NDArray[np.float64], block: Block
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return whitened residuals, zero where not usable, and what is usable: nothing that would overflow a sum."""
+    """Return whitened residuals, zero where not usable, and the mask of usable ones that do not overflow a sum."""
     usable = block.usable
     with np.errstate(over="ignore", invalid="ignore"):
         centred = np.where(usable[..., None], block.residuals - center, 0.0)
@@ -441,7 +441,7 @@ def whitened_residuals(
 def against_threshold(
     test: NormTest, runs: AlarmRuns, statistic: NDArray[np.float64], usable: NDArray[np.bool_], whitened: NDArray
 ) -> tuple[AlarmRuns, Tested]:
-    """Return what follows from one statistic: alarm, run lengths, and the runs to go on with."""
+    """Compare a statistic with the threshold: return the new runs, and alarm and run lengths."""
     exceeded = usable & (np.where(usable, statistic, 0.0) > test.threshold)
     alarm, up, runs = run_alarm(exceeded, usable, runs, test.persistence, test.release)
     nobody = np.zeros((*usable.shape, 0))
@@ -449,13 +449,13 @@ def against_threshold(
 
 
 def is_selection(whitening: NDArray[np.float64]) -> bool:
-    """Tell whether a whitening matrix is none: a choice of residuals."""
+    """Tell whether a whitening matrix only selects residuals."""
     W = whitening
     return bool(((W == 0) | (W == 1)).all() and (np.count_nonzero(W, axis=0) == 1).all())
 
 
 def check_invertible(whitening: NDArray[np.float64], *, of_some: bool = False) -> None:
-    """Raise where a whitening matrix leaves out a residual, or a combination of them; ``of_some`` are those it has."""
+    """Raise if a whitening matrix leaves out a residual, or a combination of them; ``of_some`` are those it has."""
     rows = np.abs(whitening).max(axis=1, initial=0.0)
     if rows.max(initial=0.0) > _HEAVIEST:
         raise FileFormatError(

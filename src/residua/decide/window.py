@@ -1,4 +1,4 @@
-"""Moving sums that come out the same to the last bit however the data are cut."""
+"""Moving sums equal to the last bit for any split of the data into blocks."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from residua.errors import FileFormatError
 
 @dataclass(frozen=True, eq=False)
 class WindowState:
-    """What a moving sum remembers; every array has one row per plant.
+    """State of a moving sum; every array has one row per plant.
 
     Time is cut into blocks of one window length, counted from the very first sample of a plant. The sum after a place
     of the last complete block is read for the last time when the sample of that place comes in, which takes its room.
@@ -33,18 +33,18 @@ class WindowState:
     filled: NDArray[np.int64]
 
     def arrays(self) -> tuple[NDArray, ...]:
-        """Return what the fused loop reads and writes, in its order."""
+        """Return the arrays that the fused loop reads and writes, in its order."""
         return self.values, self.begun, self.filled
 
     def check(self, where: str) -> None:
-        """Raise where a window from a file cannot be one."""
+        """Raise if a window from a file is invalid."""
         length = self.values.shape[1]
         if not ((self.filled >= 0) & (self.filled < max(length, 2))).all():
             raise FileFormatError(f"{where}.filled must be below the window of {length}")
 
 
 def empty_window(plants: int, window: int, k: int) -> WindowState:
-    """Return the state before the first sample; a window of one sample remembers nothing, and takes no memory."""
+    """Return the state before the first sample; a window of one sample takes no memory."""
     if window == 1:
         zeros = (np.broadcast_to(0.0, (plants, 1, k)), np.broadcast_to(0.0, (plants, k)))
         return WindowState(*zeros, np.broadcast_to(np.int64(0), plants))
@@ -92,7 +92,7 @@ def moving_sum(
 def _sums_of_judged(
     values: NDArray[np.float64], state: WindowState, judged: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float64], WindowState]:
-    """Return the same where samples are left out: of each plant by itself, of those with all of theirs at once."""
+    """Return the moving sum if samples are left out: separately for each such plant, for all others at once."""
     sums = np.zeros_like(values)
     after = WindowState(state.values.copy(), state.begun.copy(), state.filled.copy())
     whole = judged.all(axis=1)
@@ -109,7 +109,7 @@ def _sums_of_judged(
 def _summed(
     values: NDArray[np.float64], kept: NDArray[np.float64], begun: NDArray[np.float64], filled: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], int]:
-    """Return the sums of plants whose blocks are equally full; what is kept; what has begun; and how full they are."""
+    """Return the sums of plants whose blocks are equally full, and the new state."""
     total = filled + values.shape[1]
     if total >= kept.shape[1]:
         return _across_blocks(values, kept, filled)

@@ -1,4 +1,4 @@
-"""The word of a verdict: whether a listed fault explains an alarm, and how that is said."""
+"""Word of a verdict: whether a listed fault explains an alarm, and its wording."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from typing import Any
 from residua.words import listing, number
 
 GOOD, EITHER, POOR, TOO_EARLY = "good match", "either", "poor match", "too early"
-#: What nobody listed, where nothing of the kind was tried.
+#: Any unlisted cause, if none was tried.
 ANYTHING = "anything"
 #: Faults that a line names at most.
 _NAMED = 8
 
-#: What the words mean where every fault was fitted to the residual.
+#: Meaning of the words if every fault was fitted to the residual.
 RULES = (
     "Good match: this listed fault, whatever its course over time, leaves only noise in the residual. No other listed "
     "fault and no unlisted sensor or actuator explains about as much, and no unlisted state explains more. Either: "
@@ -24,7 +24,7 @@ RULES = (
 
 @dataclass(frozen=True)
 class Word:
-    """How well the listed faults explain an alarm.
+    """Fit of the listed faults to an alarm, as one word.
 
     Attributes
     ----------
@@ -35,22 +35,21 @@ class Word:
     faults : tuple of tuple of str
         The one that explains it, those that do, or the nearest; each with those that look the same here.
     unlisted : str
-        What nobody listed and explains it as well, or better: ``"anything"`` where nothing of the kind was tried; empty
-        if nothing does.
+        Unlisted cause that explains it as well, or better: ``"anything"`` if none was tried; empty without one.
     why : str
-        What a good match is one by, and what else makes the word; empty where faults were fitted to the residual.
+        Reason for a good match, or for another word; empty if faults were fitted to the residual.
     together : bool
-        Whether the faults are there at once, rather than one of them.
+        Whether the faults are present at once, rather than one of them.
     quieter : bool
-        Whether what is left is less than the noise of the fit: a frozen sensor, or other units.
+        Whether the rest is less than the noise of the fit: a frozen sensor, or other units.
     from_start : bool
-        Whether it was there when judging began, or too soon after to be compared with what was before.
+        Whether it was present when judging began, or too soon after for a comparison with earlier samples.
     after : int
         Samples of the alarm that it rests on.
     evidence : float
         Twice the logarithm of the likelihood ratio of the first fault against none, in the colour of the noise.
     share : float
-        Of what the residual has beyond its noise the part that the first fault explains, 0 to 1; NaN where faults were
+        Share of the residual beyond noise that the first fault explains, 0 to 1; NaN where faults were
         not fitted to the residual.
     size, deviation : float
         Of the first fault as one step, with its standard error.
@@ -71,17 +70,17 @@ class Word:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The faults as text, those that look the same as one."""
+        """The faults as text, indistinguishable ones as one."""
         return tuple(" or ".join(group) for group in self.faults)
 
     @property
     def fitted(self) -> bool:
-        """Whether it is by what the faults explain of the residual, with any course."""
+        """True if the word rests on a fit of the faults, with any course, to the residual."""
         return math.isfinite(self.share)
 
     @property
     def line(self) -> str:
-        """The word and what it names, without a full stop."""
+        """The word and its names, without a full stop."""
         first = self.names[0] if self.names else ""
         if self.kind == GOOD:
             return f"{first}, a good match {self.why}".rstrip()
@@ -103,7 +102,7 @@ class Word:
         return f"a poor match: {why}{nearest}{better}"
 
     def headline(self, when: str) -> str:
-        """Return the sentence that says what was found, ``when`` the alarm was raised."""
+        """Return the headline of an alarm, raised ``when``."""
         if self.kind in (GOOD, EITHER):
             return f"Fault found: {self.line}, {when}."
         if self.kind == TOO_EARLY:
@@ -112,7 +111,7 @@ class Word:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """What the word rests on."""
+        """Sentences on the basis of the word."""
         if not self.names or not self.fitted:
             return ()
         said = f"After {self.after} samples of the alarm, {self.names[0]} explains {100 * self.share:.0f} % of the "

@@ -40,7 +40,7 @@ class Case:
     ----------
     filter : str
     fault : str
-        What failed; empty for nothing.
+        The fault; empty for none.
     diagnosis : Diagnosis
     distances : dict of str to float
         Normalised projection distance of the last residual from each fault's signature.
@@ -128,19 +128,19 @@ def record(fault: str) -> SimulatedRecording:
 
 
 def fault_size(fault: str) -> float:
-    """Return the size of a fault: 2 % of what its sensor shows at the end of the manoeuvre."""
+    """Return the size of a fault: 2 % of the sensor's value at the end of the manoeuvre."""
     engine = library_engine()
     sensor = engine.outputs.index(fault.removesuffix(" sensor"))
     return FAULT_FRACTION * float((engine.C @ jet_engine_steady_state(FUEL))[sensor])
 
 
 def expected_effect(generator: ResidualGenerator, fault: str) -> float:
-    """Return the norm of the residual that the fault settles to, by the linear model."""
+    """Return the norm of the steady residual under the fault, by the linear model."""
     return float(np.linalg.norm(generator.steady_directions[fault]) * fault_size(fault))
 
 
 def distance_table(cases: list[Case]) -> Table:
-    """Return the distances of the residual of each case from the three signatures, and the sensor that is named."""
+    """Return the distances of the residual of each case from the three signatures, and the named sensor."""
     faults = [case.fault for case in cases if case.filter == ROBUST and case.fault]
     rows = []
     for case in cases:
@@ -163,7 +163,7 @@ def distance_table(cases: list[Case]) -> Table:
 
 
 def surprises(cases: list[Case]) -> tuple[str, ...]:
-    """Return what came out otherwise than the paper says."""
+    """Return the results that differ from the paper."""
     out = []
     for case in cases:
         expected_wrong = case.filter == PLAIN and case.fault in MISLED
@@ -211,7 +211,7 @@ def _lines(cases: list[Case], threshold: float) -> tuple[str, ...]:
 
 
 def _score(name: str, right: list[str], total: int, without_fault: str) -> str:
-    """Return how often a filter was right, and whether that was chance."""
+    """Describe how often a filter was right, and whether by chance."""
     text = f"{name}: names {len(right)} of {total} sensors right"
     if right:
         text += f" ({listing(right)})"

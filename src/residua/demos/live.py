@@ -1,4 +1,4 @@
-"""Three plants as they run: one is well, one has a leak, one a sensor that is silent and another that is off."""
+"""Three plants running live: one is well, one has a leak, one has a silent sensor and one that is off."""
 
 from __future__ import annotations
 
@@ -85,6 +85,6 @@ def write(folder: Path) -> Path:
 
 
 def _spoil(rows: NDArray[np.float64]) -> None:
-    """Let the second sensor have no values for a while, and the first one be off from then on."""
+    """Remove the values of the second sensor for a while, and offset the first one from then on."""
     rows[GONE, -2] = np.nan
     rows[SENSOR_AT:, -3] += OFF

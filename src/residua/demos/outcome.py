@@ -1,4 +1,4 @@
-"""What a demo hands back."""
+"""Outcome of a demo."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from residua.report.tables import Table
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a demo found, for the screen.
+    """Outcome of a demo, for the screen.
 
     Attributes
     ----------
     lines : tuple of str
-        What was done and found, in words.
+        Steps and results, as text.
     tables : tuple of Table
     page : Path
         The report page that was written.
     surprises : tuple of str
-        What did not come out as the demo says it should; empty when all did.
+        Results that differ from the expected ones; empty without any.
     """
 
     lines: tuple[str, ...]

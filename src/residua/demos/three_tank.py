@@ -1,4 +1,4 @@
-"""Three tanks and a leak: the whole way from a plant file and recordings to the faulty component."""
+"""Three tanks and a leak: all steps from a plant file and recordings to the faulty component."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def run(folder: Path) -> Outcome:
 
 
 def surprises(healthy: Diagnosis, leak: Diagnosis, actual: str, groups: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
-    """Return what came out otherwise than it should."""
+    """Return the results that differ from the expected ones."""
     out = []
     if healthy.false_alarm_fraction > 0.01:
         out.append(f"{healthy.false_alarm_fraction:.2%} of the healthy samples are in alarm")

@@ -99,12 +99,12 @@ def header(made: MonitorProgram, prefix: str) -> str:
         f"#define {upper}_OUTPUTS {len(made.outputs)}",
         f"#define {upper}_GROUPS {len(made.groups)}",
         "",
-        "/* What the monitor remembers of one plant. */",
+        "/* The state of one plant. */",
         "typedef struct {",
         *indented(_members(c, made.program.of_role("state"))),
         f"}} {prefix}_state;",
         "",
-        "/* What it decides on one sample. */",
+        "/* The decision on one sample. */",
         "typedef struct {",
         *indented(_members(c, made.program.of_role("output"))),
         f"}} {prefix}_decision;",
@@ -122,7 +122,7 @@ def header(made: MonitorProgram, prefix: str) -> str:
 
 
 def _about(made: MonitorProgram) -> list[str]:
-    """Return what the files are, as a comment."""
+    """Describe the files, as a comment."""
     lines = [
         f"A monitor of {comment_text(made.name) or 'a plant'}, exported by residua: {comment_text(made.test)}.",
         f"One call for each sample, {made.dt:g} s apart. No library but sqrt and fabs, no memory of its own, no "
@@ -139,7 +139,7 @@ def _members(c: CWriter, variables: Sequence[Variable]) -> list[str]:
 
 
 def _signals(made: MonitorProgram) -> list[str]:
-    """Return what the channels and groups are, as a comment."""
+    """Describe the channels and groups, as a comment."""
     named = (*made.inputs, *made.outputs)
     units = [f" [{comment_text(unit)}]" if unit else "" for unit in made.units]
     rows = [comment_text(name) + unit for name, unit in zip(named, units, strict=True)]

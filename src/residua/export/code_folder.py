@@ -28,8 +28,9 @@ def to_c(
 ) -> Path:
     """Write a monitor as C99: ``NAME.h``, ``NAME.c``, a self-test and a Makefile.
 
-    ``NAME_init(&state)`` and ``NAME_step(&state, u, y, &decision)`` do what :meth:`residua.Monitor.step` does: filter,
-    operating point, missing values, settling, test, persistence, and the direction that names a group of faults.
+    ``NAME_init(&state)`` and ``NAME_step(&state, u, y, &decision)`` do the same as :meth:`residua.Monitor.step`:
+    filter, operating point, missing values, settling, test, persistence, and the direction that names a group of
+    faults.
 
     Guaranteed: in double precision, compiled without contraction of products and sums (``-std=c99`` with gcc and clang,
     else ``-ffp-contract=off``), the bits of the monitor, at any optimisation that keeps to IEEE 754. In single
@@ -48,7 +49,7 @@ def to_c(
         Of the files and in front of all names in them; from the plant when omitted.
     precision : {"double", "float"}
     missing : {"as monitored", "hold"}
-        Of a Kalman filter: ``"hold"`` holds the last value of what is missing, as every other filter does.
+        Of a Kalman filter: ``"hold"`` holds the last value of a missing one, as every other filter does.
     overwrite : bool
         Whether files of an earlier export may be replaced.
 
@@ -60,7 +61,7 @@ def to_c(
     Raises
     ------
     SettingError
-        If the code cannot hold what the monitor does (the message says which part), or an option is none of its values.
+        If the code cannot represent the monitor (the message names the part), or an option has an invalid value.
     NotFittedError
         If the monitor has no threshold.
     DataError
@@ -177,12 +178,12 @@ clean:
 
 
 def _name(made: MonitorProgram, name: str | None) -> str:
-    """Return the name of files and of what is in them."""
+    """Return the prefix of files and identifiers."""
     return identifier(made.name) if name is None else checked_identifier(name)
 
 
 def _written(folder: str | os.PathLike[str], files: Mapping[str, str], *, overwrite: bool) -> Path:
-    """Write files, each whole or not at all, where nothing else is."""
+    """Write files, each whole or not at all, if no other files are in the way."""
     path = Path(folder)
     if path.exists() and not path.is_dir():
         raise DataError(f"{path} is a file: name a folder")

@@ -27,14 +27,14 @@ _EPOCH = (1980, 1, 1, 0, 0, 0)
 
 
 class FMU(NamedTuple):
-    """What :func:`to_fmu` has written.
+    """Result of :func:`to_fmu`.
 
     Attributes
     ----------
     path : Path
         The file.
     platform : str or None
-        What the binary inside is for; ``None`` where there are only sources.
+        Platform of the binary inside; ``None`` if there are only sources.
     why : str
         Why there is no binary; empty where there is one.
     renamed : dict of str to str
@@ -66,7 +66,7 @@ def to_fmu(
 
     A sample is taken at the start time t0 and every dt from there on: by the communication step that starts at
     t0 + k dt, of the inputs that are set then. After that step the outputs are those of :meth:`residua.Monitor.step` on
-    that sample; what is set later has no part in them. A step that passes a sample (one longer than dt, or one that
+    that sample; inputs set later do not affect them. A step that passes a sample (one longer than dt, or one that
     begins before a sample and ends after it) is refused, since the inputs of that sample are not known; with the
     parameter ``hold_inputs`` it takes the inputs of its beginning.
 
@@ -76,7 +76,7 @@ def to_fmu(
     Parameters
     ----------
     monitor : Monitor
-        With a threshold; what can be exported is said at :func:`to_c`.
+        With a threshold; :func:`to_c` lists what can be exported.
     path : path
         A file that ends in ``.fmu``, or a folder for ``NAME.fmu``.
     version : {"2.0", "3.0"}
@@ -93,15 +93,15 @@ def to_fmu(
     Returns
     -------
     FMU
-        The path, what the binary is for, why there is none, and which names were changed.
+        The path, the platform of the binary or the reason for its absence, and the changed names.
 
     Raises
     ------
     SettingError
-        If the unit cannot hold what the monitor does, an option is none of its values, or a binary is asked for and
+        If the unit cannot represent the monitor, an option has an invalid value, or a binary is requested and
         there is no compiler, or it fails.
     AccuracyError
-        If what the compiler makes has not the bits of the monitor.
+        If the compiled code differs from the monitor in any bit.
     NotFittedError
         If the monitor has no threshold.
     DataError
@@ -113,7 +113,7 @@ def to_fmu(
 
     Notes
     -----
-    Assumes that the importer calls every step once, and sets what is missing to NaN. Instances share nothing; the state
+    Assumes that the importer calls every step once, and sets missing values to NaN. Instances share nothing; the state
     of one can be read, set and kept as bytes, which are refused where they are those of another monitor. It comes
     without a certificate.
 
@@ -168,7 +168,7 @@ def _files(
     sources: Mapping[str, str],
     built: Binary,
 ) -> dict[str, bytes]:
-    """Return what is in the unit."""
+    """Return the content of the unit."""
     token, compiled = _token(sources), [one for one in sources if one.endswith(".c")]
     if version == "2.0":
         about = fmi2_description(made, variables, prefix, token, compiled)
@@ -192,7 +192,7 @@ def _files(
 
 
 def _sources(made: MonitorProgram, variables: list[FMUVariable], prefix: str, version: str) -> dict[str, str]:
-    """Return the files of C by their names; the code of the unit itself names itself by a hash of all of them."""
+    """Return the C sources by their names; the code of the unit contains a hash of all of them."""
     of_version = f"fmi{version[0]}.c"
     sources = {
         f"{prefix}.h": header(made, prefix),
@@ -206,7 +206,7 @@ def _sources(made: MonitorProgram, variables: list[FMUVariable], prefix: str, ve
 
 
 def _model_header(made: MonitorProgram, variables: list[FMUVariable], prefix: str, sources: Mapping[str, str]) -> str:
-    """Return what the code of the unit has to know of this monitor."""
+    """Return the constants of this monitor for the code of the unit."""
     digest = hashlib.sha256()
     for text in (*sources.values(), *map(repr, variables)):
         digest.update(text.encode())
@@ -229,7 +229,7 @@ def _model_header(made: MonitorProgram, variables: list[FMUVariable], prefix: st
         "FINGERPRINT": f"0x{hexadecimal[32:48].upper()}U",
     }
     lines = [
-        "/* What the code of the unit has to know of this monitor. */",
+        "/* Constants of this monitor for the code of the unit. */",
         f"#ifndef {prefix}_MODEL_H",
         f"#define {prefix}_MODEL_H",
         "",
@@ -243,14 +243,14 @@ def _model_header(made: MonitorProgram, variables: list[FMUVariable], prefix: st
 
 
 def _token(sources: Mapping[str, str]) -> str:
-    """Return the text by which code and description know each other."""
+    """Return the token that links code and description."""
     (model,) = (text for one, text in sources.items() if one.endswith("_model.h"))
     (line,) = (one for one in model.splitlines() if "_TOKEN " in one)
     return line.split('"')[1]
 
 
 def _archive(path: Path, files: Mapping[str, bytes]) -> None:
-    """Write files into an archive, always with the same bytes."""
+    """Write files into an archive, reproducibly."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for one, content in files.items():
             entry = zipfile.ZipInfo(one, _EPOCH)

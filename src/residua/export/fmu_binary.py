@@ -1,4 +1,4 @@
-"""The binary of a Functional Mock-up Unit, by the C compiler that is there; checked by the self-test first."""
+"""The binary of a Functional Mock-up Unit, by an available C compiler; checked by the self-test first."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _PATIENCE = 300
 
 
 class Binary(NamedTuple):
-    """A shared library, or why there is none.
+    """A shared library, or the reason for its absence.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ def packed(name: str) -> str:
 
 
 def platform_of(version: str) -> tuple[str, str] | None:
-    """Return the folder and the ending of binaries for this machine; ``None`` where the version has no name for it."""
+    """Return the folder and the ending of binaries for this machine; ``None`` if the version has no name for it."""
     system, processor = machine.system().lower(), _PROCESSORS.get(machine.machine().lower())
     if system not in _ENDINGS or processor is None or sys.maxsize < 2**32:
         return None
@@ -72,13 +72,13 @@ def platform_of(version: str) -> tuple[str, str] | None:
 
 
 def compiler_at_hand() -> list[str] | None:
-    """Return how to call the C compiler: by ``$CC``, or one by its usual name; ``None`` where there is none."""
+    """Return the command of the C compiler: ``$CC``, or one by its usual name; ``None`` if there is none."""
     asked = shlex.split(os.environ.get("CC", ""))
     for one in (asked, *([name] for name in _COMPILERS)):
         if one and shutil.which(one[0]):
             return one
         if one and one is asked:
-            return None  # what was asked for is not there: nothing else is taken in its place
+            return None  # the requested compiler does not exist: no other is used in its place
     return None
 
 
@@ -98,7 +98,7 @@ def binary_of(made: MonitorProgram, sources: Mapping[str, str], prefix: str, ver
     SettingError
         If the compiler fails.
     AccuracyError
-        If what it makes has not the bits of the monitor.
+        If the compiled code differs from the monitor in any bit.
     """
     place, compiler = platform_of(version), compiler_at_hand()
     if place is None:
@@ -120,7 +120,7 @@ def binary_of(made: MonitorProgram, sources: Mapping[str, str], prefix: str, ver
 
 
 def _check(compiler: Sequence[str], folder: Path, prefix: str) -> None:
-    """Raise unless the self-test passes, compiled as the binary is."""
+    """Raise unless the self-test passes, compiled in the same way."""
     program = folder / ("selftest.exe" if machine.system() == "Windows" else "selftest")
     _run([*compiler, *OPTIONS, "-O2", "selftest.c", f"{prefix}.c", "-o", program.name, "-lm"], folder)
     done = subprocess.run([program], cwd=folder, capture_output=True, text=True, check=False, timeout=_PATIENCE)
@@ -133,7 +133,7 @@ def _check(compiler: Sequence[str], folder: Path, prefix: str) -> None:
 
 
 def _run(command: Sequence[str], folder: Path) -> None:
-    """Run a compiler, and raise what it says."""
+    """Run a compiler, and raise its errors."""
     try:
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, timeout=_PATIENCE)
     except (OSError, subprocess.TimeoutExpired) as error:

@@ -1,4 +1,4 @@
-"""What a Functional Mock-up Unit says of itself: ``modelDescription.xml``, and a page of its variables."""
+"""Description of a Functional Mock-up Unit: ``modelDescription.xml``, and a page of its variables."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _TOOL = "residua"
 def fmi2_description(
     made: MonitorProgram, variables: Sequence[FMUVariable], name: str, token: str, sources: Sequence[str]
 ) -> str:
-    """Return ``modelDescription.xml`` of FMI 2.0; time is no variable there.
+    """Return ``modelDescription.xml`` of FMI 2.0, in which time is not a variable.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ def fmi2_description(
     variables : sequence of FMUVariable
         In the order of their references.
     name, token : str
-        The model's identifier, and what the code checks when it is instantiated.
+        The model's identifier, and the token that the code checks when it is instantiated.
     sources : sequence of str
         The files to compile.
     """
@@ -79,7 +79,7 @@ def fmi3_description(made: MonitorProgram, variables: Sequence[FMUVariable], nam
 
 
 def build_description(name: str, sources: Sequence[str], options: str) -> str:
-    """Return ``buildDescription.xml`` of FMI 3.0: how the sources are compiled."""
+    """Return ``buildDescription.xml`` of FMI 3.0: the compilation of the sources."""
     root = Element("fmiBuildDescription", fmiVersion="3.0")
     configuration = SubElement(root, "BuildConfiguration", modelIdentifier=name)
     files = SubElement(configuration, "SourceFileSet", language="C99", compilerOptions=options)
@@ -111,7 +111,7 @@ def _common(root: Element, made: MonitorProgram, variables: Sequence[FMUVariable
 
 
 def _about(one: FMUVariable, reference: int) -> dict[str, str]:
-    """Return the attributes that both versions have."""
+    """Return the attributes common to both versions."""
     about = {"name": one.name, "valueReference": str(reference), "description": one.words}
     if one.role == "independent":
         return about | {"causality": "independent", "variability": "continuous"}
@@ -130,7 +130,7 @@ def _text(root: Element) -> str:
 
 
 def documentation(made: MonitorProgram, variables: Sequence[FMUVariable], notes: Sequence[str]) -> str:
-    """Return the unit's page: what its variables are, which names were changed, and when outputs belong to inputs."""
+    """Return the unit's page: its variables, changed names, and the timing of outputs."""
     rows = [
         (str(k), one.name, one.original if one.original not in ("", one.name) else "", one.role, one.unit, one.words)
         for k, one in enumerate(variables)

@@ -1,4 +1,4 @@
-"""The variables of a Functional Mock-up Unit: what they are called, what they are, and how they are referred to."""
+"""Variables of a Functional Mock-up Unit: their names, descriptions and references."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ class FMUVariable:
     role : {"independent", "input", "output", "parameter", "local"}
         ``local`` is a constant.
     words : str
-        What it is.
+        Description.
     unit : str
         Empty where it is not known.
     start : float or None
-        What it is before anything is computed, where it is not computed itself.
+        Start value, if it is not computed.
     original : str
-        What a signal is called in the plant.
+        Name of a signal in the plant.
     """
 
     name: str
@@ -63,7 +63,7 @@ def fmu_variables(made: MonitorProgram) -> list[FMUVariable]:
 
 
 def _numbers(made: MonitorProgram) -> list[FMUVariable]:
-    """Return what is a number."""
+    """Return the numeric variables."""
 
     def output(name: str, words: str) -> FMUVariable:
         return FMUVariable(name, "real", "output", _printable(words))
@@ -73,16 +73,16 @@ def _numbers(made: MonitorProgram) -> list[FMUVariable]:
     residuals = [made.residuals[k] if k < len(made.residuals) else "" for k in range(size)]
     threshold = float(made.judging.test.threshold)
     return [
-        output("statistic", "what is compared with the threshold; zero where nothing is decided"),
+        output("statistic", "the value compared with the threshold; zero without a decision"),
         FMUVariable("threshold", "real", "local", "over which the statistic raises an alarm", start=threshold),
-        *(output(f"residual_{k}", f"residual {one}; zero where it is not known") for k, one in enumerate(residuals, 1)),
+        *(output(f"residual_{k}", f"residual {one}; zero if unknown") for k, one in enumerate(residuals, 1)),
         *(output(f"score_{k}", f"how well {' or '.join(one)} fits") for k, one in enumerate(groups, 1)),
         *(output(f"part_statistic_{k}", f"statistic of {one}") for k, one in enumerate(made.parts, 1)),
     ]
 
 
 def _flags(made: MonitorProgram) -> list[FMUVariable]:
-    """Return what holds or does not."""
+    """Return the Boolean variables."""
 
     def output(name: str, words: str) -> FMUVariable:
         return FMUVariable(name, "flag", "output", _printable(words))
@@ -91,28 +91,28 @@ def _flags(made: MonitorProgram) -> list[FMUVariable]:
     names, parts = made.program.names, list(enumerate(made.parts, 1))
     return [
         output("known", "whether there is a residual: no value is missing"),
-        output("decided", "not while the filter settles, and where the residual is not known"),
+        output("decided", "false while the filter settles, or if the residual is unknown"),
         output("alarm", "whether an alarm stands"),
         FMUVariable("hold_inputs", "flag", "parameter", hold, start=0.0),
         *(output(f"fired_{k}", f"whether {one} is in alarm") for k, one in parts),
         *(output(f"code_{k}", f"whether {one} counts as fired") for k, one in parts if "code" in names),
-        *([output("scored", "whether the scores say something: only in an alarm")] if "score" in names else []),
+        *([output("scored", "whether the scores are meaningful: only in an alarm")] if "score" in names else []),
     ]
 
 
 def _counts(made: MonitorProgram) -> list[FMUVariable]:
-    """Return what is a whole number."""
+    """Return the integer variables."""
     best = FMUVariable("best", "count", "output", "the score of the fault that is named, from 1 on; 0 for none")
     answer = FMUVariable(
         "answer", "count", "output",
-        "what the code says: 0 none, 1 exact, 2 several, 3 degraded, 4 nearest, 5 unknown",
+        "the reading of the code: 0 none, 1 exact, 2 several, 3 degraded, 4 nearest, 5 unknown",
     )  # fmt: skip
     names = made.program.names
     return [*([best] if "score" in names else []), *([answer] if "answer" in names else [])]
 
 
 def names_in_unit(names: Iterable[str], taken: set[str]) -> list[str]:
-    """Return names that a unit can have, each once: without control characters, not empty, none that is taken."""
+    """Return distinct names that are valid in a unit: without control characters, not empty, none that is taken."""
     made: list[str] = []
     for name in names:
         plain = _printable(name).strip() or "signal"
@@ -126,7 +126,7 @@ def names_in_unit(names: Iterable[str], taken: set[str]) -> list[str]:
 
 
 def _printable(name: str) -> str:
-    """Return a name with what XML or a table of names cannot hold as underscores."""
+    """Return a name with underscores in place of characters that XML or a table of names cannot hold."""
     return "".join(one if one.isprintable() else "_" for one in name)
 
 

@@ -1,4 +1,4 @@
-"""Names of users as names and comments of other languages."""
+"""User names as identifiers and comments of other languages."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ _RESERVED = frozenset(
 
 
 def identifier(name: str, fallback: str = "monitor") -> str:
-    """Return a name that every target takes: letters, digits and single underscores, a letter first."""
+    """Return an identifier valid in every target: letters, digits and single underscores, a letter first."""
     made = re.sub(r"_+", "_", re.sub(r"[^0-9a-zA-Z]", "_", name)).strip("_").lower()[:_LONGEST].rstrip("_")
     made = made if made and made[0].isalpha() else f"{fallback}_{made}".rstrip("_")
     return f"{made}_1" if made in _RESERVED else made
 
 
 def checked_identifier(name: object) -> str:
-    """Return a prefix that was asked for, if it is an identifier as it stands."""
+    """Return a requested prefix, if it is an identifier already."""
     if not isinstance(name, str) or identifier(name) != name.lower() or not name.isidentifier():
         wanted = identifier(str(name))
         raise SettingError(
@@ -37,7 +37,7 @@ def checked_identifier(name: object) -> str:
 
 
 def comment_text(text: str) -> str:
-    """Return a text that ends no comment and is one line of plain characters."""
+    """Return a text that cannot end a comment and is one line of plain characters."""
     plain = re.sub(r"[^ -~]", "?", text.encode("ascii", "replace").decode("ascii"))
     for mark in ("*/", "/*", "(*", "*)", "??"):  # of comments, and of characters that C makes of three
         plain = plain.replace(mark, " ".join(mark))

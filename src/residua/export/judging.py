@@ -1,4 +1,4 @@
-"""How a monitor judges residuals, as exports have it: the test, its parts, the direction or code that names faults."""
+"""Test and isolation of a monitor in the form of exports: the test, its parts, and the direction or code of faults."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ OF_PARTS = "norm of parts"
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """Parts of the residual that are tested by themselves: the members of a bank, or groups.
+    """Parts of the residual that are tested separately: the members of a bank, or groups.
 
     Attributes
     ----------
@@ -30,7 +30,7 @@ class Parts:
         Whitened residuals of each.
     thresholds : ndarray, shape (parts,)
     whole : ndarray, shape (residuals, k), or None
-        In what the direction of all of it is judged.
+        Units in which the direction of the whole is judged.
     """
 
     names: tuple[str, ...]
@@ -60,14 +60,14 @@ class Judging:
 
     @property
     def per_threshold(self) -> NDArray[np.float64]:
-        """The whitening in units of the thresholds."""
+        """Whitening matrix in units of the thresholds."""
         if self.parts is None:
             return self.test.whitening / self.test.threshold
         return self.test.whitening / np.repeat(self.parts.thresholds, self.parts.sizes)
 
 
 def judging_of(spec: Specification) -> Judging:
-    """Return test and isolation as they are exported.
+    """Return test and isolation in the form of exports.
 
     Raises
     ------

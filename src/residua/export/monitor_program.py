@@ -1,4 +1,4 @@
-"""A monitor as a small program: what runs in its specification, with the numbers of this very monitor."""
+"""A monitor as a small program: the steps of its specification, with its numbers."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Precision:
     smallest : float
         States below it become zero at rest.
     largest, largest_whitened : float
-        What a residual may be, before and after whitening, without an overflow of its square.
+        Largest residual, before and after whitening, without an overflow of its square.
     """
 
     name: str
@@ -95,15 +95,15 @@ class MonitorProgram:
     dt : float
         In seconds.
     test : str
-        What is tested, in words.
+        Description of the test.
     notes : tuple of str
         Where the program differs from the monitor.
     specification : Specification
-        What it does, missing values included.
+        Its specification, with the treatment of missing values.
     residuals : tuple of str
         The names of the residuals.
     parts : tuple of str
-        The names of what is tested by itself.
+        Names of the parts tested separately.
     """
 
     program: Program
@@ -129,7 +129,7 @@ class MonitorProgram:
 def monitor_program(
     monitor: Monitor, *, precision: Precision = DOUBLE, missing: str = "as monitored"
 ) -> MonitorProgram:
-    """Return what a monitor runs as a program.
+    """Return the program of a monitor.
 
     Parameters
     ----------
@@ -137,14 +137,14 @@ def monitor_program(
         With a threshold.
     precision : Precision
     missing : {"as monitored", "hold"}
-        Of a Kalman filter: what it does where outputs are missing; ``"hold"`` as every other filter, the last value.
+        Of a Kalman filter with missing outputs: ``"hold"`` holds the last value, as every other filter.
 
     Raises
     ------
     NotFittedError
         If the monitor has no threshold.
     SettingError
-        If the program cannot hold what the monitor does; the message says which part.
+        If the program cannot represent the monitor; the message names the part.
     """
     if not isinstance(monitor, Monitor):
         raise ModelError(f"only a Monitor can be exported, got {type(monitor).__name__}")
@@ -173,14 +173,14 @@ def monitor_program(
 
 
 def specification_program(spec: Specification, inputs: int, precision: Precision) -> Program:
-    """Return what runs as a program; so many of its channels are inputs."""
+    """Return a specification as a program; so many of its channels are inputs."""
     judging = judging_of(spec)
     sizes = _sizes(spec, judging, inputs)
     return program(_sections(judging), sizes, _variables(spec, judging, sizes, precision))
 
 
 def _check_filter(spec: Specification, missing: str) -> tuple[str, ...]:
-    """Return what is different from the monitor, or say what the program cannot hold."""
+    """Return the differences from the monitor, or raise if the program cannot hold it."""
     if spec.partial is None:
         return ()
     if missing == "as monitored":
@@ -193,7 +193,7 @@ def _check_filter(spec: Specification, missing: str) -> tuple[str, ...]:
 
 
 def _sizes(spec: Specification, judging: Judging, inputs: int) -> dict[str, int]:
-    """Return what the texts have in capitals."""
+    """Return the values of the names in capitals in the texts."""
     test, naming = judging.test, judging.naming
     white = test.whitening.shape[1]
     along = 0 if test.along is None else test.along.shape[1]
@@ -229,7 +229,7 @@ def _sections(judging: Judging) -> list[tuple[str, str]]:
     test, naming = judging.test, judging.naming
     parts = [
         ("deviations from the operating point; values that are missing or not plausible are held", texts.TAKE),
-        ("the filter; it starts with the first complete sample, and anew after a gap that is too long", texts.RUN),
+        ("the filter; it starts with the first complete sample, and restarts after a gap that is too long", texts.RUN),
         ("the start of the filter is estimated from the first residuals", texts.LEARN),
         ("whether anything can be decided", texts.CHECK),
         ("the residual in units in which it is white", texts.WHITEN),
@@ -240,7 +240,7 @@ def _sections(judging: Judging) -> list[tuple[str, str]]:
         parts.append(("the statistic", texts.NORM))
     else:
         parts += [
-            ("what the past does not foretell of it", texts.FORETELL),
+            ("its innovations by the autoregression", texts.FORETELL),
             ("the statistic", _STATISTICS[test.statistic]),
         ]
     if test.statistic in _CUMULATED:
@@ -367,15 +367,15 @@ def _decision(size: dict[str, int]) -> list[Variable]:
         return Variable(name, kind, "output", count, (), words)
 
     made = [
-        output("residual", "real", size["RESIDUALS"], "zeros where it is not known"),
+        output("residual", "real", size["RESIDUALS"], "zeros if unknown"),
         output("statistic", "real", None, "zero where nothing is decided"),
         output("known", "flag", None, "whether there is a residual: no value is missing"),
-        output("decided", "flag", None, "not while the filter settles, and where it is not known"),
+        output("decided", "flag", None, "false while the filter settles, or if it is unknown"),
         output("alarm", "flag", None, "whether an alarm stands"),
     ]
     if size["GROUPS"]:
         made += [
-            output("scored", "flag", None, "whether the scores say something: only in an alarm"),
+            output("scored", "flag", None, "whether the scores are meaningful: only in an alarm"),
             output("score", "real", size["GROUPS"], "how well each group of faults explains the residual, 0 to 1"),
             output("best", "count", None, "the group that explains it best, from 1 on; 0 for none"),
         ]

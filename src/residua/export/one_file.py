@@ -1,4 +1,4 @@
-"""Where an export that is one file goes."""
+"""Location of an export that is one file."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from residua.export.identifiers import identifier
 
 
 def named_after(path: str | os.PathLike[str], ending: str) -> str | None:
-    """Return a name after a file that is asked for; ``None`` where a folder is."""
+    """Return a name from a requested file; ``None`` if a folder is requested."""
     asked = Path(path)
     return identifier(asked.stem) if asked.suffix.lower() == ending else None
 
 
 def file_for(path: str | os.PathLike[str], name: str, *, overwrite: bool) -> Path:
-    """Return the file to write: the path itself where it has the ending of the name, else the name in that folder.
+    """Return the file to write: the path itself if it has the ending of the name, else the name in that folder.
 
     Parameters
     ----------

@@ -22,9 +22,9 @@ from residua.export.tensors import Node
 from residua.files import replacing
 from residua.monitor import Monitor
 
-#: What is written: versions that runtimes have had since 2022.
+#: Written versions, supported by runtimes since 2022.
 _OPSET, _IR = 17, 8
-#: Values of a sample, by what they are in the model.
+#: Values of a sample, by their names in the model.
 _OUTPUTS = (
     "residual", "statistic", "known", "decided", "alarm", "scored", "score", "best", "part_statistic", "fired", "code",
     "answer",
@@ -35,7 +35,7 @@ _CHECKED = 50
 
 
 class ONNXModel(NamedTuple):
-    """What :func:`to_onnx` has written.
+    """Result of :func:`to_onnx`.
 
     Attributes
     ----------
@@ -65,8 +65,8 @@ def to_onnx(
     r"""Write a monitor as an ONNX model, ``NAME.onnx``.
 
     The model takes recordings of one sample or more, ``u`` (samples, inputs; absent where the plant has none) and ``y``
-    (samples, outputs), and where it goes on from, ``state`` and ``counts``: zeros at first, later what the call before
-    gave as ``next_state`` and ``next_counts``. It gives ``residual`` (samples, residuals), ``statistic``, ``known``,
+    (samples, outputs), and its state, ``state`` and ``counts``: zeros at first, later ``next_state`` and
+    ``next_counts`` of the call before. It gives ``residual`` (samples, residuals), ``statistic``, ``known``,
     ``decided``, ``alarm``, and where faults are named ``scored``, ``score`` (samples, groups) and ``best``, as
     :func:`to_c` does. Inside is one ``Scan`` over the samples.
 
@@ -84,7 +84,7 @@ def to_onnx(
     Parameters
     ----------
     monitor : Monitor
-        With a threshold; what can be exported is said at :func:`to_c`.
+        With a threshold; :func:`to_c` lists what can be exported.
     path : path
         A file that ends in ``.onnx``, or a folder for ``NAME.onnx``.
     name : str, optional
@@ -105,7 +105,7 @@ def to_onnx(
     MissingExtraError
         If the extra ``onnx`` is not installed.
     SettingError
-        If the model cannot hold what the monitor does, an option is none of its values, or nothing can be promised in
+        If the model cannot represent the monitor, an option has an invalid value, or nothing can be promised in
         single precision.
     AccuracyError
         If the model's answers are not those of the monitor.
@@ -120,7 +120,7 @@ def to_onnx(
 
     Notes
     -----
-    Assumes that samples are ``dt`` apart and that what is missing is NaN. A decision about a statistic that is as near
+    Assumes that samples are ``dt`` apart and that missing values are NaN. A decision about a statistic that is as near
     to its threshold as rounding reaches may be another one. It comes without a certificate.
 
     References
@@ -174,7 +174,7 @@ def _package() -> Any:
 
 
 def _check(onnx: Any, model: Any, made: MonitorProgram, one: Comparison, bound: NDArray[np.float64] | None) -> None:
-    """Raise unless the evaluator of the package gives the monitor's answers on samples around a gap.
+    """Raise unless the package's evaluator gives the monitor's answers on samples around a gap.
 
     Raises
     ------
@@ -187,7 +187,7 @@ def _check(onnx: Any, model: Any, made: MonitorProgram, one: Comparison, bound: 
     if made.inputs:
         feed["u"] = one.u[:_CHECKED].astype(real)
     evaluator = onnx.reference.ReferenceEvaluator(model)
-    with np.errstate(all="ignore"):  # of what is computed and not chosen
+    with np.errstate(all="ignore"):  # of computed values that are not selected
         given = dict(zip(evaluator.output_names, evaluator.run(None, feed), strict=True))
     decided = one.decided[:_CHECKED]
     off = np.abs(given["residual"].astype(float) - one.residuals[:_CHECKED])[decided]
@@ -209,7 +209,7 @@ def _size(one: Variable) -> int:
 
 
 def _states(made: MonitorProgram, *, real: bool) -> list[Variable]:
-    """Return what is remembered: numbers, or counts and flags."""
+    """Return the state variables: numbers, or counts and flags."""
     return [one for one in made.program.of_role("state") if (one.kind == "real") == real]
 
 
@@ -245,7 +245,7 @@ def _model(
 
 
 def _properties(made: MonitorProgram, bound: NDArray[np.float64] | None, within: NDArray[np.float64]) -> dict[str, str]:
-    """Return what the model says of itself."""
+    """Return the metadata of the model."""
     words = [*made.notes, "It comes without a certificate."]
     return {
         "inputs": json.dumps(made.inputs),
@@ -263,7 +263,7 @@ def _properties(made: MonitorProgram, bound: NDArray[np.float64] | None, within:
 
 
 class _Body:
-    """What runs on each sample, as a graph of the ``onnx`` package.
+    """Computation on each sample, as a graph of the ``onnx`` package.
 
     Parameters
     ----------
@@ -309,7 +309,7 @@ class _Body:
 
 
 def _used(nodes: Sequence[Node], wanted: set[str]) -> list[Node]:
-    """Return the nodes that lead to what is wanted, in order."""
+    """Return the nodes that lead to wanted outputs, in order."""
     kept: list[Node] = []
     for one in reversed(nodes):
         if not wanted & set(one.outputs):
@@ -371,7 +371,7 @@ def _packed(helper: Any, made: MonitorProgram, of_kind: dict[str, int]) -> list[
 
 
 def _constants(onnx: Any, made: MonitorProgram, sizes: Sequence[int]) -> list[Any]:
-    """Return what the nodes around the Scan need."""
+    """Return the constants for the nodes around the Scan."""
     made_of = {"first_axis": [0], "row": [-1]}
     for whole, real, size in (("state", True, sizes[0]), ("counts", False, sizes[1])):
         if size:

@@ -1,4 +1,4 @@
-"""The part of a program where members of a bank, or groups of residuals, are tested by themselves."""
+"""The part of a program where members of a bank, or groups of residuals, are tested separately."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from residua.export.step_texts import FORETELL
 
 
 def part_sizes(judging: Judging) -> dict[str, int]:
-    """Return what the texts have in capitals."""
+    """Return the values of the names in capitals in the texts."""
     parts, codes = judging.parts, judging.codes
     if parts is None:
         return {}
@@ -34,7 +34,7 @@ def part_sections(judging: Judging) -> list[tuple[str, str]]:
     """Return the texts with their titles, in order."""
     if judging.test.statistic == "means":
         made = [
-            ("what the past does not foretell of it", FORETELL),
+            ("its innovations by the autoregression", FORETELL),
             ("the longest mean of each part", texts.MEANS),
             ("the alarms", texts.MEAN_ALARMS),
         ]
@@ -50,7 +50,7 @@ def part_sections(judging: Judging) -> list[tuple[str, str]]:
             ("how well each group of faults explains the residual", texts.NAME_OVERALL),
         ]
     if judging.codes is not None:
-        made += [("which members count as fired", texts.CODE), ("what their code says", texts.READ)]
+        made += [("which members count as fired", texts.CODE), ("the reading of the code", texts.READ)]
     return made
 
 
@@ -97,7 +97,7 @@ def part_variables(judging: Judging, size: dict[str, int]) -> list[Variable]:
 
 
 def _of_codes(codes: CodeTest) -> list[Variable]:
-    """Return the codes of the faults, and which groups are the same faults or some of them."""
+    """Return the codes of the faults, and the groups that contain the same faults or some of them."""
     classes = {group: k + 1 for k, group in enumerate(dict.fromkeys(codes.groups))}
     contained = [[set(other) <= set(one) for other in codes.groups] for one in codes.groups]
     return [

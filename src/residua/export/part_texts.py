@@ -1,4 +1,4 @@
-"""What a monitor does on each sample where parts of the residual are tested by themselves; as :mod:`step_texts`."""
+"""Steps of a monitor on each sample if parts of the residual are tested separately; see :mod:`step_texts`."""
 
 from residua.export.step_texts import AVERAGE, CLEAR_MEAN, MOVING_SUM, NAME, NORM, _indented as indented, means
 

@@ -1,4 +1,4 @@
-"""A small program as what targets have in common: numbers, arrays of them, assignments, conditions, bounded loops.
+"""A small program, independent of the target: numbers, arrays of them, assignments, conditions, bounded loops.
 
 It is written as text in the syntax of Python, of which only that part is allowed, with the sizes of arrays as names.
 Once these are numbers, loops over nothing and conditions that are known are gone.
@@ -29,7 +29,7 @@ class Variable:
     values : tuple
         Of a constant.
     words : str
-        What it is.
+        Description.
     """
 
     name: str
@@ -56,7 +56,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Program:
-    """What runs on each sample.
+    """Program for each sample.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class Program:
     sections: tuple[Section, ...] = field(repr=False)
 
     def of_role(self, *roles: Role) -> list[Variable]:
-        """Return the variables that are such."""
+        """Return the variables with given roles."""
         return [one for one in self.variables if one.role in roles]
 
     @property
@@ -79,14 +79,14 @@ class Program:
 
     @property
     def counters(self) -> list[str]:
-        """The names of what loops count with."""
+        """Names of the loop counters."""
         nodes = (node for part in self.sections for one in part.statements for node in ast.walk(one))
         loops = (node.target for node in nodes if isinstance(node, ast.For))
         return sorted({target.id for target in loops if isinstance(target, ast.Name)})
 
 
 def program(texts: Sequence[tuple[str, str]], sizes: Mapping[str, int], variables: Sequence[Variable]) -> Program:
-    """Return a program of titles and texts, with sizes as numbers and without what is never reached."""
+    """Return a program of titles and texts, with sizes as numbers and without unreachable code."""
     sections = []
     for title, text in texts:
         statements = _Reduced(sizes).block(ast.parse(text).body)
@@ -100,13 +100,13 @@ def program(texts: Sequence[tuple[str, str]], sizes: Mapping[str, int], variable
 
 
 class _Reduced(ast.NodeTransformer):
-    """A program with its sizes as numbers; what follows from numbers alone is computed."""
+    """A program with its sizes as numbers, and constant expressions folded."""
 
     def __init__(self, sizes: Mapping[str, int]) -> None:
         self._sizes = sizes
 
     def block(self, statements: Sequence[ast.stmt]) -> list[ast.stmt]:
-        """Return what is left of statements."""
+        """Return the reduced statements."""
         return [left for one in statements for left in self._left(one)]
 
     def _left(self, one: ast.stmt) -> Iterator[ast.stmt]:
@@ -131,11 +131,11 @@ class _Reduced(ast.NodeTransformer):
             yield ast.Assign([self.visit(target) for target in one.targets], self.visit(one.value))
 
     def visit_Name(self, node: ast.Name) -> ast.expr:
-        """Put in a size."""
+        """Replace a size by its number."""
         return ast.Constant(self._sizes[node.id]) if node.id in self._sizes else node
 
     def visit_BinOp(self, node: ast.BinOp) -> ast.expr:
-        """Compute with whole numbers, and leave out what changes nothing of an index."""
+        """Fold whole numbers, and drop neutral operations on an index."""
         left, right = self.visit(node.left), self.visit(node.right)
         a, b = _whole(left), _whole(right)
         if a is not None and b is not None:
@@ -150,7 +150,7 @@ class _Reduced(ast.NodeTransformer):
         return ast.BinOp(left, node.op, right)
 
     def visit_Compare(self, node: ast.Compare) -> ast.expr:
-        """Decide what is known."""
+        """Fold a known comparison."""
         left, right = self.visit(node.left), self.visit(node.comparators[0])
         a, b = _whole(left), _whole(right)
         if a is not None and b is not None:
@@ -161,7 +161,7 @@ class _Reduced(ast.NodeTransformer):
 
 
 def _whole(node: ast.expr) -> int | None:
-    """Return a whole number that stands there; ``None`` for anything else."""
+    """Return a literal whole number; ``None`` for anything else."""
     known = isinstance(node, ast.Constant) and isinstance(node.value, int) and not isinstance(node.value, bool)
     return node.value if known else None  # pyright: ignore
 

@@ -1,4 +1,4 @@
-"""How exported C is compared with the monitor itself: on which samples, how far it may be off, and by which program."""
+"""Comparison of exported C with the monitor itself: the samples, the tolerance, and the program."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from residua.monitor.specification import Specification
 
 #: Samples of the comparison, and of a gap in the middle of it.
 _SAMPLES, _GAP = 400, 5
-#: Sizes that a signal has, in units of what moves the statistic to its threshold.
+#: Sizes of a signal, in units that move the statistic to its threshold.
 _SIZES = 3.0
 
 
-#: Samples over which a filter forgets its start, at most, and what is left of it then.
+#: Largest number of samples in which a filter forgets its start, and the remainder then.
 _LONGEST, _LEFT = 100_000, 2.0**-10
 #: Rounding of a number in single precision, and in double precision.
 _UNIT, DOUBLE_UNIT = 2.0**-24, 2.0**-53
@@ -29,7 +29,7 @@ _UNIT, DOUBLE_UNIT = 2.0**-24, 2.0**-53
 
 @dataclass(frozen=True)
 class Comparison:
-    """Signals, and what the monitor says of them.
+    """Signals, and the monitor's answers on them.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class Comparison:
 
 
 def comparison(made: MonitorProgram) -> Comparison:
-    """Return noise with a few missing values, large enough for alarms, and what the monitor says of it."""
+    """Return noise with a few missing values, large enough for alarms, and the monitor's answers on it."""
     spec, cut = made.specification, len(made.inputs)
     rng = np.random.default_rng(0)
     moved = rng.standard_normal((_SAMPLES, spec.B.shape[1])) * _size_of_signals(made)
@@ -90,7 +90,7 @@ def comparison(made: MonitorProgram) -> Comparison:
 
 
 def _size_of_signals(made: MonitorProgram) -> NDArray[np.float64]:
-    """Return deviations of the channels that move the residual to its threshold, about."""
+    """Return deviations of the channels that move the residual to about its threshold."""
     spec = made.specification
     moved = np.abs(spec.D) + np.abs(spec.C @ spec.start)
     size = np.linalg.norm(np.abs(made.judging.per_threshold.T) @ moved, axis=0)
@@ -98,7 +98,7 @@ def _size_of_signals(made: MonitorProgram) -> NDArray[np.float64]:
 
 
 def rounding_bound(spec: Specification, sizes: NDArray[np.float64], rounding: float = _UNIT) -> NDArray[np.float64]:
-    r"""Return by how much each residual may be off by rounding, where the filter has settled.
+    r"""Return a bound on the rounding error of each residual, after the filter has settled.
 
     .. math::
 
@@ -141,7 +141,7 @@ def rounding_bound(spec: Specification, sizes: NDArray[np.float64], rounding: fl
     steady = H @ (unit * (A @ reached + B @ sizes)) + (on_residual + D) @ taken + unit * residuals
     start = np.abs(spec.start) @ (unit * sizes + taken)
     begun, first = 0, spec.first
-    if first is not None:  # its residuals correct the start, with what they are off by themselves
+    if first is not None:  # its residuals correct the start, with their own errors
         begun, rows = first.samples, np.abs(first.rows).reshape(-1, len(spec.C), n).sum(axis=0)
         off = steady + H @ start + (first.samples + len(spec.C)) * rounding * residuals
         start = states @ start + np.abs(first.correction) @ (np.sum(off[:, None] * rows, axis=0))
@@ -153,7 +153,7 @@ def rounding_bound(spec: Specification, sizes: NDArray[np.float64], rounding: fl
 def _sums_of_powers(
     A: NDArray[np.float64], B: NDArray[np.float64], C: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the sums of the sizes of C A^k and of C A^k B, from above."""
+    """Return upper bounds on the sums of the sizes of C A^k and of C A^k B."""
     n = len(A)
     total, gains, power = np.zeros(C.shape), np.zeros((len(C), B.shape[1])), np.eye(n)
     for _ in range(_LONGEST):
@@ -161,14 +161,14 @@ def _sums_of_powers(
         total += np.abs(now)
         gains += np.abs(now @ B)
         power = power @ A
-        if np.abs(power).sum() <= _LEFT / n:  # of all that comes: H <= H_N + H |A^N|, and what B adds to it
+        if np.abs(power).sum() <= _LEFT / n:  # bound on the remainder: H <= H_N + H |A^N|, and the part of B
             every = np.asarray(np.linalg.solve(np.eye(n) - np.abs(power).T, total.T).T, dtype=float)
             return every, gains + (every @ np.abs(power)) @ np.abs(B)
     raise SettingError("this filter forgets too slowly for single precision: export it in double precision")
 
 
 def of_rounding(made: MonitorProgram, one: Comparison) -> tuple[str, ...]:
-    """Return what a comparison says of single precision, in words."""
+    """Describe a comparison in single precision."""
     if made.precision.name == "double":
         return ()
     sizes = np.abs(np.hstack([one.u, one.y]) - made.specification.offset)
@@ -254,12 +254,12 @@ def _compared(parts: int) -> list[str]:
 
 
 def _known() -> list[str]:
-    """Return the lines that compare what does not depend on rounding."""
+    """Return the lines that compare values independent of rounding."""
     return ["if ((decision.known ? 1 : 0) != flags[k] % 2) {", "    wrong++;", "}", "(void)statistic;"]
 
 
 def _array(name: str, values: NDArray[np.float64], kind: str) -> list[str]:
-    """Return the definition of an array; hexadecimal numbers are exact, and a missing value overflows nothing."""
+    """Return the definition of an array; hexadecimal numbers are exact, and a missing value causes no overflow."""
     flat = np.asarray(values, dtype=float).ravel()
     suffix = "f" if kind == "float" else ""
     if kind == "int":

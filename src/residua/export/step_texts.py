@@ -1,9 +1,9 @@
-"""What a monitor does on each sample, as text of :mod:`residua.export.program`: the sums of the fused loop, in order.
+"""Steps of a monitor on each sample, as text of :mod:`residua.export.program`, in the order of the fused loop's sums.
 
 Names in capitals are sizes, and settings that are known when a monitor is exported.
 """
 
-#: Deviations from the operating point; what lies outside the plausible range, or is no number, is missing.
+#: Deviations from the operating point; values outside of the plausible range, or NaN, are missing.
 TAKE = """
 complete = True
 for j in range(INPUTS):
@@ -78,7 +78,7 @@ def _indented(text: str, levels: int) -> str:
     return "\n".join(" " * 4 * levels + line if line else line for line in text.strip("\n").split("\n"))
 
 
-#: The filter: starts, holds missing values, starts anew after long gaps and overflows. Twice at most: after a start.
+#: The filter: starts, holds missing values, restarts after long gaps and overflows. Twice at most: after a start.
 RUN = f"""
 known = False
 passed = False
@@ -129,7 +129,7 @@ for attempt in range(2):
                     pending = False
 """
 
-#: What residuals say of the start, and the correction of the state by it; how long the filter has run.
+#: Estimate of the start from residuals, and the correction of the state by it; how long the filter has run.
 LEARN = """
 if FIRST > 0:
     if starting and passed:
@@ -244,7 +244,7 @@ if TEST_WINDOW > 1:
     statistic = statistic / root
 """
 
-#: What the past does not foretell of the whitened residual, as the tests that remember take it.
+#: Innovations of the whitened residual, for sequential tests.
 FORETELL = """
 seen = decided
 for j in range(WHITE):
@@ -487,7 +487,7 @@ if seen:
             sums[(TEST_WINDOW - 2) * WIDTH + j] = latest[j]
 """
 
-#: Persistence of a threshold, or the two levels of a test that remembers.
+#: Persistence of a threshold, or the two levels of a sequential test.
 ALARM = """
 over = decided and statistic > threshold
 if decided:

@@ -66,7 +66,7 @@ class STWriter(Writer):
         return f"{name.upper()}({argument})"
 
     def declared(self, one: Variable) -> list[str]:
-        """Return the declaration of a variable, and what it is."""
+        """Return the declaration of a variable, with its description."""
         kind = self._types[one.kind]
         if one.size == 0:
             return []
@@ -103,7 +103,7 @@ def function_block(made: MonitorProgram, name: str) -> str:
 
 
 def _about(made: MonitorProgram) -> list[str]:
-    """Return what the block is, as a comment."""
+    """Describe the block, as a comment."""
     named = [re.sub(r"\s+", " ", comment_text(name)) for name in (*made.inputs, *made.outputs)]
     units = [f" [{comment_text(unit)}]" if unit else "" for unit in made.units]
     cut = len(made.inputs)

@@ -1,4 +1,4 @@
-"""A program as tensors: loops whose rounds do not depend on each other run at once, all others are written out."""
+"""A program as tensors: loops with independent rounds run at once, all others are unrolled."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _BINARY = {ast.Add: "Add", ast.Sub: "Sub", ast.Mult: "Mul", ast.Div: "Div"}
 _COMPARE = {ast.Lt: "Less", ast.LtE: "LessOrEqual", ast.Gt: "Greater", ast.GtE: "GreaterOrEqual", ast.Eq: "Equal"}
 #: Nodes of both branches of a condition up to which both are computed and one is chosen.
 _CHEAP = 24
-#: What a variable is that has no value that could be used: of a lane that may not have run.
+#: Mark of a variable without a usable value: of a lane that may not have run.
 _LOST = Tensor("lost")
 
 
@@ -80,7 +80,7 @@ class TensorProgram:
             self._block(part.statements)
 
     def value(self, name: str) -> Tensor:
-        """Return what a variable is at the end."""
+        """Return the final value of a variable."""
         made = self._values[name]
         assert made is not _LOST, name
         return made
@@ -143,7 +143,7 @@ class TensorProgram:
                 self._values[one] = self._last(value, loop)
 
     def _last(self, value: Tensor, loop: _Loop) -> Tensor:
-        """Return what a variable is after the last round."""
+        """Return the value of a variable after the last round."""
         place, axes = value.axes.index(loop.axis), tuple(axis for axis in value.axes if axis != loop.axis)
         if value.known is not None:
             return Tensor(value.kind, axes, "", np.take(value.known, -1, axis=place))
@@ -166,7 +166,7 @@ class TensorProgram:
             self._branches(test, node)
 
     def _branches(self, test: Tensor, node: ast.If) -> None:
-        """Run one of two branches: both where that is little, and one is chosen."""
+        """Run one of two branches: both if they are small, with a choice of the result."""
         before, outer, results = dict(self._values), self.tensors.nodes, []
         for body in (node.body, node.orelse):
             self._values, self.tensors.nodes = dict(before), []
@@ -186,7 +186,7 @@ class TensorProgram:
         branches = []
         for values, nodes in results:
             given = []
-            for one in names:  # what a branch gives has to be made in it
+            for one in names:  # results of a branch have to be made in it
                 given.append(self.tensors.new_name())
                 nodes.append(Node("Identity", (self.tensors.named(values[one]),), (given[-1],), {}))
             branches.append((nodes, given))
@@ -218,7 +218,7 @@ class TensorProgram:
         if any(name in loop.read or name in loop.summed for loop in inner):
             raise _CarriedError
         if not self._masks or (kind == "real" and new.known is not None):
-            # where conditions hold it is only of use to what follows under them
+            # under conditions it is only usable by statements under the same ones
             self._values[name], self._depths[name] = new, now
             self._valid.pop(name, None)
             if self._masks:
@@ -229,7 +229,7 @@ class TensorProgram:
             loop.summed.add(name)
 
     def _set_anywhere(self, name: str, value: ast.expr, new: Tensor, inner: Sequence[_Loop]) -> Tensor:
-        """Return what a variable is after lanes have set it under conditions: all to the same, or to their number."""
+        """Return a variable after lanes have set it under conditions: all to the same value, or to their number."""
         axes, old = [loop.axis for loop in inner], self._values[name]
         if new.known is not None and new.known.ndim == 0:
             return self._choice(self.tensors.anywhere(self._mask(), axes), new, old)
@@ -265,7 +265,7 @@ class TensorProgram:
         self._note(_Access(name, place, self._moved_by(target.slice, moved), True, bool(outside)))
 
     def _sum(self, added: Tensor, loops: Sequence[_Loop], kind: str) -> Tensor:
-        """Return a sum over lanes, of those where conditions hold."""
+        """Return a sum over lanes in which conditions hold."""
         zero = self.tensors.known(kind, 0)
         held = self._choice(self._mask(), added, zero) if self._masks else added
         if any(loop.axis not in held.axes for loop in loops):
@@ -336,7 +336,7 @@ class TensorProgram:
         return self.tensors.element(self._values[name], place, size)
 
     def _place(self, node: ast.expr) -> tuple[Tensor, Tensor | None]:
-        """Return where an element is: what is known of it, and what it is moved by."""
+        """Return the place of an element: its known part, and its offset."""
         nothing = self.tensors.known("count", 0)
         if isinstance(node, ast.BinOp):
             (left, by), (right, more) = self._place(node.left), self._place(node.right)
@@ -350,7 +350,7 @@ class TensorProgram:
         return (one, None) if one.known is not None else (nothing, one)
 
     def _moved_by(self, node: ast.expr, moved: Tensor | None) -> str:
-        """Return what an element is moved by, as text that is the same only where the number is."""
+        """Return a text for the offset of an element, equal only if the number is."""
         if moved is None:
             return ""
         names = sorted(one.id for one in ast.walk(node) if isinstance(one, ast.Name) and one.id in self._variables)
@@ -383,7 +383,7 @@ class TensorProgram:
             loop.accesses.append(access)
 
     def _check(self, loop: _Loop) -> None:
-        """Raise if a round of a loop may use what another one writes."""
+        """Raise if a round of a loop may use values that another round writes."""
         for array in {one.array for one in loop.accesses if one.write}:
             accesses = [one for one in loop.accesses if one.array == array]
             if self._apart(loop, accesses):
@@ -394,7 +394,7 @@ class TensorProgram:
                         raise _CarriedError
 
     def _apart(self, loop: _Loop, accesses: Sequence[_Access]) -> bool:
-        """Whether each element is of one round of a loop alone, which is quickly seen."""
+        """Tell, by a quick test, whether each element belongs to one round of a loop alone."""
         outside = [one.axis for one in self._loops if one is not loop]
         seen = {tuple(axis for axis in outside if axis in one.place.axes) for one in accesses if one.place is not None}
         if len(seen) != 1 or len({one.moved_by for one in accesses}) != 1:
@@ -411,7 +411,7 @@ class TensorProgram:
         return True
 
     def _clash(self, loop: _Loop, first: _Access, second: _Access) -> bool:
-        """Whether two accesses, in the order of the text, may meet in different rounds, in the wrong order."""
+        """Tell whether two accesses, in the order of the text, may meet in different rounds, in the wrong order."""
         if first.place is None or second.place is None or first.moved_by != second.moved_by:
             return True
         if first.adds and second.adds:
@@ -445,7 +445,7 @@ class TensorProgram:
 
 
 def _added(target: ast.expr, value: ast.expr) -> ast.expr | None:
-    """Return what a statement adds to a variable, where it does nothing else with it."""
+    """Return the term that a statement adds to a variable, if it does nothing else with it."""
     if not (isinstance(value, ast.BinOp) and isinstance(value.op, ast.Add)):
         return None
     name = target.value if isinstance(target, ast.Subscript) else target
@@ -456,7 +456,7 @@ def _added(target: ast.expr, value: ast.expr) -> ast.expr | None:
 
 
 def _by_rounds(a: Tensor, b: Tensor, loop: _Loop) -> Iterator[tuple[list[set[int]], list[set[int]]]]:
-    """Yield for all rounds of outer loops which elements two accesses have in each round of a loop."""
+    """Yield for all rounds of outer loops the elements that two accesses have in each round of a loop."""
     outer = sorted({*a.axes[: _before(a, loop)], *b.axes[: _before(b, loop)]})
     sizes = {axis: size for one in (a, b) for axis, size in zip(one.axes, _known(one).shape, strict=True)}
     for at in np.ndindex(*(sizes[axis] for axis in outer)):
@@ -465,7 +465,7 @@ def _by_rounds(a: Tensor, b: Tensor, loop: _Loop) -> Iterator[tuple[list[set[int
 
 
 def _before(one: Tensor, loop: _Loop) -> int:
-    """Return how many axes are outside of a loop."""
+    """Return the number of axes outside of a loop."""
     return one.axes.index(loop.axis) if loop.axis in one.axes else 0
 
 
@@ -475,7 +475,7 @@ def _known(one: Tensor) -> NDArray[np.int64]:
 
 
 def _elements(one: Tensor, loop: _Loop, fixed: dict[str, int]) -> list[set[int]]:
-    """Return the elements in each round of a loop, others being fixed."""
+    """Return the elements in each round of a loop, with other loops fixed."""
     values = _known(one)[tuple(fixed.get(axis, slice(None)) for axis in one.axes)]
     left = [axis for axis in one.axes if axis not in fixed]
     if loop.axis not in left:

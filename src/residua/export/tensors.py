@@ -1,4 +1,4 @@
-"""Tensors of an ONNX graph as it grows: what is known is computed at once, the rest becomes a node."""
+"""Tensors of a growing ONNX graph: constants are folded, and the rest becomes a node."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Tensor:
     axes : tuple of str
         The loops, outer ones first.
     name : str
-        Of what a node makes; empty for what is known.
+        Name of the output of a node; empty for a known value.
     known : ndarray or None
     """
 
@@ -61,7 +61,7 @@ class Node:
 
 
 class Tensors:
-    """Operations on tensors, which become nodes where a tensor is not known.
+    """Operations on tensors, which become nodes if a tensor is not constant.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ class Tensors:
     # ------------------------------------------------------------------------ making
 
     def known(self, kind: str, value: Any, axes: tuple[str, ...] = ()) -> Tensor:
-        """Return a tensor whose values are there."""
+        """Return a tensor with known values."""
         with np.errstate(over="ignore"):
             return Tensor(kind, axes, "", np.asarray(value, dtype=self.types[kind]))
 
@@ -90,7 +90,7 @@ class Tensors:
         return f"t{self._made}"
 
     def named(self, one: Tensor) -> str:
-        """Return the name of a tensor; what is known becomes a constant of the graph."""
+        """Return the name of a tensor; a known one becomes a constant of the graph."""
         return one.name if one.known is None else self.constant(one.known)
 
     def constant(self, value: NDArray[Any]) -> str:
@@ -114,7 +114,7 @@ class Tensors:
     # -------------------------------------------------------------------- elementwise
 
     def aligned(self, one: Tensor, axes: tuple[str, ...]) -> Tensor:
-        """Return a tensor with axes of length one where it has none of those."""
+        """Return a tensor with axes of length one for those that it lacks."""
         missing = [k for k, axis in enumerate(axes) if axis not in one.axes]
         inner = [k for k in missing if any(axis in one.axes for axis in axes[:k])]
         if not inner:  # axes that are missing on the left come by themselves
@@ -125,7 +125,7 @@ class Tensors:
         return Tensor(one.kind, axes, self.node("Unsqueeze", (one.name, self.whole(*missing))))
 
     def apply(self, operation: str, *given: Tensor, order: Sequence[str] = ()) -> Tensor:
-        """Return what an operation makes of each element; ``order`` is that of all loops, outer ones first."""
+        """Apply an operation to each element; ``order`` is that of all loops, outer ones first."""
         axes = tuple(axis for axis in order if any(axis in one.axes for one in given))
         kind = "flag" if operation in _COMPARISONS else given[0].kind
         values = [self.aligned(one, axes) for one in given]
@@ -150,7 +150,7 @@ class Tensors:
         return self.apply("Or", a, b, order=order)
 
     def choice(self, test: Tensor, a: Tensor, b: Tensor, order: Sequence[str]) -> Tensor:
-        """Return a where the test holds, else b; flags by logic, since runtimes choose no flags."""
+        """Return a if the test holds, else b; flags by logic, since runtimes do not select flags."""
         if test.known is not None and test.known.ndim == 0:
             return a if test.known else b
         if a.kind == "flag":
@@ -202,7 +202,7 @@ class Tensors:
     # -------------------------------------------------------------------------- arrays
 
     def element(self, array: Tensor, place: Tensor, size: int) -> Tensor:
-        """Return the elements of an array at places; places of lanes that do not count are brought inside."""
+        """Return the elements of an array at places; places of inactive lanes are clipped."""
         if place.known is not None:
             inside = np.clip(place.known, 0, size - 1)
             if array.known is not None:
@@ -218,7 +218,7 @@ class Tensors:
         return self.node("Clip", (place.name, *bounds))
 
     def with_elements(self, array: Tensor, place: Tensor, value: Tensor, size: int, lanes: Sequence[int]) -> Tensor:
-        """Return an array with other elements at places; ``lanes`` are the lengths of the axes of the places."""
+        """Return an array with elements replaced at places; ``lanes`` are the lengths of the axes of the places."""
         count = int(np.prod(lanes, dtype=int))
         flat = self._flat(value, place.axes, lanes)
         whole = place.known is not None and np.array_equal(place.known.ravel(), np.arange(size))

@@ -1,4 +1,4 @@
-"""Writing a program in a language: what all of them have in common."""
+"""Common parts of the writers of programs in a language."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Writer(ABC):
     program : Program
     """
 
-    #: What comparisons, sums and logic look like.
+    #: Operators of comparisons, sums and logic.
     SIGNS: dict[type, str]
 
     def __init__(self, program: Program) -> None:
@@ -35,7 +35,7 @@ class Writer(ABC):
 
     @abstractmethod
     def place(self, variable: Variable | None, name: str, index: str | None) -> str:
-        """Return a variable, or an element of it; ``None`` for what a loop counts with."""
+        """Return a variable, or an element of it; ``None`` for a loop counter."""
 
     @abstractmethod
     def assignment(self, target: str, value: str) -> str:
@@ -47,7 +47,7 @@ class Writer(ABC):
 
     @abstractmethod
     def loop(self, name: str, count: int, body: list[str]) -> list[str]:
-        """Return a loop from 0 on, so many times."""
+        """Return a loop from 0 on, with a number of rounds."""
 
     @abstractmethod
     def call(self, name: str, argument: str) -> str:
@@ -77,7 +77,7 @@ class Writer(ABC):
     # --------------------------------------------------------------------- expressions
 
     def kind(self, node: ast.expr) -> str:
-        """Return whether an expression is a real number, a count, or a flag."""
+        """Return the kind of an expression: a real number, a count, or a flag."""
         if isinstance(node, (ast.Name, ast.Subscript)):
             name = node.id if isinstance(node, ast.Name) else self._name(node)
             return self.variables[name].kind if name in self.variables else "count"
@@ -97,7 +97,7 @@ class Writer(ABC):
         return node.value.id
 
     def expression(self, node: ast.expr, kind: str) -> tuple[str, int]:
-        """Return an expression as text, and how tightly it binds."""
+        """Return an expression as text, and its precedence."""
         if isinstance(node, ast.Constant):
             if isinstance(node.value, bool):
                 return self.SIGNS[ast.Constant].split()[int(node.value)], _ATOM
@@ -131,7 +131,7 @@ class Writer(ABC):
         return f" {self.SIGNS[type(node.op)]} ".join(parts), _RANK[type(node.op)]
 
     def _within(self, node: ast.expr, kind: str, rank: int) -> str:
-        """Return an expression as an operand of one that binds so tightly."""
+        """Return an expression as an operand, in parentheses if its precedence needs them."""
         text, own = self.expression(node, kind)
         return text if own >= rank else f"({text})"
 

@@ -1,4 +1,4 @@
-"""Ready plants, one file per paper or benchmark."""
+"""Ready-made plants, one file per paper or benchmark."""
 
 from typing import TYPE_CHECKING
 

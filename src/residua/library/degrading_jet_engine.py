@@ -1,4 +1,4 @@
-"""The jet engine of the robust l1 fault detection paper: known up to the wear of twelve numbers, in closed loop."""
+"""Jet engine of the robust l1 fault detection paper: known up to the wear of twelve numbers, in closed loop."""
 
 from __future__ import annotations
 
@@ -141,7 +141,7 @@ def degrading_jet_engine_controller(
     Raises
     ------
     ModelError
-        If the engine is no sampled uncertain plant.
+        If the engine is not a sampled uncertain plant.
     SettingError
         If a weight is not positive.
 
@@ -183,7 +183,7 @@ def degrading_jet_engine_controller(
 
 
 def degrading_jet_engine_corner() -> dict[str, float]:
-    """Return the engine that the paper simulates: every parameter at that of its bounds which is not zero.
+    """Return the engine simulated in the paper: every parameter at its nonzero bound.
 
     Returns
     -------

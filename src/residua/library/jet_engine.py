@@ -86,7 +86,7 @@ def jet_engine(*, corrected: bool = True, disturbances: bool = True) -> Plant:
 
 
 def jet_engine_rate(x: ArrayLike, u: ArrayLike) -> NDArray[np.float64]:
-    r"""Return :math:`\dot x = A x + B u + \hat E d(x)`, the second-order model that stands for the engine.
+    r"""Return :math:`\dot x = A x + B u + \hat E d(x)`, the second-order model in the place of the engine.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What the simulated plants of the library share."""
+"""Common parts of the simulated plants of the library."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Course = ArrayLike | Callable[[NDArray[np.float64]], ArrayLike]
 
 @dataclass(frozen=True, eq=False)
 class SimulatedRecording:
-    """What a simulated plant did.
+    """Recording of a simulated plant.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ def runge_kutta(rate: Callable[[NDArray], NDArray], x: NDArray, dt: float) -> ND
 
 
 def drift(start: float, slope: float) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
-    """Return a fault that grows steadily from a certain time on, as the simulations take it.
+    """Return a fault that grows steadily from a certain time on, in the form of the simulations.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def drift(start: float, slope: float) -> Callable[[NDArray[np.float64]], NDArray
 def fault_courses(
     faults: Mapping[str, Course] | None, known: tuple[str, ...], steps: int, *, dt: float
 ) -> dict[str, NDArray]:
-    """Return the time course of every known fault, zero where none is given.
+    """Return the time course of every known fault, zero if none is given.
 
     Parameters
     ----------
@@ -113,14 +113,14 @@ def fault_courses(
 
 
 def filled(value: ArrayLike, shape: tuple[int, ...], what: str) -> NDArray[np.float64]:
-    """Return finite numbers as an array of the given shape, repeated where there are fewer.
+    """Return finite numbers as an array of the given shape, repeated if there are fewer.
 
     Parameters
     ----------
     value : array_like
     shape : tuple of int
     what : str
-        What to call it in messages.
+        Name in messages.
 
     Returns
     -------

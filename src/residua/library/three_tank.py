@@ -125,14 +125,14 @@ def pipe_flows(h: ArrayLike, clogs: ArrayLike = (0.0, 0.0, 0.0)) -> tuple[NDArra
 
 
 def _parts(a: NDArray) -> NDArray:
-    """Return an array with its last axis first; simulations ask for one axis, and NumPy's answer takes most of them."""
+    """Return an array with its last axis first; a shortcut for one axis, since NumPy's way is slow in simulations."""
     return a if a.ndim == 1 else np.moveaxis(a, -1, 0)
 
 
 def three_tank_rate(
     h: ArrayLike, q: ArrayLike, *, leaks: ArrayLike = (0.0, 0.0, 0.0), clogs: ArrayLike = (0.0, 0.0, 0.0)
 ) -> NDArray[np.float64]:
-    """Return how fast the levels change, in cm/s, by the nonlinear model.
+    """Return the rates of the levels, in cm/s, by the nonlinear model.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ def three_tank_rate(
 
 
 def _rate_at(h: list[float], q: list[float], leaks: list[float], clogs: list[float]) -> list[float]:
-    """Return the rates of one state, to the same bits: a simulation asks for one at a time."""
+    """Return the rates of one state, equal to the last bit: a simulation needs one at a time."""
     h1, h2, h3 = h
     c13, c20, c32 = (PIPE * (1.0 - clog) for clog in clogs)
     q13 = OUTFLOW_13 * c13 * math.copysign(1.0, h1 - h3) * math.sqrt(2 * GRAVITY * abs(h1 - h3))
@@ -177,7 +177,7 @@ def _rate_at(h: list[float], q: list[float], leaks: list[float], clogs: list[flo
 
 
 def three_tank_fault(number: int, steps: int = 2001, *, dt: float = 1.0, onset: float = 200.0) -> dict[str, NDArray]:
-    """Return one of the faults 1 to 12 of the benchmark, to be simulated.
+    """Return one of the faults 1 to 12 of the benchmark, for simulation.
 
     Number 3 is the drift of the pump alone, without the pulse that the benchmark adds.
 
@@ -227,7 +227,7 @@ def three_tank_fault(number: int, steps: int = 2001, *, dt: float = 1.0, onset: 
 
 
 def _notes() -> dict[str, dict[str, str]]:
-    """Return what each fault is, what to check first, and its unit."""
+    """Return the description of each fault, the first checks, and its unit."""
     notes = {
         f"{pump} actuator": {
             "description": f"Pump {pump} delivers another flow than its command.",

@@ -108,14 +108,14 @@ def simulate_three_tank(
 
 
 def _control(error: NDArray, integral: NDArray, dt: float) -> tuple[NDArray, NDArray]:
-    """Return the commands of the two controllers; the integral stands still while a pump is at its limit."""
+    """Return the commands of the two controllers; the integral is frozen while a pump is at its limit."""
     wanted = _POINT + _PROPORTIONAL * (error + integral)
     q = _within(wanted, LARGEST_FLOW)
     return q, np.where(q == wanted, integral + error * dt / INTEGRAL_TIME, integral)
 
 
 def _within(value: NDArray, highest: float) -> NDArray:
-    """Return what is neither below zero nor above a limit; ``np.clip`` takes three times as long for three numbers."""
+    """Clip between zero and a limit; ``np.clip`` takes three times as long for three numbers."""
     return np.minimum(np.maximum(value, 0.0), highest)
 
 

@@ -1,1 +1,1 @@
-"""A monitor on data as they come: sources, sampling, alarms as events, a store that loses nothing, sinks, a page."""
+"""A monitor on live data: sources, sampling, alarms as events, a store that loses nothing, sinks, a page."""

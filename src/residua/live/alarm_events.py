@@ -1,4 +1,4 @@
-"""From the alarms of a plant's rows to events: what is new since the last look, whatever was looked at in between.
+"""Events from the alarms of a plant's rows: the changes since the last look, whatever was looked at in between.
 
 A look runs the code of a recorded run over the rows of the plant and gives its alarms as that would, those that are
 one event joined. When it is looked depends on the rows alone, so that events do not depend on how rows came in batches.
@@ -15,7 +15,7 @@ from residua.decide.alarm import Alarm, Beginning
 
 @dataclass(frozen=True, slots=True)
 class ToldAlarm:
-    """An alarm that was told of, and is not over for sure.
+    """An alarm that was reported, and may not be over.
 
     Attributes
     ----------
@@ -38,13 +38,13 @@ class ToldAlarm:
     word: str = ""
 
     def to_record(self) -> list[Any]:
-        """Return it as plain values for JSON."""
+        """Return the alarm as plain values for JSON."""
         began = None if self.began is None else list(astuple(self.began))
         return [self.raised, self.onset, [list(group) for group in self.named], began, self.shortened, self.word]
 
     @staticmethod
     def from_record(content: list[Any]) -> ToldAlarm:
-        """Return what :meth:`to_record` describes."""
+        """Return the alarm of a record by :meth:`to_record`."""
         raised, onset, named, began, shortened, word = content
         since = None if began is None else Beginning(*began)
         return ToldAlarm(raised, onset, tuple(tuple(group) for group in named), since, shortened, word)
@@ -52,7 +52,7 @@ class ToldAlarm:
 
 @dataclass(frozen=True, slots=True)
 class News:
-    """What is to be told of an alarm.
+    """News about an alarm.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class News:
         ``raised``, ``renamed``, ``confirmed`` or ``ended``.
     alarm : Alarm
     part : ToldAlarm or None
-        Of an ended one that turned out to be part of an earlier one, ``alarm``: what was told of it.
+        Of an ended one that turned out to be part of an earlier one, ``alarm``: its last report.
     """
 
     kind: str
@@ -71,7 +71,7 @@ class News:
 def news(
     told: Sequence[ToldAlarm], alarms: Sequence[Alarm], since: float, over: bool
 ) -> tuple[list[ToldAlarm], list[News]]:
-    """Return what is to be told of alarms, and what was told of then.
+    """Return the news about alarms, and the alarms reported then.
 
     Parameters
     ----------
@@ -112,18 +112,18 @@ def news(
 
 
 def word_of(alarm: Alarm) -> str:
-    """Return how well the named faults explain an alarm, in two words; empty where that is not said."""
+    """Return the fit of the named faults to an alarm, in two words; empty without a statement."""
     return alarm.word.kind if alarm.word is not None else ""
 
 
 def _owner(part: ToldAlarm, alarms: Sequence[Alarm]) -> Alarm:
-    """Return the alarm that a part belongs to: the last one that was raised before it."""
+    """Return the alarm that a part belongs to: the last one raised before it."""
     before = [one for one in alarms if one.raised <= part.raised]
     return max(before, key=lambda one: one.raised) if before else alarms[0]
 
 
 def those_since(told: Sequence[ToldAlarm], alarms: Sequence[Alarm], since: float) -> list[Alarm]:
-    """Return the alarms since a time; one whose beginning is no longer kept has that which was told of it."""
+    """Return the alarms since a time; one whose beginning is no longer kept gets the reported one."""
     first = next((one for one in told if one.shortened), None)
     out = [one for one in alarms if one.raised >= since]
     if first is None or not out or out[0].start:

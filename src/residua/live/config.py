@@ -47,7 +47,7 @@ class MonitorSettings:
     Attributes
     ----------
     file : str
-        What ``residua fit`` or ``learn`` wrote.
+        File written by ``residua fit`` or ``learn``.
     name : str
         Of the model, on the page and in the metrics; empty: the name of the file.
     plants : list of str
@@ -73,13 +73,13 @@ class MonitorSettings:
         flag(self, "accept_new")
         whole(self, "max_plants", 1, _MOST_PLANTS)
         _check(len(self.plants) <= self.max_plants, f"max_plants: {len(self.plants)} plants are listed")
-        _check(bool(self.plants) or self.accept_new, "plants: name the plants, or say accept_new = true")
+        _check(bool(self.plants) or self.accept_new, "plants: name the plants, or set accept_new = true")
         object.__setattr__(self, "name", self.name or Path(self.file).stem)
 
 
 @dataclass(frozen=True)
 class SamplingOptions:
-    """How readings become rows.
+    """Options for the conversion of readings to rows.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ class SamplingOptions:
 
 @dataclass(frozen=True)
 class StoreSettings:
-    """Where a run keeps what it must not lose.
+    """Options of the store, where a run keeps everything it must not lose.
 
     Attributes
     ----------
@@ -142,7 +142,7 @@ class StoreSettings:
 
 @dataclass(frozen=True)
 class LiveSettings:
-    """Everything that a run needs.
+    """All settings of a run.
 
     Attributes
     ----------
@@ -182,9 +182,9 @@ def load_settings(path: str | Path) -> LiveSettings:
     Raises
     ------
     FileFormatError
-        If it is no TOML, or a key is unknown, missing, or not what it may be: one line with the key and its line.
+        If it is not TOML, or a key is unknown, missing, or invalid: one line with the key and its line.
     MissingExtraError
-        If what an adapter needs is not installed.
+        If a package that an adapter needs is not installed.
     """
     path = Path(path)
     content = read_bytes(path, "configuration")
@@ -199,7 +199,7 @@ def load_settings(path: str | Path) -> LiveSettings:
 
 
 class _Reader:
-    """Reads the tables of a configuration; what is wrong is said with its line."""
+    """Reader of the tables of a configuration; errors name the line."""
 
     def __init__(self, path: Path, text: str) -> None:
         self.path, self.lines, self.folder = path, text.splitlines(), path.parent
@@ -284,7 +284,7 @@ class _Reader:
             self._fail(table, number, key, text.removeprefix(f"{key}: "))
 
     def _placed(self, key: str, value: Any) -> Any:
-        """Return a value, paths from the folder of the configuration."""
+        """Return a value, with paths relative to the folder of the configuration."""
         if isinstance(value, list) and all(isinstance(one, str) for one in value):
             return tuple(value)
         if key not in _PATHS and not key.endswith("_file"):
@@ -332,7 +332,7 @@ def made(kind: str, settings: Any, kinds: Mapping[str, tuple[str, str]], *more: 
 
 
 def check_secrets(settings: LiveSettings) -> None:
-    """Read the secrets that settings point at, and keep none: what is wrong with one is said before anything is open.
+    """Check that the secrets in settings can be read, without keeping any, before anything is opened.
 
     Raises
     ------
@@ -352,7 +352,7 @@ def check_secrets(settings: LiveSettings) -> None:
 
 
 def example() -> str:
-    """Return a configuration to begin with."""
+    """Return a configuration to start from."""
     return _EXAMPLE
 
 

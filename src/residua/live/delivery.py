@@ -1,4 +1,4 @@
-"""Events from the store to one sink, in their order, again and again until they have arrived."""
+"""Delivery of events from the store to one sink, in their order, repeated until they have arrived."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ _LOG = logging.getLogger("residua.live")
 
 
 class Delivery:
-    """Takes events to a sink in a thread of its own.
+    """Delivery of events to a sink, in its own thread.
 
-    What was delivered is noted after each success; a kill between the two delivers those events again.
+    Deliveries are recorded after each success; a kill between the two delivers those events again.
 
     Parameters
     ----------
@@ -37,17 +37,17 @@ class Delivery:
         self._thread = threading.Thread(target=self._work, name=f"sink {sink.name}", daemon=True)
 
     def start(self) -> None:
-        """Begin to deliver."""
+        """Start delivering."""
         self._thread.start()
 
     def stop(self, seconds: float = 10.0) -> None:
-        """End, after what is being delivered."""
+        """Stop after the current delivery."""
         self._stopping.set()
         self._thread.join(seconds)
         self.sink.close()
 
     def finish(self, place: int, seconds: float) -> bool:
-        """Wait until everything up to a place has been delivered, some seconds at most; return whether it has."""
+        """Wait until everything up to a place has been delivered, for a limited time; return whether it has."""
         waited = threading.Event()
         step = 0.05
         for _ in range(int(seconds / step)):

@@ -1,4 +1,4 @@
-"""What is told of a plant: alarms raised, their names, their ends; data that are missing, and back."""
+"""Events of a plant: alarms raised, their names, their ends; missing data, and their return."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ class Event:
     clock : str
         The same as ISO 8601 in UTC, where times are dates; else empty.
     content : mapping
-        Of an alarm: what :meth:`residua.monitor.Alarm.to_dict` says, ``name`` (the faults it is put down to, in
-        words), ``text`` (the statement about it, sentence by sentence), and ``plant_name``; of missing values
+        Of an alarm: the entries of :meth:`residua.monitor.Alarm.to_dict`, ``name`` (the faults it is attributed to, as
+        text), ``text`` (the statement about it, sentence by sentence), and ``plant_name``; of missing values
         ``channels``. Of plain values for JSON.
     """
 
@@ -50,7 +50,7 @@ class Event:
         return head | ({"clock": self.clock} if self.clock else {}) | dict(self.content)
 
     def to_json(self) -> str:
-        """Return the event as one line of JSON: what every sink sends.
+        """Return the event as one line of JSON, as sent by every sink.
 
         Examples
         --------

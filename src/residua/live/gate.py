@@ -1,4 +1,4 @@
-"""Who may look: the token, the name of the machine, and where a request comes from."""
+"""Access control: the token, the host name, and the origin of a request."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ HEADERS = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Permissions-Policy": "camera=(), geolocation=(), microphone=()",
 }
-#: What a page of another origin may not do, beside sending its user here.
+#: Origins of requests whose answers pages elsewhere may not read; they may only send their user here.
 _FOREIGN = ("cross-site", "same-site")
 
 
 class Gate:
-    """Lets requests through that may be answered; it stands in front of everything, unknown paths included.
+    """Gate that only lets allowed requests through; it stands in front of everything, unknown paths included.
 
     In this order: 405 for other methods than GET and HEAD; 421 where ``Host`` is not a name of this server (a name of
     another's that leads here is how pages elsewhere would read what is here); 403 for requests that pages of other
@@ -55,7 +55,7 @@ class Gate:
         self._value = _derived(token, "cookie")
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer a request, or hand it on; every answer has :data:`HEADERS`."""
+        """Answer a request, or pass it on; every answer has :data:`HEADERS`."""
         if scope["type"] != "http":
             return
         headers = Headers(scope=scope)
@@ -100,7 +100,7 @@ class Gate:
         return None
 
     def _own(self, host: str, server: tuple[str, int | None] | None) -> bool:
-        """Whether a host is one of this server's; the number of the interface that the request came to always is."""
+        """Tell whether a host belongs to this server; the address of the interface of the request always does."""
         if host in self._hosts:
             return True
         try:

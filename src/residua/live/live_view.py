@@ -1,4 +1,4 @@
-"""What is seen of a run: the real :class:`residua.live.view.View`."""
+"""View of a run: the implementation of :class:`residua.live.view.View`."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _DIGITS = 6
 
 
 class LiveView:
-    """A look at a run, from any thread.
+    """View of a run, from any thread.
 
     Parameters
     ----------
@@ -43,13 +43,13 @@ class LiveView:
 
     @property
     def title(self) -> str:
-        """The names of what is watched."""
+        """Names of the plants' models."""
         return listing(dict.fromkeys(one.generator.plant.name for one in self._run.models.values()))
 
     # -------------------------------------------------------------------- overview
 
     def overview(self, first: int = 0, count: int = 100, find: str = "") -> dict[str, Any]:
-        """Return how everything is: see :class:`residua.live.view.View`."""
+        """Return an overview: see :class:`residua.live.view.View`."""
         run = self._run
         plants = list(run.watch.plants.values())
         groups: dict[str, list[WatchedPlant]] = {"fault": [], "missing": [], "waiting": [], "quiet": []}
@@ -77,7 +77,7 @@ class LiveView:
         return max(0, self._run.committed - position)
 
     def _problems(self) -> list[str]:
-        """Return what hinders the run itself."""
+        """Return the problems of the run itself."""
         return self._run.problems
 
     def _row(self, plant: WatchedPlant) -> dict[str, Any]:
@@ -101,7 +101,7 @@ class LiveView:
     # ------------------------------------------------------------------- one plant
 
     def plant(self, plant: str) -> dict[str, Any] | None:
-        """Return one plant with its recent past; ``None`` where there is none of that name."""
+        """Return one plant with its recent past; ``None`` if there is none of that name."""
         one = self._run.watch.plants.get(plant)
         if one is None:
             return None
@@ -120,7 +120,7 @@ class LiveView:
         return out | (_nothing(model) if diagnosis is None else self._recent(diagnosis, model.rows_kept))
 
     def _recent(self, diagnosis: Diagnosis, rows: int) -> dict[str, Any]:
-        """Return the series of the last rows, the alarms in them, and what was missing."""
+        """Return the series of the last rows, the alarms in them, and the missing values."""
         begin = max(0, len(diagnosis.time) - rows)
         time = diagnosis.time[begin:]
         bins = choose_bins(len(time), POINTS)
@@ -181,7 +181,7 @@ class LiveView:
         return self._run.store.events(place, limit, plant)
 
     def wait_for_event(self, place: int, timeout: float) -> bool:
-        """Wait until there is an event after a place, or the time is over; return whether there is one."""
+        """Wait, for a limited time, for an event after a place; return whether there is one."""
         return self._run.wait_for_event(place, timeout)
 
     # --------------------------------------------------------------------- numbers
@@ -214,7 +214,7 @@ class LiveView:
         return out
 
     def ratios(self) -> Mapping[str, float]:
-        """Return the last statistic over its threshold of every plant."""
+        """Return the ratio of the last statistic to its threshold for every plant."""
         return {one.plant: one.ratio for one in list(self._run.watch.plants.values())}
 
 
@@ -233,7 +233,7 @@ def _of_model(model: str, plants: Sequence[WatchedPlant], now: float) -> dict[An
 
 
 def _state(plant: WatchedPlant) -> str:
-    """Return how a plant is, in a word."""
+    """Return the state of a plant, as one word."""
     if plant.told:
         return "fault"
     if plant.missing is not None:
@@ -254,7 +254,7 @@ def _drawn(bins: Bins, values: NDArray[np.float64]) -> list[float | None]:
 
 
 def _stretches(flags: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Return where flags are set, as first sample and one past the last."""
+    """Return the stretches of set flags, as first sample and one past the last."""
     padded = np.zeros(len(flags) + 2, dtype=bool)
     padded[1:-1] = flags
     return np.flatnonzero(padded[1:] != padded[:-1]).reshape(-1, 2)

@@ -1,4 +1,4 @@
-"""What a source hands on, and the readings that are in it."""
+"""Messages of sources, and the readings in them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ LARGEST, LONGEST_ID = 4_000_000, 200
 
 @dataclass(slots=True)
 class Message:
-    """One message of a source, as it came.
+    """One message of a source, unchanged.
 
     Attributes
     ----------
@@ -24,14 +24,14 @@ class Message:
     plant : str
         The id of the plant, where the topic or the node says it; a message that says another is refused.
     channel : str
-        The channel, where a topic or a node has one channel; else empty: the payload says what is in it.
+        The channel, where a topic or a node has one channel; else empty: the payload names its channels.
     time : float or None
         In seconds, where the protocol says it.
     token : object
-        What the source needs to acknowledge it.
+        Data with which the source acknowledges it.
     refused : str
-        Why the source does not hand on what came, in a word by which it is counted (``"size"``, ``"topic"``,
-        ``"retained"``, ``"null"``): it is dropped, and acknowledged in its turn. Empty: nothing is wrong yet.
+        Reason for which the source refuses the message, as a word by which it is counted (``"size"``, ``"topic"``,
+        ``"retained"``, ``"null"``): it is dropped, and acknowledged in its turn. Empty: no error so far.
     line : int
         Its number, from 1, where it is a line of text; else 0.
     """

@@ -12,9 +12,9 @@ from prometheus_client.registry import Collector
 
 from residua.live.view import View
 
-#: What is sent.
+#: Content type.
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
-#: Names in :meth:`View.counters` that only ever grow, and what they count.
+#: Names in :meth:`View.counters` that only grow, with their help texts.
 COUNTERS = {
     "messages": "Messages that sources have brought.",
     "dropped": "Messages or readings that were dropped.",
@@ -25,7 +25,7 @@ COUNTERS = {
     "delivery_failures": "Deliveries that failed, each to be tried again.",
     "given_up": "Events that a receiver refused for good and that were given up.",
 }
-#: Names of other numbers, what they are called outside, and what they are.
+#: Names of other numbers, with their outside names and help texts.
 GAUGES = {
     "plants": ("plants", "Plants that are watched."),
     "plants_in_alarm": ("plants_in_alarm", "Plants with an alarm that lasts."),
@@ -41,7 +41,7 @@ Numbers = Mapping[tuple[str, tuple[tuple[str, str], ...]], float]
 
 
 def metrics_text(view: View, *, per_plant: bool = False) -> bytes:
-    """Return the metrics of a run; one series for each plant only where ``per_plant`` says so.
+    """Return the metrics of a run; with one series for each plant only if ``per_plant`` is set.
 
     Names begin with ``residua_``; those of counters end in ``_total``.
     """

@@ -1,4 +1,4 @@
-"""A store that is waited for while it is away."""
+"""A store with retries while it is away."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ T = TypeVar("T")
 
 
 class Patience:
-    """Does something again, after growing pauses, for as long as the store is away.
+    """Retries, with growing pauses, for as long as the store is away.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ class Patience:
         self.health = Health(True, "")
 
     def rows(self, key: int, first: int = 0) -> list[tuple[int, bytes]]:
-        """Return the rows of a plant that are kept."""
+        """Return the stored rows of a plant."""
         return self._again(lambda: self.store.rows(key, first))
 
     def meta(self) -> Mapping[str, str]:

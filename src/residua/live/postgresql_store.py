@@ -28,16 +28,16 @@ _LIMITS: dict[str, Any] = {
     **{"connect_timeout": 10, "tcp_user_timeout": 20_000},
     **{"keepalives": 1, "keepalives_idle": 10, "keepalives_interval": 5, "keepalives_count": 3},
 }
-#: What a server says that another attempt may not hear again: its classes of SQLSTATE.
+#: Temporary errors of a server, by their classes of SQLSTATE.
 _PASSING = ("08", "40", "57", "53")
 _FULL = "53100"
 
 
 class PostgresqlStore(SqlStore):
-    """A store in tables of a database, which one run at a time has.
+    """A store in tables of a database, owned by one run at a time.
 
     A commit is as safe as the server makes it (``synchronous_commit`` on, as it is by default). While the server is
-    away the run waits; what it was writing is written again, which leaves the same.
+    away the run waits; its changes are written again, with the same effect.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ class PostgresqlStore(SqlStore):
         return cls(dsn)
 
     def open(self, *, own: bool = True) -> None:
-        """Connect, and make the tables where they are absent."""
+        """Connect, and create the tables if they are absent."""
         with self._errors():
             if own:
                 self._take()
@@ -82,11 +82,11 @@ class PostgresqlStore(SqlStore):
                 cursor.execute(self._worded(META), ("epoch", str(self._epoch)))
 
     def _connect(self) -> psycopg.Connection[Any]:
-        """Connect; no step of it, and no question later, waits for a host that does not answer."""
+        """Connect, with time limits on each step and later query."""
         return psycopg.connect(self._dsn, autocommit=True, **_LIMITS)
 
     def _take(self, *, again: bool = False) -> None:
-        """Take the lock that another run would have; ``again``: what the server still has of a lost connection goes."""
+        """Take the lock of the owner; ``again``: after the server has dropped a lost connection."""
         connection = self._connect()
         until = time.monotonic() + _PATIENCE
         while not self._takes(connection):
@@ -104,7 +104,7 @@ class PostgresqlStore(SqlStore):
         return row is not None and bool(row[0])
 
     def _check_owned(self) -> None:
-        """Take the lock again, where the connection that held it was lost."""
+        """Take the lock again, if the connection that held it was lost."""
         owner = self._owner
         if owner is None:
             return
@@ -134,7 +134,7 @@ class PostgresqlStore(SqlStore):
 
     @contextmanager
     def _errors(self) -> Iterator[None]:
-        """Say which errors pass, and which do not; never with the connection string."""
+        """Classify errors as temporary or permanent; never with the connection string."""
         try:
             yield
         except psycopg.Error as error:
@@ -146,17 +146,17 @@ class PostgresqlStore(SqlStore):
                 raise StoreError(f"the database refuses: {said or type(error).__name__}") from None
             connection = getattr(self._local, "connection", None)
             if connection is not None and not state:
-                connection.close()  # what is left of it is not to be trusted
+                connection.close()  # its state is not to be trusted
             raise StoreAwayError(f"the database cannot be reached: {said or 'no answer'}") from None
 
     def commit(self, changes: Changes) -> None:
-        """Write changes in one transaction, of the run that has the database."""
+        """Write changes in one transaction, as the run that owns the database."""
         with self._errors(), self._guard_of_owner:
             self._check_owned()
         super().commit(changes)
 
     def _check_owner(self, cursor: Any) -> None:
-        """Raise where another run has taken the database over since: what this one knows is old."""
+        """Raise if another run has taken the database over since, which makes the knowledge of this one old."""
         if self._owner is None:
             return
         row = cursor.execute("SELECT value FROM meta WHERE name = 'epoch' FOR SHARE").fetchone()

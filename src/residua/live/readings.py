@@ -1,4 +1,4 @@
-"""From a message to readings: what JSON may say, and what is refused, by its reason."""
+"""Readings from messages: valid JSON, and reasons for refusal."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _LARGEST_TIME = 1e12
 _NUMBERS = frozenset({int, float, type(None)})
 #: Channels that a sample has at most: a message may have some of them.
 _SAMPLED = 4
-#: What the kernel says is wrong.
+#: Errors of the kernel.
 _WRONG = ("", "shape", "number")
 _KEYS = (
     frozenset({"plant", "t", "u", "y"}),
@@ -81,13 +81,13 @@ class Layout:
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """Inputs, then outputs."""
+        """Names of the inputs, then of the outputs."""
         return (*self.inputs, *self.outputs)
 
 
 @dataclass(slots=True)
 class Readings:
-    """What a message says of one plant.
+    """Readings of one plant in a message.
 
     Attributes
     ----------
@@ -120,7 +120,7 @@ Layouts = Callable[[str], Layout | None]
 
 
 def readings_of(message: Message, layouts: Layouts) -> Readings:
-    """Return what a message says.
+    """Return the readings of a message.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ def _layout(plant: Any, layouts: Layouts) -> Layout:
 
 
 def time_of(stated: Any) -> tuple[float, bool]:
-    """Return a time in seconds, and whether it is a date.
+    """Return a time in seconds, and a flag for dates.
 
     Parameters
     ----------
@@ -276,8 +276,8 @@ def fill_rows(values: NDArray[np.float64], rows: Any, first: int, width: int) ->
     Returns
     -------
     str
-        What is wrong: ``"shape"`` of rows, ``"number"`` where a value is none, such as a text or a truth value, or is
-        larger than any double; empty where nothing is. What was written is then of no use.
+        The error: ``"shape"`` of rows, ``"number"`` for a value that is not a number, such as a text or a truth value,
+        or larger than any double; empty without one. After an error the written values are invalid.
     """
     if _kernel is not None:
         return _WRONG[_kernel.fill(values, rows, first, width)]
@@ -285,7 +285,7 @@ def fill_rows(values: NDArray[np.float64], rows: Any, first: int, width: int) ->
 
 
 def _fill_rows(values: NDArray[np.float64], rows: Any, first: int, width: int) -> str:
-    """Do the same in NumPy."""
+    """Fill rows in NumPy."""
     if type(rows) is not list or len(rows) != len(values):
         return "shape"
     if not set(map(type, rows)) <= {list} or not set(map(len, rows)) <= {width}:
@@ -322,7 +322,7 @@ def _no_channel(name: str, layout: Layout) -> MessageError:
 
 
 def sample_of(message: Message, layout: Layout, plant: str) -> str:
-    """Return a message that would be right in the place of one that is not, as JSON.
+    """Return a valid message in place of an invalid one, as JSON.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""What the server answers: the page, its data, its events, the metrics, the health."""
+"""Routes of the server: the page, its data, its events, the metrics, the health."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class Routes:
 
     @contextmanager
     def running(self) -> Iterator[None]:
-        """Watch for events while the loop of this thread runs."""
+        """Watch for events while the event loop of this thread runs."""
         self._loop, self._news = asyncio.get_running_loop(), asyncio.Event()
         thread = threading.Thread(target=self._watch, name="residua-news", daemon=True)
         thread.start()
@@ -90,19 +90,19 @@ class Routes:
             self._threads.shutdown(wait=False, cancel_futures=True)
 
     def stop(self) -> None:
-        """Let those who follow the events go."""
+        """Stop, and let the followers of events go."""
         self._stopping.set()
         self._tell()
 
     def _tell(self) -> None:
-        """Wake those who follow the events, from any thread."""
+        """Wake the followers of events, from any thread."""
         loop = self._loop
         if loop is not None:
             with suppress(RuntimeError):  # it has just ended
                 loop.call_soon_threadsafe(self._wake)
 
     def _watch(self) -> None:
-        """Wake the followers when there is an event; where that fails, they look themselves at every beat."""
+        """Wake the followers when there is an event; if that fails, they check by themselves at every heartbeat."""
         place = -1
         while not self._stopping.is_set():
             try:
@@ -124,7 +124,7 @@ class Routes:
             news.set()
 
     async def ask(self, question: Callable[..., T], *arguments: Any) -> T:
-        """Return what the view answers, asked in another thread."""
+        """Return an answer of the view, computed in another thread."""
         return await asyncio.get_running_loop().run_in_executor(self._threads, partial(question, *arguments))
 
     # ----------------------------------------------------------- answers
@@ -162,7 +162,7 @@ class Routes:
 
     @contextmanager
     def follower(self) -> Iterator[bool]:
-        """Count one more who follows the events; yield whether there is room."""
+        """Count one more follower of events; yield whether there is room."""
         self._followers += 1
         try:
             yield self._followers <= MOST_FOLLOWERS
@@ -174,7 +174,7 @@ class Routes:
         last = await self.ask(self._last_place)
         yield b"retry: 2000\n\n"
         if after is None or after > last:
-            # Another store than that of which the place is: what was seen of it is void.
+            # Another store than that of the place: events seen from it do not count.
             yield b"event: anew\nid: %d\ndata: {}\n\n" % last if after is not None else beat(last)
             after = last
         while not self._stopping.is_set():
@@ -192,7 +192,7 @@ class Routes:
 
 
 class _Follow:
-    """The route of the events: text that does not end."""
+    """The route of the events: an endless stream of text."""
 
     def __init__(self, routes: Routes) -> None:
         self._routes = routes
@@ -237,7 +237,7 @@ async def _gone(receive: Receive) -> None:
 
 
 def _asked_place(scope: Scope) -> int | None:
-    """Return the place after which events are asked for: a browser that comes back says it in a header."""
+    """Return the place after which events are requested: a browser that reconnects sends it in a header."""
     asked = (
         Headers(scope=scope).get("last-event-id")
         or parse_qs(scope["query_string"].decode("latin-1")).get("after", [""])[-1]
@@ -253,7 +253,7 @@ def _whole(text: str, most: int) -> int:
 
 
 def sent(event: Event) -> bytes:
-    r"""Return an event as it stands in the stream: its place in the order of all as id, and its JSON.
+    r"""Return an event for the stream: its place in the order of all as id, and its JSON.
 
     Examples
     --------
@@ -264,12 +264,12 @@ def sent(event: Event) -> bytes:
 
 
 def beat(place: int) -> bytes:
-    """Return a sign of life: it says up to which place everything was sent."""
+    """Return a heartbeat with the place up to which everything was sent."""
     return b'event: beat\ndata: {"last": %d}\n\n' % place
 
 
 def plant_of(raw_path: bytes) -> str | None:
-    """Return the plant that a path as it was sent asks for; ``None``: for none.
+    """Return the plant requested by a path as it was sent; ``None`` without one.
 
     Examples
     --------

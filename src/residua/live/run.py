@@ -31,7 +31,7 @@ from residua.visible import echo, visible
 
 #: Messages that are committed together at most, and bytes of them, unless one alone has more.
 AT_ONCE, BYTES_AT_ONCE = 4000, 4_000_000
-#: Seconds between two looks at rows that wait, and at what else depends on the clock.
+#: Seconds between two checks of waiting rows, and of everything else that depends on the clock.
 _TICK, _SLOW_TICK = 0.1, 2.0
 #: Rows of a plant that are looked through for a reading that comes again.
 _LOOKED_THROUGH = 4096
@@ -50,7 +50,7 @@ MOST_MESSAGES, MOST_BYTES = 20_000, 64_000_000
 
 @dataclass
 class Numbers:
-    """What a run counts, for page and metrics.
+    """Counters of a run, for page and metrics.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class Numbers:
 
 
 class Inbox:
-    """A queue that is full at some number of messages, or of bytes; one thread takes, many put."""
+    """A queue with limits on the number of messages and of bytes; one thread takes, many put."""
 
     def __init__(self, messages: int = MOST_MESSAGES, octets: int = MOST_BYTES) -> None:
         self._most, self._most_bytes = messages, octets
@@ -105,7 +105,7 @@ class Inbox:
                 self._some.notify()
 
     def take(self, most: int, seconds: float, octets: int = BYTES_AT_ONCE) -> list[Message]:
-        """Return what waits, up to so many messages and bytes; wait for the first some seconds at most."""
+        """Return the waiting messages, up to so many messages and bytes; wait for the first for a limited time."""
         with self._lock:
             if not self._queue and not self._closed:
                 self._some.wait(seconds)
@@ -120,17 +120,17 @@ class Inbox:
             return out
 
     def oldest(self) -> float:
-        """Return when the message came that waits longest; infinite where none waits."""
+        """Return the arrival time of the oldest waiting message; infinite without one."""
         with self._lock:
             return self._queue[0].arrived if self._queue else math.inf
 
     def wake(self) -> None:
-        """Let whoever takes look again."""
+        """Wake the thread that takes messages."""
         with self._lock:
             self._some.notify_all()
 
     def close(self) -> None:
-        """Take nothing any more; whoever waits to put is told."""
+        """Refuse further messages, and notify threads that wait to put one."""
         with self._lock:
             self._closed = True
             self._room.notify_all()
@@ -142,7 +142,7 @@ def _size(message: Message) -> int:
 
 
 class Run:
-    """A monitor, or several, on data as they come.
+    """A run: one monitor, or several, on live data.
 
     Parameters
     ----------
@@ -230,12 +230,12 @@ class Run:
     # ------------------------------------------------------------------------ working
 
     def work(self, started: Callable[[], None] | None = None) -> None:
-        """Work until all sources have ended, or :meth:`stop`; then leave everything in order.
+        """Work until all sources have ended, or :meth:`stop`; then shut down in order.
 
         Raises
         ------
         StoreError
-            If the store is full or damaged: what was not committed was not acknowledged.
+            If the store is full or damaged: uncommitted messages were not acknowledged.
         DataError
             If a source has ended because it could not go on.
         """
@@ -267,7 +267,7 @@ class Run:
         while not self.stopping.is_set():
             over = all(one.finite and one.over for one in self.sources)  # asked first: they put before they are over
             messages = self.inbox.take(AT_ONCE, _TICK)
-            self._whole = False  # until what is done in memory is in the store
+            self._whole = False  # until changes in memory are in the store
             if messages:
                 self.apply(messages)
             now = time.monotonic()
@@ -288,23 +288,23 @@ class Run:
 
     @property
     def takes_new(self) -> bool:
-        """Whether plants that are not listed are taken in."""
+        """True if plants that are not listed are accepted."""
         return bool(self._open)
 
     @property
     def problems(self) -> list[str]:
-        """What hinders the run, or makes its answers doubtful, in words."""
+        """Problems that hinder the run, or make its answers doubtful."""
         away = self.patient.health
         store = [] if away.good else [f"store: {away.text}; nothing is acknowledged meanwhile"]
         return [*store, *self._odd_steps.values()]
 
     def stop(self) -> None:
-        """End soon; from any thread, or a signal."""
+        """Stop soon; from any thread, or a signal handler."""
         self.stopping.set()
         self.inbox.wake()
 
     def _leave(self, ended: bool) -> None:
-        """Stop sources and sinks, store what makes the next start quick, and close the store."""
+        """Stop sources and sinks, store the states for a quick start, and close the store."""
         self.inbox.close()
         for source in self.sources:
             source.stop()
@@ -324,7 +324,7 @@ class Run:
                 delivery.stop()
 
     def close(self) -> None:
-        """Close the store, when nobody looks any more; and what was opened, where the run never worked."""
+        """Close the store, once nobody uses it any more; and everything opened, if the run never worked."""
         if not self._worked:
             for source in self.sources:
                 source.stop()
@@ -335,7 +335,7 @@ class Run:
     # ------------------------------------------------------------------------ a batch
 
     def apply(self, messages: Sequence[Message]) -> None:
-        """Take messages, commit what follows from them, and acknowledge them."""
+        """Process messages, commit the results, and acknowledge them."""
         now = time.monotonic()
         readings = self._readings(messages, now)
         work: dict[str, Work] = {}
@@ -352,7 +352,7 @@ class Run:
             some[0].source.acknowledge(some)
 
     def _readings(self, messages: Sequence[Message], now: float) -> list[Readings]:
-        """Return what messages say, and take in the plants that are new."""
+        """Return the readings of messages, and add new plants."""
         out: list[Readings] = []
         new: dict[str, None] = {}
         model, most = next(iter(self._open.items()), ("", 0))
@@ -376,7 +376,7 @@ class Run:
                 one.arrived, one.past = message.arrived, message.source.rereads
                 out.append(one)
             except MessageError as error:
-                if len(new) > before:  # a plant is taken in by what can be used of it
+                if len(new) > before:  # a plant is added with its first usable message
                     new.popitem()
                 self._drop(error.reason, message.source.name, self._quoted(message, error), now)
         if new:
@@ -384,7 +384,7 @@ class Run:
         return out
 
     def _quoted(self, message: Message, error: MessageError) -> str:
-        """Return what is wrong with a message: its line, the beginning of it, and a sample of a right one."""
+        """Describe the error of a message: its line, its beginning, and a sample of a valid one."""
         known = self.watch.plants
         plant = message.plant or next(iter(known), "plant 1")
         model = known[plant].model if plant in known else next(iter(self.models))
@@ -420,7 +420,7 @@ class Run:
             self._pending.add(plant.plant)
 
     def _tell_step(self, plant: WatchedPlant, dt: float) -> None:
-        """Say that a plant has another step than its monitor."""
+        """Report that a plant has another step than its monitor."""
         if plant.plant not in self._odd_steps and len(self._odd_steps) < _MOST_ODD:
             steps = f"sends every {plant.steps.usual:.6g} s, its monitor runs at {dt:g} s"
             said = f"{visible(plant.plant)} {steps}: make one for that step, or send at that of the monitor"
@@ -438,7 +438,7 @@ class Run:
                 self._drop(one.kind, plant.plant, f"at {one.time:.15g} s", now, one.count)
 
     def _known(self, plant: WatchedPlant, time: float, dt: float) -> Sequence[float] | None:
-        """Return the row that is out for a time: of the last ones, or of those that are stored."""
+        """Return the released row of a time: one of the last rows, or a stored one."""
         for rows in reversed(plant.recent):
             near = np.flatnonzero(np.abs(rows.times - time) < 0.5 * dt)
             if near.size:
@@ -453,7 +453,7 @@ class Run:
         return kept[2][near[-1]].tolist() if near.size else None
 
     def _release(self, now: float) -> None:
-        """Let rows go that have waited long enough."""
+        """Release rows that have waited long enough."""
         work: dict[str, Work] = {}
         for name in list(self._pending):
             plant = self.watch.plants[name]
@@ -471,7 +471,7 @@ class Run:
             self._commit(self.watch.take(work))
 
     def _look_around(self, now: float) -> None:
-        """Tell of silent plants, take requests from the store, and drop old events."""
+        """Report silent plants, process requests in the store, and drop old events."""
         self._commit(self.watch.silent(now, self.settings.sampling.silence))
         self._take_requests()
         done = min((one.position for one in self.deliveries), default=self.committed)
@@ -481,7 +481,7 @@ class Run:
             self.patient.drop_events(before)
 
     def _take_requests(self) -> None:
-        """Let plants begin anew for which somebody has asked it."""
+        """Reset the plants for which it was requested."""
         for name, wanted in self.patient.meta().items():
             if name.startswith("reset ") and wanted:
                 plant = name.removeprefix("reset ")
@@ -506,7 +506,7 @@ class Run:
     # ---------------------------------------------------------------------- telling
 
     def _drop(self, reason: str, where: str, text: str, now: float, count: int = 1) -> None:
-        """Count what is dropped, and log it once a second at most for each reason."""
+        """Count dropped messages, and log them at most once a second for each reason."""
         self.numbers.dropped[reason] += count
         last, more = self._said.get(reason, (-math.inf, 0))
         if now - last < 1.0:
@@ -517,7 +517,7 @@ class Run:
         _LOG.warning("%s: %s (%s)%s", visible(where)[:100], reason, visible(text)[:_TOLD], beside)
 
     def wait_for_event(self, place: int, timeout: float) -> bool:
-        """Wait until there is an event after a place, or the time is over; return whether there is one."""
+        """Wait, for a limited time, for an event after a place; return whether there is one."""
         with self.news:
             if self.committed <= place:
                 self.news.wait(timeout)

@@ -1,7 +1,7 @@
-"""From readings to rows on the grid of the sample step: a pure function from state and readings to state and rows.
+"""Rows on the grid of the sample step from readings: a pure function from state and readings to state and rows.
 
 A row is released when every channel of it has been stated and all rows before it are out; or ``wait`` seconds after
-it should have been, by the times of later readings or by the clock, with NaN for what is missing. Rows come out in
+it should have been, by the times of later readings or by the clock, with NaN for missing values. Rows come out in
 order, each once. The grid follows the plant's clock slowly, so that a step that is stated a little wrong does no harm.
 """
 
@@ -29,7 +29,7 @@ MOST_PENDING = 10_000
 
 @dataclass(frozen=True)
 class SamplingSettings:
-    """How readings become rows.
+    """Settings for the conversion of readings to rows.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class SamplingSettings:
     max_age : float
         Seconds for which a channel that is not stated keeps its last value; 0: it is missing at once.
     longest_gap : int
-        Rows of NaN that a gap becomes at most: more say nothing more to a filter that starts anew.
+        Rows of NaN that a gap becomes at most: more make no difference to a filter that restarts.
     """
 
     wait: float
@@ -48,7 +48,7 @@ class SamplingSettings:
 
 @dataclass(frozen=True, slots=True)
 class Slot:
-    """A row that is not complete, or waits for others.
+    """A row that is incomplete, or waits for others.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class Slot:
 
 @dataclass(frozen=True, slots=True)
 class SamplingState:
-    """What is remembered of the readings of one plant.
+    """State of the sampling of one plant.
 
     Attributes
     ----------
@@ -106,7 +106,7 @@ class SamplingState:
 
     @staticmethod
     def from_record(content: dict[str, Any], arrived: float) -> SamplingState:
-        """Return the state of a record; what was pending counts as having come at ``arrived``."""
+        """Return the state of a record; pending readings count as having arrived at ``arrived``."""
         slots = tuple((n, Slot(time, _in(values), stated, arrived)) for n, time, values, stated in content["pending"])
         last, grid = (math.nan if content[name] is None else content[name] for name in ("last", "grid"))
         held, held_at = _in(content["held"]), _in(content["held_at"])
@@ -130,7 +130,7 @@ class Rows:
 
 @dataclass(frozen=True, slots=True)
 class Remark:
-    """What is to be counted, or told.
+    """A remark to be counted, or reported.
 
     Attributes
     ----------
@@ -202,7 +202,7 @@ def due(
 def _next_rows(
     state: SamplingState, readings: Readings, dt: float, settings: SamplingSettings
 ) -> tuple[SamplingState, list[Rows], list[Remark]] | None:
-    """Return whole rows, each a step after the one before and the first a step after the last one; else ``None``."""
+    """Return rows that are complete, each one step after the previous one; else ``None``."""
     if state.pending or state.back or readings.stated is not None or settings.max_age > 0:
         return None
     times = np.asarray(readings.times, dtype=np.float64)
@@ -214,7 +214,7 @@ def _next_rows(
 
 
 def _followed(grid: float, times: NDArray[np.float64], dt: float) -> float | None:
-    """Return the grid after times that are a step apart each; ``None`` where one is off by half a step."""
+    """Return the grid for times one step apart each; ``None`` if one is off by half a step."""
     if len(times) > 1:
         steps = np.full(len(times), dt)
         steps[0] = grid + dt
@@ -246,7 +246,7 @@ def _one(
         state = replace(state, grid=time - dt, last=time - dt, dated=readings.dated)
     number = round((time - state.grid) / dt)
     values = readings.values[k]
-    if state.back and number <= longest_gap:  # what follows is another stretch: the filter starts anew for the gap
+    if state.back and number <= longest_gap:  # later rows are another stretch: the filter restarts after the gap
         remarks.append(Remark("refused", time))
         return state
     if number <= 0:
@@ -272,7 +272,7 @@ def _one(
 
 
 def _slot_at(pending: Sequence[tuple[int, Slot]], number: int) -> tuple[int, Slot | None]:
-    """Return where the slot of a row is, or would be, and the slot if there is one."""
+    """Return the place of a row's slot, and the slot if it exists."""
     if not pending or number > pending[-1][0]:
         return len(pending), None
     place = bisect_left(pending, number, key=lambda one: one[0])
@@ -287,7 +287,7 @@ def _old(
     known: Known,
     remarks: list[Remark],
 ) -> SamplingState:
-    """Say of a reading for a row that is out whether it was said before, and whether the clock has gone back."""
+    """Return the state after a reading for a released row, with a remark: repeat, conflict, late, or clock set back."""
     row, kind = known(time), "late"
     if row is not None:
         stated = range(len(values)) if readings.stated is None else readings.stated
@@ -337,7 +337,7 @@ def _released(
 
 
 class _Releasing:
-    """The rows that are on their way out, and what is remembered after each."""
+    """Rows in the course of their release, and the state after each."""
 
     def __init__(self, state: SamplingState, dt: float, settings: SamplingSettings) -> None:
         self.state, self.dt, self.settings = state, dt, settings
@@ -347,7 +347,7 @@ class _Releasing:
         self.values: list[tuple[float, ...]] = []
 
     def skip(self, rows: int, width: int) -> None:
-        """Let rows go that nothing was said of; of a long gap not all of them."""
+        """Release rows without readings; not all of them in a long gap."""
         empty = 0
         for j in range(1, rows + 1):
             moment = self.grid + j * self.dt
@@ -362,7 +362,7 @@ class _Releasing:
         self.last = self.grid
 
     def take(self, slot: Slot) -> None:
-        """Let the row of a slot go."""
+        """Release the row of a slot."""
         expected = self.grid + self.dt
         values = slot.values
         if self.settings.max_age > 0:
@@ -374,7 +374,7 @@ class _Releasing:
         self.grid, self.last = expected + FOLLOW * (slot.time - expected), slot.time
 
     def finished(self, pending: Sequence[tuple[int, Slot]]) -> tuple[SamplingState, list[Rows]]:
-        """Return the state to go on with, and the rows."""
+        """Return the next state, and the rows."""
         if not self.times:
             return self.state, []
         moved = tuple((number - self.step, slot) for number, slot in pending)
@@ -383,12 +383,12 @@ class _Releasing:
 
 
 def _steps(seconds: float, dt: float) -> int:
-    """Return the whole steps in a time, a rounding error short of one counted as one."""
+    """Return the number of whole steps in a time; one that is short by a rounding error counts."""
     return math.floor(seconds / dt + DATA_ROUNDING)
 
 
 def _spoken_of(pending: Sequence[tuple[int, Slot]]) -> int:
-    """Return the channels that the slots speak of, as bits: of those no earlier reading is to come."""
+    """Return the channels stated in the slots, as bits: no earlier reading of these will come."""
     bits = 0
     for _, slot in pending:
         bits |= slot.stated
@@ -398,7 +398,7 @@ def _spoken_of(pending: Sequence[tuple[int, Slot]]) -> int:
 def _held(
     held: tuple[float, ...], held_at: tuple[float, ...], moment: float, width: int, settings: SamplingSettings
 ) -> tuple[float, ...]:
-    """Return the row of a moment that nothing was said of."""
+    """Return the row of a time without readings."""
     if settings.max_age <= 0 or not held:
         return (math.nan,) * width
     return tuple(v if moment - t <= settings.max_age else math.nan for v, t in zip(held, held_at, strict=True))

@@ -1,4 +1,4 @@
-"""Passwords, tokens and keys: out of a file or an environment variable, never out of the configuration itself."""
+"""Passwords, tokens and keys: from a file or an environment variable, never from the configuration itself."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ LARGEST = 65_536
 
 
 def secret(settings: Any, name: str) -> str | None:
-    """Return a secret that settings point at; ``None`` where they point at none.
+    """Return a secret named by settings; ``None`` if they name none.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def secret(settings: Any, name: str) -> str | None:
     ------
     SettingError
         If both are there; the file cannot be read, may be read by every user of the machine (POSIX), or is too large;
-        the variable is not set; or the secret is empty, has more lines than one or is no text. What is said never has
+        the variable is not set; or the secret is empty, has more lines than one or is not text. The message never has
         the secret in it.
 
     Examples
@@ -52,7 +52,7 @@ def secret(settings: Any, name: str) -> str | None:
     if variable:
         value = os.environ.get(variable)
         if value is None:
-            # What is no name may be the secret itself.
+            # An invalid name may be the secret itself.
             shown = f" {variable}" if variable.isidentifier() else " with an invalid name"
             raise SettingError(f"{name}_env: the environment variable{shown} is not set")
         return _checked(value, f"{name}_env: the environment variable {variable}")
@@ -60,7 +60,7 @@ def secret(settings: Any, name: str) -> str | None:
 
 
 def check_secret(settings: Any, name: str) -> None:
-    """Raise where settings point at a secret twice; neither place is looked at.
+    """Raise if settings name a secret twice; neither place is read.
 
     Raises
     ------
@@ -83,11 +83,11 @@ def _of_file(path: str, key: str) -> str:
     except OSError as error:
         raise SettingError(f"{key}: {path} cannot be read: {error.strerror or error}") from error
     if len(content) > LARGEST:
-        raise SettingError(f"{key}: {path} has more than {LARGEST} bytes: that is no secret")
+        raise SettingError(f"{key}: {path} has more than {LARGEST} bytes, too many for a secret")
     try:
         text = content.decode("utf-8")
     except UnicodeDecodeError:
-        raise SettingError(f"{key}: {path} is no text in UTF-8") from None  # the cause repeats what is in it
+        raise SettingError(f"{key}: {path} is not text in UTF-8") from None  # the cause repeats its content
     return text.removesuffix("\n").removesuffix("\r")
 
 

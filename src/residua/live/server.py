@@ -1,4 +1,4 @@
-"""The server of a run: the page, its events, the metrics and the health, for whoever has the token."""
+"""Server of a run: the page, its events, the metrics and the health, for anyone with the token."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ SHORTEST_TOKEN = 20
 
 @dataclass(frozen=True)
 class Settings:
-    """Where the server listens, and to whom it answers.
+    """Settings of the server: address and access.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class Settings:
 
 
 def address_of(listen: str) -> tuple[str, int]:
-    """Return number and port of a place to listen at.
+    """Return the host and port of an address to listen on.
 
     Raises
     ------
@@ -87,19 +87,17 @@ def address_of(listen: str) -> tuple[str, int]:
         if not (port.isascii() and port.isdigit() and int(port) < 65536):
             raise ValueError(port)
     except ValueError:
-        raise SettingError(
-            f"listen: the number of an interface and a port, such as '127.0.0.1:8000', not {listen!r}"
-        ) from None
+        raise SettingError(f"listen: an address and a port, such as '127.0.0.1:8000', not {listen!r}") from None
     return str(number), int(port)
 
 
 class Server:
-    """Answers in a thread of its own, from :meth:`start` to :meth:`stop`.
+    """Server in its own thread, from :meth:`start` to :meth:`stop`.
 
     Parameters
     ----------
     view : View
-        What is shown.
+        View to show.
     settings : Settings
 
     Attributes
@@ -154,7 +152,7 @@ class Server:
         return f"{self.place}/?token={self._token}"
 
     def start(self) -> None:
-        """Begin to answer.
+        """Start answering.
 
         Raises
         ------
@@ -205,12 +203,12 @@ def _listening(listen: str) -> socket.socket:
         made.bind((host, port))
     except OSError as error:
         made.close()
-        raise SettingError(f"listen: {listen} cannot be listened at: {error.strerror or error}") from error
+        raise SettingError(f"listen: {listen} cannot be opened for connections: {error.strerror or error}") from error
     return made
 
 
 class _Connection(H11Protocol):
-    """A connection of which idle ones are closed: after a while, and the oldest first where they are too many.
+    """A connection that is closed when idle for long, the oldest first if there are too many.
 
     A process has a thousand open files or so, and the sources and the store need theirs.
     """
@@ -233,7 +231,7 @@ class _Connection(H11Protocol):
 
     @property
     def _idle(self) -> bool:
-        """Whether no request is being answered."""
+        """True if no request is in progress."""
         return self.cycle is None or self.cycle.response_complete
 
     def _end_if_idle(self) -> None:

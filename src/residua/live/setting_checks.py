@@ -1,4 +1,4 @@
-"""Checks of what a configuration says: each names its key, what it must be, and what it was."""
+"""Checks of a configuration: each error names its key, the expected value and the actual one."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from residua.visible import echo
 
 
 def text(settings: Any, key: str, *, needed: str = "") -> None:
-    """Check that a value is text; ``needed`` says what it is for where it must not be empty."""
+    """Check that a value is text; ``needed`` is the message if it must not be empty."""
     value = getattr(settings, key)
     if not isinstance(value, str) or not value.isprintable():
         raise SettingError(f"{key}: text on one line is expected, got {echo(value)}")
@@ -22,14 +22,14 @@ def text(settings: Any, key: str, *, needed: str = "") -> None:
 
 
 def whole(settings: Any, key: str, least: int, most: int) -> None:
-    """Check that a value is a whole number between two others."""
+    """Check that a value is a whole number within limits."""
     value = getattr(settings, key)
     if type(value) is not int or not least <= value <= most:
         raise SettingError(f"{key}: a whole number from {least:,} to {most:,} is expected, got {echo(value)}")
 
 
 def number(settings: Any, key: str, least: float, most: float = math.inf) -> None:
-    """Check that a value is a finite number between two others."""
+    """Check that a value is a finite number within limits."""
     value = getattr(settings, key)
     if type(value) not in (int, float) or not (math.isfinite(value) and least <= value <= most):
         above = f"from {least:g} to {most:g}" if most < math.inf else f"of at least {least:g}"
@@ -43,14 +43,14 @@ def flag(settings: Any, key: str) -> None:
 
 
 def choice(settings: Any, key: str, among: Sequence[Any]) -> None:
-    """Check that a value is one of some."""
+    """Check that a value is one of several."""
     value = getattr(settings, key)
     if not any(type(value) is type(one) and value == one for one in among):
         raise SettingError(f"{key}: one of {', '.join(map(repr, among))} is expected, got {echo(value)}")
 
 
 def texts(settings: Any, key: str, *, needed: str = "") -> None:
-    """Check that a value is a list of texts without repeats, and keep it as a tuple."""
+    """Check that a value is a list of texts without repeats, and store it as a tuple."""
     value = getattr(settings, key)
     fits = isinstance(value, list | tuple) and all(isinstance(one, str) and one and one.isprintable() for one in value)
     if not fits or len(set(value)) != len(value):
@@ -61,15 +61,15 @@ def texts(settings: Any, key: str, *, needed: str = "") -> None:
 
 
 def file(settings: Any, key: str) -> None:
-    """Check that a value is empty, or the path of a file that is there."""
+    """Check that a value is empty, or the path of an existing file."""
     text(settings, key)
     value = getattr(settings, key)
     if value and not Path(value).is_file():
-        raise SettingError(f"{key}: {value} is no file")
+        raise SettingError(f"{key}: {value} is not a file")
 
 
 def table_of_texts(value: Any, key: str) -> dict[str, str]:
-    """Return a table whose keys and values are text that is not empty."""
+    """Return a table whose keys and values are non-empty text."""
     if not isinstance(value, Mapping) or not all(
         isinstance(one, str) and one and one.isprintable() for one in (*value.keys(), *value.values())
     ):
@@ -98,7 +98,7 @@ _KINDS = {
 
 
 def check_types(settings: Any) -> None:
-    """Raise where a value is not of the kind that its field is declared to be; lists are kept as tuples.
+    """Raise if a value does not have the declared type of its field; lists are stored as tuples.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def check_types(settings: Any) -> None:
 
 
 def check_seconds(settings: Any, name: str) -> None:
-    """Raise where a time is not more than nothing.
+    """Raise unless a time is positive.
 
     Raises
     ------

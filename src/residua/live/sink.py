@@ -1,4 +1,4 @@
-"""The seam of sinks: what takes events to their receivers."""
+"""Interface of sinks, which deliver events to their receivers."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ LONGEST_CALL = 10.0
 
 
 class Sink(ABC):
-    """What takes events to a receiver. One thread calls it, with events in their order.
+    """Interface to a receiver of events. One thread calls it, with events in their order.
 
     Attributes
     ----------
     kind : str
         As in the configuration.
     name : str
-        Which sink it is: by it the store knows what was delivered, so it must stay the same from run to run; never with
-        a secret in it.
+        Name under which the store records deliveries, so it must stay the same from run to run; never with a secret
+        in it.
     dropped : int
-        Events that the receiver refuses for good and that were given up, so that those after them go on; counted as
+        Events that the receiver refuses for good and that were given up, so that later ones follow; counted as
         delivered. Only where the settings of a sink say ``drop_refused``.
 
     Notes
@@ -43,10 +43,10 @@ class Sink(ABC):
 
     @abstractmethod
     def deliver(self, events: Sequence[Event]) -> int:
-        """Deliver events, oldest first, and return how many were: those after them come again.
+        """Deliver events, oldest first, and return the number delivered: those after them come again.
 
         Raises :class:`DeliveryError` where not even the first could be, within a time that the sink bounds.
         """
 
     def close(self) -> None:  # noqa: B027 (most have nothing to leave)
-        """Leave the receiver; from any thread, while events are being delivered too: that then fails."""
+        """Disconnect; from any thread, even during a delivery, which then fails."""

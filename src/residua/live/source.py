@@ -1,4 +1,4 @@
-"""The seam of sources: what brings messages, and is told when they are safe."""
+"""Interface of sources, which bring messages and learn when these are safe."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from residua.live.messages import Message
 
 @dataclass(frozen=True)
 class Health:
-    """How a source or a sink is.
+    """Health of a source or a sink.
 
     Attributes
     ----------
     good : bool
         Whether it is connected.
     text : str
-        In words: to what it is connected, or why it is not and what is being done.
+        Text: its connection, or the reason for having none, and the remedy under way.
     """
 
     good: bool
@@ -28,19 +28,19 @@ class Health:
 
 
 class Source(ABC):
-    """What brings messages. It runs in threads of its own, between :meth:`start` and :meth:`stop`.
+    """Interface to a protocol that brings messages, in threads of its own between :meth:`start` and :meth:`stop`.
 
     Attributes
     ----------
     kind : str
         As in the configuration.
     name : str
-        Which source it is, for the page and the log; never with a secret in it.
+        Name for the page and the log; never with a secret in it.
     finite : bool
         Whether it ends by itself, as a recording does: the run ends when all sources have.
     rereads : bool
-        Whether it brings again what it has brought before, as a file does that is read from its beginning: that
-        readings are old then says nothing of the clock of a plant.
+        Whether it repeats earlier messages, as a file does that is read from its beginning: old readings are then no
+        sign of a clock set back.
 
     Notes
     -----
@@ -55,13 +55,13 @@ class Source(ABC):
 
     @abstractmethod
     def start(self, put: Callable[[Message], None]) -> None:
-        """Begin to bring messages; ``put`` takes them, from any thread, and blocks while there is no room.
+        """Start to bring messages; ``put`` takes them, from any thread, and blocks while there is no room.
 
         ``put`` raises :class:`RunStoppedError` where the run is ending: the source then leaves.
         """
 
     def resume(self, times: Mapping[str, float]) -> None:  # noqa: B027 (most are told by their broker where they are)
-        """Learn how far the store is, before :meth:`start`: the time of the last row of each plant, in seconds.
+        """Learn the progress of the store before :meth:`start`: the time of the last row of each plant, in seconds.
 
         A source that holds the past, as a recording does, goes on after it. Nothing to do for others.
         """
@@ -71,24 +71,24 @@ class Source(ABC):
         """End all threads and connections, within a few seconds; messages that were not acknowledged stay unsafe."""
 
     def acknowledge(self, messages: Sequence[Message]) -> None:  # noqa: B027 (some protocols have none)
-        """Take note that messages are safe: what follows from them is committed. From the thread of the run.
+        """Note that messages are safe, with their results committed. Called from the thread of the run.
 
         In the order in which they were put. Nothing to do where the protocol knows no acknowledgement.
         """
 
     @property
     def over(self) -> bool:
-        """Whether a finite source has brought all that it has."""
+        """True if a finite source has brought all its messages."""
         return False
 
     @property
     @abstractmethod
     def health(self) -> Health:
-        """How it is now; from any thread."""
+        """Health now; from any thread."""
 
 
 class RunStoppedError(Exception):
-    """The run is ending: nothing is taken any more."""
+    """The run is ending: no more messages are accepted."""
 
 
 class Pauses:
@@ -111,9 +111,9 @@ class Pauses:
         return now
 
     def reset(self) -> None:
-        """Begin anew, after a success."""
+        """Start again with the shortest pause, after a success."""
         self._now = self.first
 
     def wait(self, stopping: threading.Event) -> bool:
-        """Wait, but not while the run is ending; return whether it is."""
+        """Wait, unless the run is ending; return whether it is."""
         return stopping.wait(self.next())

@@ -1,4 +1,4 @@
-"""A store in tables: what SQLite and PostgreSQL have in common."""
+"""A store in tables: common parts of SQLite and PostgreSQL."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ _POSITION = (
 
 
 class SqlStore(Store):
-    """A store in tables. A kind of database says how it is reached, and which of its errors mean what."""
+    """A store in tables. Subclasses define the connection to a database, and the meaning of its errors."""
 
     @abstractmethod
     def _transaction(self) -> AbstractContextManager[Any]:
@@ -59,10 +59,10 @@ class SqlStore(Store):
 
     @abstractmethod
     def _query(self, text: str, values: Sequence[Any] = ()) -> list[Any]:
-        """Return the rows of a question."""
+        """Return the rows of a query."""
 
     def _check_owner(self, cursor: Any) -> None:
-        """Raise where another run has the store now; where the lock of a run cannot be lost there is none."""
+        """Raise if another run owns the store now; never if the lock of a run cannot be lost."""
 
     @staticmethod
     def _worded(text: str) -> str:
@@ -134,7 +134,7 @@ class SqlStore(Store):
         return int(rows[0][0]) if rows else 0
 
     def delivered(self, sink: str, place: int) -> None:
-        """Note that a sink has delivered everything up to a place."""
+        """Record that a sink has delivered everything up to a place."""
         with self._transaction() as cursor:
             cursor.execute(self._worded(_POSITION), (sink, place))
 
@@ -146,7 +146,7 @@ class SqlStore(Store):
             cursor.execute(self._worded("DELETE FROM events WHERE place < ?"), (before,))
 
     def _check_schema(self) -> None:
-        """Write the version of the tables, or raise where they are of another."""
+        """Write the version of the tables, or raise if theirs differs."""
         known = self.meta().get("schema")
         if known is None:
             with self._transaction() as cursor:

@@ -20,7 +20,7 @@ _LOG_PAGES = 4000
 
 
 class SqliteStore(SqlStore):
-    """A store in one file, and two beside it while it is open.
+    """A store in one file, with two more beside it while it is open.
 
     A commit is on the disk when it returns (``synchronous=FULL``). One run at a time has the file.
 
@@ -32,7 +32,7 @@ class SqliteStore(SqlStore):
     Raises
     ------
     StoreError
-        When it is opened: if the file is no store, another run has it, or the folder does not exist.
+        When it is opened: if the file is not a store, another run has it, or the folder does not exist.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -43,7 +43,7 @@ class SqliteStore(SqlStore):
         self._owner: sqlite3.Connection | None = None
 
     def open(self, *, own: bool = True) -> None:
-        """Open the file, or make it."""
+        """Open the file, or create it."""
         try:
             check_output(self.path)
         except ValueError as error:
@@ -58,7 +58,7 @@ class SqliteStore(SqlStore):
         self._check_schema()
 
     def _own(self) -> sqlite3.Connection:
-        """Return a lock that another run would have: on a file of its own, which a killed process leaves open."""
+        """Return the lock of the owner: on a separate file, released when the process is killed."""
         lock = sqlite3.connect(f"{self.path}.lock", timeout=0.0, isolation_level=None, check_same_thread=False)
         try:
             lock.execute("BEGIN EXCLUSIVE")
@@ -91,7 +91,7 @@ class SqliteStore(SqlStore):
 
     @contextmanager
     def _errors(self) -> Iterator[None]:
-        """Say which errors pass, and which do not."""
+        """Classify errors as temporary or permanent."""
         try:
             yield
         except sqlite3.OperationalError as error:
@@ -102,7 +102,7 @@ class SqliteStore(SqlStore):
                 raise StoreError(f"{self.path}: no space is left on the disk: make room, then start again") from error
             raise StoreError(f"{self.path}: {text}") from error
         except sqlite3.Error as error:
-            raise StoreError(f"{self.path}: this is no store of residua, or a damaged one: {error}") from error
+            raise StoreError(f"{self.path}: this is not a store of residua, or it is damaged: {error}") from error
 
     @contextmanager
     def _transaction(self) -> Iterator[sqlite3.Cursor]:

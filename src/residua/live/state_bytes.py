@@ -1,4 +1,4 @@
-"""The running state of one plant as bytes, and back: what the store keeps of it."""
+"""The running state of one plant as bytes, and back, for the store."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ VERSION = 3
 
 
 def state_to_bytes(state: State) -> bytes:
-    """Return the state of one plant: its arrays one after the other, little-endian; the monitor says their shapes.
+    """Return the state of one plant: its arrays one after the other, little-endian; the monitor knows their shapes.
 
     Before each stands whether it is there; one that is not is zero throughout.
     """
@@ -46,12 +46,12 @@ def state_from_bytes(content: bytes, spec: Specification) -> State:
         if stop != len(content) or not np.isfinite(state.filter.x).all():
             raise ValueError("another length, or no filter")
     except (ValueError, IndexError) as error:
-        raise FileFormatError(f"the store holds a state that is none of this monitor: {error}") from error
+        raise FileFormatError(f"the store holds a state of another monitor: {error}") from error
     return state
 
 
 def _arrays(whole: Any, name: str = "") -> list[tuple[bool, NDArray]]:
-    """Return the arrays in order, each with whether it is zero as a rule."""
+    """Return the arrays in order, each with a flag if it is usually zero."""
     if isinstance(whole, np.ndarray):
         return [(name in SELDOM and whole.size > 0, whole)]
     if not is_dataclass(whole):
@@ -60,7 +60,7 @@ def _arrays(whole: Any, name: str = "") -> list[tuple[bool, NDArray]]:
 
 
 def _filled(like: Any, content: bytes, start: int) -> tuple[Any, int]:
-    """Return a dataclass of arrays with the values of bytes, and where they end."""
+    """Return a dataclass of arrays filled from bytes, and the offset of their end."""
     if isinstance(like, np.ndarray):
         if content[start] == 0:
             return like, start + 1

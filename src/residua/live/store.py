@@ -1,4 +1,4 @@
-"""The seam of stores: what a run leaves behind in one transaction, and goes on from."""
+"""Interface of stores, in which a run commits its results in one transaction, and from which it continues."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from residua.live.watched_plant import WatchedPlant
 
 
 class StoreAwayError(ResiduaError, OSError):
-    """The store cannot be reached now: the same is tried again later. The text has no secret in it."""
+    """The store cannot be reached now: the operation is tried again later. The text has no secret in it."""
 
 
 class StoreError(ResiduaError, OSError):
-    """The store cannot go on: it is full, damaged, or of something else; the message says what to do."""
+    """The store cannot be used: it is full, damaged, or not a store of this kind; the message names a remedy."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlantUpdate:
-    """What changes of a plant in the store; ``None`` leaves what is there.
+    """Update of a plant in the store; ``None`` leaves a value unchanged.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class PlantUpdate:
 
 @dataclass(slots=True)
 class Changes:
-    """What one transaction writes; written twice it leaves the same.
+    """Changes written by one transaction; writing them twice has the same effect.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class Changes:
 
 
 class Store(ABC):
-    """Where a run keeps what it must not lose. Every method may be called from any thread.
+    """Interface to a store that keeps everything a run must not lose. Every method may be called from any thread.
 
     Methods raise :class:`StoreAwayError` where the same may go through later, and :class:`StoreError` where it will
     not.
@@ -85,11 +85,11 @@ class Store(ABC):
 
     @abstractmethod
     def open(self, *, own: bool = True) -> None:
-        """Open the store, or make it; only one run at a time has it as its ``own``."""
+        """Open the store, or create it; only one run at a time has it as its ``own``."""
 
     @abstractmethod
     def close(self) -> None:
-        """Leave it."""
+        """Close it."""
 
     @abstractmethod
     def meta(self) -> Mapping[str, str]:
@@ -97,15 +97,15 @@ class Store(ABC):
 
     @abstractmethod
     def plants(self) -> list[tuple[WatchedPlant, str, bytes | None]]:
-        """Return all plants with their records and running states, those that are taken over by the caller."""
+        """Return all plants with their records and running states, which the caller takes over."""
 
     @abstractmethod
     def rows(self, key: int, first: int = 0) -> list[tuple[int, bytes]]:
-        """Return the rows of a plant that are kept, from those on that hold row ``first``, in order."""
+        """Return the stored rows of a plant, from the block that holds row ``first`` on, in order."""
 
     @abstractmethod
     def commit(self, changes: Changes) -> None:
-        """Write changes in one transaction; when this returns, they outlive a kill and a power cut."""
+        """Write changes in one transaction; when this returns, they survive a kill and a power cut."""
 
     @abstractmethod
     def events(self, after: int, limit: int, plant: str | None = None) -> list[Event]:
@@ -125,7 +125,7 @@ class Store(ABC):
 
     @abstractmethod
     def delivered(self, sink: str, place: int) -> None:
-        """Note that a sink has delivered everything up to a place."""
+        """Record that a sink has delivered everything up to a place."""
 
     @abstractmethod
     def drop_events(self, before: int) -> None:
@@ -133,7 +133,7 @@ class Store(ABC):
 
 
 def rows_to_bytes(times: NDArray[np.float64], values: NDArray[np.float64]) -> bytes:
-    """Return rows as bytes: for each its time and its channels, little-endian."""
+    """Return rows as bytes: the time and the channels of each, little-endian."""
     whole = np.empty((len(times), 1 + values.shape[1]), dtype="<f8")
     whole[:, 0], whole[:, 1:] = times, values
     return whole.tobytes()

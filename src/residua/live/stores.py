@@ -1,4 +1,4 @@
-"""The store that a configuration names."""
+"""The store named by a configuration."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from residua.live.store import Store
 
 
 def store_of(settings: StoreSettings) -> Store:
-    """Return the store, not open yet."""
+    """Return the store, not yet open."""
     if settings.kind == "sqlite":
         return SqliteStore(settings.file)
     return import_module("residua.live.postgresql_store").PostgresqlStore.of(settings)

@@ -1,4 +1,4 @@
-"""What the page, the metrics and other readers see of a run, from any thread."""
+"""Interface to a view of a run, for the page, the metrics and other readers, from any thread."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from residua.live.events import Event
 
 
 class View(Protocol):
-    """A look at a run; every method may be called from any thread, and returns plain values for JSON.
+    """View of a run; every method may be called from any thread, and returns plain values for JSON.
 
     Times are in seconds, as in the data: since 1970 where they are dates.
     """
 
     @property
     def title(self) -> str:
-        """What is watched, in words: the names of the plants' models."""
+        """Title: the names of the plants' models."""
         ...
 
     def overview(self, first: int = 0, count: int = 100, find: str = "") -> dict[str, Any]:
-        """Return how everything is; of the plants ``count`` from the one numbered ``first`` on.
+        """Return an overview, with ``count`` plants from the one numbered ``first`` on.
 
         Where ``find`` is not empty, only of plants whose id has it in it, upper or lower case: ``plants["matching"]``
         is how many those are (all, where ``find`` is empty), the other counts are of all plants.
@@ -36,7 +36,7 @@ class View(Protocol):
         ...
 
     def plant(self, plant: str) -> dict[str, Any] | None:
-        """Return one plant with its recent past; ``None``: there is no such plant.
+        """Return one plant with its recent past; ``None`` if there is no such plant.
 
         ``{"plant", "model", "dt", "dated", "row": as in ``overview``, "time": [t, ...], "statistic": [x or null, ...],
         "threshold": x, "residuals": [{"name", "unit", "values": [x or null, ...], "center": x, "band": x}, ...],
@@ -52,7 +52,7 @@ class View(Protocol):
         ...
 
     def wait_for_event(self, place: int, timeout: float) -> bool:
-        """Wait until there is an event after a place, or the time is over; return whether there is one."""
+        """Wait, for a limited time, for an event after a place; return whether there is one."""
         ...
 
     def counters(self) -> Mapping[tuple[str, tuple[tuple[str, str], ...]], float]:
@@ -67,5 +67,5 @@ class View(Protocol):
         ...
 
     def ratios(self) -> Mapping[str, float]:
-        """Return the last statistic over its threshold of every plant: for one series per plant, when asked for."""
+        """Return the ratio of the last statistic to its threshold for every plant, for one series each, on request."""
         ...

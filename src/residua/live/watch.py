@@ -1,4 +1,4 @@
-"""The plants of a run: rows in, events and changes of the store out, the same events however rows come in batches."""
+"""Plants of a run: rows in, events and changes of the store out, the same events for any batches of rows."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from residua.monitor.fused import copied
 from residua.monitor.running import State, initial_state, rows_of, written_rows
 from residua.visible import echo
 
-#: What is asked of every row.
+#: Outputs wanted for every row.
 _ASKED = ("alarm", "missing", "statistic")
 #: Rows after which the running state of a plant is stored again: a restart runs so many at most.
 STORED_EVERY = 1024
@@ -42,7 +42,7 @@ _RANKS = {"clock": 0, "back": 1, "raised": 2, "renamed": 2, "confirmed": 2, "end
 
 @dataclass(slots=True)
 class Work:
-    """What came of one plant in a batch.
+    """New rows of one plant in a batch.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class Work:
 
 @dataclass(slots=True)
 class _Batch:
-    """What a batch leaves: changes of the store; by plant events and rows that are not stored yet; moved anchors."""
+    """Result of a batch: changes of the store, events and unstored rows by plant, and moved anchors."""
 
     changes: Changes
     events: dict[int, list[tuple[int, int, float, str, dict[str, Any]]]]
@@ -67,7 +67,7 @@ class _Batch:
 
 
 class Watch:
-    """Plants that are watched, of one model or of several.
+    """Watched plants, of one model or of several.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ class Watch:
         self.plants[plant.plant] = plant
 
     def _recovered(self, plant: WatchedPlant, running: bytes | None) -> State:
-        """Return the running state of a plant: the stored one, gone on with over the rows since."""
+        """Return the running state of a plant: the stored one, advanced over the rows since."""
         model = self.models[plant.model]
         state = model.start() if running is None else state_from_bytes(running, model.spec)
         if plant.running_at == plant.count:
@@ -147,7 +147,7 @@ class Watch:
     # ------------------------------------------------------------------- plants come
 
     def add(self, plants: Iterable[str], model: str, now: float) -> Changes:
-        """Add plants before their first row, and return what is to be stored of that."""
+        """Add plants before their first row, and return the changes for the store."""
         changes = Changes(meta={f"monitor {name}": one.fingerprint for name, one in self.models.items()})
         new = [plant for plant in dict.fromkeys(plants) if plant not in self.plants]
         for plant in new:
@@ -163,7 +163,7 @@ class Watch:
     # ------------------------------------------------------------------------ rows
 
     def take(self, work: Mapping[str, Work]) -> Changes:
-        """Go on with the rows of some plants.
+        """Process the rows of some plants.
 
         Parameters
         ----------
@@ -173,7 +173,7 @@ class Watch:
         Returns
         -------
         Changes
-            What is to be stored, events included.
+            Changes for the store, events included.
         """
         batch = _empty_batch()
         waiting: list[tuple[WatchedPlant, NDArray[np.float64], NDArray[np.float64]]] = []
@@ -198,7 +198,7 @@ class Watch:
         return batch.changes
 
     def _cut(self, waiting: list[Any]) -> tuple[list[Any], list[Any]]:
-        """Return the rows of each plant up to the next one at which its anchor may move, and those after it."""
+        """Return the rows of each plant up to the next one at which its anchor may move, and the later ones."""
         now, later = [], []
         for plant, times, values in waiting:
             kept = self.models[plant.model].rows_kept
@@ -209,7 +209,7 @@ class Watch:
         return now, later
 
     def _advance(self, work: list[Any], batch: _Batch) -> None:
-        """Run rows of plants, those with as many of them together."""
+        """Run rows of plants, grouped by equal numbers of them."""
         groups: dict[tuple[str, int], list[Any]] = defaultdict(list)
         for one in work:
             groups[one[0].model, len(one[1])].append(one)
@@ -240,7 +240,7 @@ class Watch:
     def _follow_alarms(
         self, plant: WatchedPlant, first: int, times: NDArray[np.float64], alarm: list[bool], batch: _Batch
     ) -> None:
-        """Look at the alarms of a plant where its rows say so: at the first one, now and then, and when it is over."""
+        """Look at the alarms of a plant at rows set by the rows alone: the first one, now and then, and the end."""
         model = self.models[plant.model]
         for k, on in enumerate(alarm):
             row = first + k
@@ -262,7 +262,7 @@ class Watch:
                 self._judged.pop(plant.key, None)
 
     def _look(self, plant: WatchedPlant, row: int, time: float, over: bool, batch: _Batch) -> None:
-        """Tell what is new of the alarms of a plant up to a row."""
+        """Report the changes in the alarms of a plant up to a row."""
         judged = self._judged_to(plant, row + 1, batch)
         alarms = judged.alarms(plant.open_since)
         after, told = news(plant.told, alarms, plant.open_since, over)
@@ -284,7 +284,7 @@ class Watch:
         }
 
     def _judged_to(self, plant: WatchedPlant, stop: int, batch: _Batch) -> Judged:
-        """Return the rows of a plant that are kept, up to one, and what was decided on them."""
+        """Return the stored rows of a plant, up to one, with the decisions on them."""
         judged = self._judged.pop(plant.key, None)
         model = self.models[plant.model]
         if judged is None or judged.start != plant.anchor_at:
@@ -301,7 +301,7 @@ class Watch:
     def _rows_from(
         self, plant: WatchedPlant, first: int, stop: int, batch: _Batch
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return rows of a plant, those that are stored and those of the batch."""
+        """Return rows of a plant, the stored ones and those of the batch."""
         fresh = batch.fresh[plant.key]
         begin = fresh[0][0] if fresh else plant.count
         parts = [(number, times, values) for number, times, values in fresh if number + len(times) > first]
@@ -323,7 +323,7 @@ class Watch:
         missing: list[bool],
         batch: _Batch,
     ) -> None:
-        """Tell that values are missing once the filter has to start anew for them, and that they are back."""
+        """Report missing values once the filter has to restart because of them, and their return."""
         longest = self.models[plant.model].longest_gap
         for k, gone in enumerate(missing):
             plant.gap, plant.whole = (plant.gap + 1, 0) if gone else (0, plant.whole + 1)
@@ -345,7 +345,7 @@ class Watch:
         return state_to_bytes(rows_of(self._blocks[plant.model].state, np.array([plant.place])))
 
     def _move_anchor(self, plant: WatchedPlant, batch: _Batch) -> None:
-        """Let go of old rows, where no alarm that is not over needs them, and mark where the anchor goes next."""
+        """Drop old rows, if no alarm that may not be over needs them, and mark the next place of the anchor."""
         kept = self.models[plant.model].rows_kept
         too_long = plant.open_row >= 0 and plant.count - plant.anchor_at >= LONGEST_ALARM * kept
         if plant.mark is not None and (plant.open_row < 0 or too_long):
@@ -359,7 +359,7 @@ class Watch:
     # --------------------------------------------------------------------- storing
 
     def _note(self, plant: WatchedPlant, batch: _Batch, *, whole: bool = False) -> None:
-        """Number the events of a plant, and put what has changed of it down."""
+        """Number the events of a plant, and record its changes."""
         for _, _, time, kind, content in sorted(batch.events.pop(plant.key, []), key=lambda one: one[:2]):
             self._number(plant, time, kind, content, batch.changes)
         batch.changes.plants[plant.key] = self._update(plant, moved=plant.key in batch.moved, whole=whole)
@@ -373,7 +373,7 @@ class Watch:
         changes.events.append(event)
 
     def _update(self, plant: WatchedPlant, *, moved: bool = False, whole: bool = False) -> PlantUpdate:
-        """Return what is stored of a plant; its running state now and then, or where ``whole`` says so."""
+        """Return the update of a plant for the store; with its running state now and then, or if ``whole`` is set."""
         running = None
         late = plant.count - plant.running_at >= STORED_EVERY or plant.running_at < plant.anchor_at  # its rows go
         if late or (whole and plant.running_at != plant.count):
@@ -385,18 +385,18 @@ class Watch:
         )  # fmt: skip
 
     def noted(self, plants: Iterable[str]) -> Changes:
-        """Return what is to be stored of plants whose rows did not change: what was pending of their readings."""
+        """Return the changes for plants without new rows: their pending readings."""
         return Changes(plants={p.key: self._update(p) for p in map(self.plants.__getitem__, plants)})
 
     def rest(self) -> Changes:
-        """Return the running states that are not stored yet: with them the next run begins at once."""
+        """Return the running states that are not stored yet, so that the next run starts at once."""
         late = [plant for plant in self.plants.values() if plant.running_at != plant.count]
         return Changes(plants={plant.key: self._update(plant, whole=True) for plant in late})
 
     # --------------------------------------------------------------- without rows
 
     def silent(self, now: float, after: float) -> Changes:
-        """Tell of plants of which nothing has come for some seconds, by the clock."""
+        """Report plants without data for some seconds, by the clock."""
         changes = Changes()
         for plant in self.plants.values():
             known = math.isfinite(plant.sampling.last)  # not after a reset
@@ -411,7 +411,7 @@ class Watch:
         return changes
 
     def standing(self) -> Changes:
-        """Tell of the alarms that stand where the data end."""
+        """Report the alarms standing at the end of the data."""
         batch = _empty_batch()
         for plant in self.plants.values():
             if not plant.told or plant.standing_at == plant.count:
@@ -427,9 +427,9 @@ class Watch:
         return batch.changes
 
     def reset(self, plant: str) -> Changes:
-        """Let a plant begin anew whose clock has gone back: its filter, its rows, and what is known of its times.
+        """Reset a plant whose clock has gone back: its filter, its rows, and its known times.
 
-        An alarm that stands has ended with what is known of it.
+        A standing alarm ends with its present attribution.
         """
         one, batch = self.plants[plant], _empty_batch()
         model, block = self.models[one.model], self._blocks[one.model]
@@ -449,7 +449,7 @@ class Watch:
     # --------------------------------------------------------------------- looking
 
     def diagnosis(self, plant: str) -> Diagnosis | None:
-        """Return the diagnosis of the rows of a plant that are stored; from any thread. ``None`` without any."""
+        """Return the diagnosis of the stored rows of a plant; from any thread. ``None`` without any."""
         one = self.plants[plant]
         model, anchor, start = self.models[one.model], one.anchor, one.anchor_at
         parts = self.store.rows(one.key, start)
@@ -461,7 +461,7 @@ class Watch:
         return judged.diagnosis(one.sampling.dated)
 
     def last_rows(self, plant: WatchedPlant, most: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the last rows of a plant that are stored: times and values."""
+        """Return the last stored rows of a plant: times and values."""
         first = max(plant.anchor_at, plant.count - most)
         channels = len(self.models[plant.model].layout.channels)
         return rows_from_bytes(self._patient.rows(plant.key, first), channels, first)
@@ -476,7 +476,7 @@ def _empty_batch() -> _Batch:
 
 
 def _clock(plant: WatchedPlant, time: float) -> str:
-    """Return a time as ISO 8601 in UTC, where times are dates."""
+    """Return a time as ISO 8601 in UTC, if times are dates."""
     if not plant.sampling.dated or not math.isfinite(time):
         return ""
     try:
@@ -486,7 +486,7 @@ def _clock(plant: WatchedPlant, time: float) -> str:
 
 
 def _stacked(model: WatchedModel, states: Sequence[State]) -> State | None:
-    """Return states of one plant each as one of all."""
+    """Return states of one plant each as one state of all."""
     if not states:
         return None
     whole = copied(initial_state(model.spec, len(states)))

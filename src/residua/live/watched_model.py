@@ -1,4 +1,4 @@
-"""A monitor as a run uses it: its channels, how alarms of one plant are named from its rows, and in which words."""
+"""A monitor for a run: its channels, and the names and texts of the alarms of one plant from its rows."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _LEAST_BETWEEN = 10
 
 
 class WatchedModel:
-    """A fitted monitor that plants are watched with.
+    """A fitted monitor that watches plants.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class WatchedModel:
     between : int
         Rows between two looks at a standing alarm at least.
     fingerprint : str
-        What tells that two monitors run the same.
+        Fingerprint, equal for monitors with equal answers.
 
     Raises
     ------
@@ -80,7 +80,7 @@ class WatchedModel:
 
     @property
     def longest_gap(self) -> int:
-        """Rows after which a filter starts anew: what a gap needs to be at most."""
+        """Number of rows after which a filter restarts, at which a gap is cut."""
         return self.spec.max_hold + 1
 
     def start(self) -> State:
@@ -92,7 +92,7 @@ class WatchedModel:
         return run_block(self.spec, state, values[None])[0]
 
     def alarm_content(self, alarm: Alarm, clock: Clock) -> dict[str, Any]:
-        """Return what an event says of an alarm."""
+        """Return the content of an event about an alarm."""
         isolation = self.spec.isolation
         statement = isolation.statement(alarm, clock, isolation.samples_to_be_sure(self.spec.test))
         out = alarm.to_dict(window=isolation.samples_to_be_sure(self.spec.test))
@@ -108,7 +108,7 @@ class WatchedModel:
 
 
 class Judged:
-    """Rows of one plant from an anchor on, and what was decided on them: with the bits of ``Monitor.run``.
+    """Rows of one plant from an anchor on, with the decisions on them, equal to those of ``Monitor.run`` in every bit.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ class Judged:
         self._values: list[NDArray[np.float64]] = []
 
     def take(self, times: NDArray[np.float64], values: NDArray[np.float64]) -> None:
-        """Go on with rows."""
+        """Process rows."""
         if not len(times):
             return
         self._state, part = run_block(self.model.spec, self._state, values[None])
@@ -137,11 +137,11 @@ class Judged:
 
     @property
     def last_time(self) -> float:
-        """The time of the last row."""
+        """Time of the last row."""
         return float(self._times[0][-1])
 
     def alarms(self, since: float) -> tuple[Alarm, ...]:
-        """Return the alarms, with words of those since a time; when they began takes the time of all the rest."""
+        """Return the alarms, with words for those since a time; not dated, since that is slow."""
         spec, decisions = self.model.spec, self._parts[0].of(0)
         seen = Seen(
             self._times[0], decisions.residuals, decisions.tested, decisions.named, self.model.generator, spec.test
@@ -150,7 +150,7 @@ class Judged:
         return with_words(alarms_of(seen, spec.isolation), seen.residuals, seen.tested.usable, explainer, spec, since)
 
     def dated(self, alarms: Sequence[Alarm], since: float) -> tuple[Alarm, ...]:
-        """Return alarms with when they began, those that were raised since a time."""
+        """Return the alarms raised since a time, dated by the intervals of their beginnings."""
         decisions = self._parts[0].of(0)
         return with_beginnings(alarms, decisions.residuals, decisions.tested.usable, self._times[0], since)
 
@@ -166,17 +166,17 @@ class Judged:
 
 
 def name_of(alarm: Alarm) -> str:
-    """Return the faults that an alarm is put down to, in words; empty if nobody is named."""
+    """Return the faults to which an alarm is attributed, as text; empty if nobody is named."""
     return listing(" or ".join(group) for group in alarm.named)
 
 
 def clock_of(dated: bool, dt: float) -> Clock:
-    """Return the clock of a plant: UTC where its times are dates."""
+    """Return the clock of a plant: UTC if its times are dates."""
     return Clock(EPOCH if dated else "", dt)
 
 
 def _finite(value: Any) -> Any:
-    """Return plain values with ``None`` for what JSON does not know: not a number, and infinity."""
+    """Return plain values with ``None`` in place of NaN and infinity, which JSON does not have."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, dict):

@@ -1,4 +1,4 @@
-"""What a run remembers of one plant, and its record in the store."""
+"""State of one plant in a run, and its record in the store."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ODD_STEPS = 10
 
 @dataclass(slots=True)
 class Steps:
-    """How far apart the readings of a plant are, for the question whether that is the step of its monitor.
+    """Steps between the readings of a plant, for comparison with the step of its monitor.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class Steps:
     usual: float = math.nan
 
     def odd(self, times: Sequence[float] | NDArray[np.float64], dt: float) -> bool:
-        """Take note of times of readings; return whether they are nearly all of another step."""
+        """Record times of readings; return whether nearly all have another step."""
         step = float(times[0] - self.last if len(times) == 1 else times[1] - times[0])
         self.last = float(times[-1])
         if step > 0:
@@ -54,7 +54,7 @@ class Steps:
 
 @dataclass(slots=True, eq=False)
 class WatchedPlant:
-    """What a run remembers of one plant, beside the running state of its monitor.
+    """State of one plant in a run, beside the running state of its monitor.
 
     Attributes
     ----------
@@ -127,7 +127,7 @@ class WatchedPlant:
     recent_rows: int = 0
 
     def remember(self, rows: Sequence[Rows]) -> None:
-        """Keep the last rows at hand, for readings that come again."""
+        """Keep the last rows at hand, for repeated readings."""
         for one in rows:
             self.recent.append(one)
             self.recent_rows += len(one.times)
@@ -135,7 +135,7 @@ class WatchedPlant:
             self.recent_rows -= len(self.recent.popleft().times)
 
     def to_record(self) -> str:
-        """Return what changes with every row, as JSON."""
+        """Return the values that change with every row, as JSON."""
         content: list[Any] = [self.count, self.number, self.open_row, self.open_since, self.last_on, self.next_look]
         content += [self.gap, self.whole, None if self.missing is None else list(self.missing)]
         content += [[one.to_record() for one in self.told], self.sampling.to_record()]
@@ -144,7 +144,7 @@ class WatchedPlant:
         return json.dumps(content, allow_nan=False)
 
     def take_record(self, record: str, now: float) -> None:
-        """Take over what :meth:`to_record` wrote; what was pending counts as having come at ``now``."""
+        """Restore the values of :meth:`to_record`; pending readings count as having arrived at ``now``."""
         content = json.loads(record)
         self.count, self.number, self.open_row, self.open_since, self.last_on, self.next_look = content[:6]
         self.gap, self.whole, missing, told, sampling, said, self.standing_at, ratio = content[6:]

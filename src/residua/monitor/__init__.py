@@ -1,4 +1,4 @@
-"""A generator with its decision logic, running on data."""
+"""Monitors: a residual generator with its decision logic, running on data."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""When what an alarm is about began: the change of the residual that raised it, dated with an interval."""
+"""Interval for the time at which the change behind an alarm began."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from residua.decide.change_time import CONFIDENCE, LEAST_BEFORE, ChangeTime, cha
 from residua.decide.statement import SHOWN_ALARMS, longest_alarms
 from residua.tolerances import DATA_ROUNDING
 
-#: Alarms less than this many samples apart are looked at together: what raised the last one may have begun before them.
+#: Alarms less than this many samples apart are dated together: the cause of the last one may precede them all.
 APART = 200
 #: Samples of an alarm from which the direction of the change is taken at most.
 _MOST_ALARM = 2000
@@ -21,7 +21,7 @@ _MOST_ALARM = 2000
 MOST_ROWS = 10_000
 #: Samples that are looked through at once.
 _PIECE = 1 << 17
-#: Least squared distance that the residual has moved, in units of what noise alone moves it, to know its direction.
+#: Least squared move of the residual, in units of that by noise alone, from which its direction is known.
 CLEAR_DIRECTION = 10.0
 
 
@@ -63,7 +63,7 @@ def with_beginnings(
 def _judged(
     residuals: NDArray[np.float64], usable: NDArray[np.bool_], start: int, stop: int, *, last: bool
 ) -> NDArray[np.int64]:
-    """Return the samples of a stretch that are judged: the first ones, or the last ones, where there are many."""
+    """Return the samples of a stretch that are judged: the first ones, or the last ones, if there are many."""
     parts: list[NDArray[np.int64]] = []
     there = 0
     while start < stop and there < MOST_ROWS:
@@ -81,7 +81,7 @@ def _judged(
 def _beginning(
     raised: int, crossed: int, residuals: NDArray[np.float64], rows: NDArray[np.int64], time: NDArray[np.float64]
 ) -> Beginning | None:
-    """Return when the change began that raised an alarm, by some samples; nothing was over before ``crossed``."""
+    """Return the interval in which the change behind an alarm began; nothing was over before ``crossed``."""
     quiet, last = int(np.searchsorted(rows, crossed)), int(np.searchsorted(rows, raised))
     if quiet < LEAST_BEFORE or last >= len(rows):
         return None
@@ -91,7 +91,7 @@ def _beginning(
 
 
 def _timed(moment: ChangeTime, rows: NDArray[np.int64], time: NDArray[np.float64]) -> Beginning:
-    """Return an interval of samples as times: what a sample is the first to show began after the one before."""
+    """Return an interval of samples as times: a change first seen in a sample began after the one before."""
     earliest = None if moment.earliest is None else float(time[rows[moment.earliest - 1]])
     return Beginning(earliest, float(time[rows[moment.estimate]]), float(time[rows[moment.latest]]), CONFIDENCE)
 
@@ -126,7 +126,7 @@ def _along_change(residuals: NDArray[np.float64], quiet: int, last: int) -> NDAr
 
 
 def _direction(after: NDArray[np.float64], noise: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """Return the weights that show best that a residual has moved, over its first samples, as many as show it best."""
+    """Return the weights that best show a move of the residual, over as many of its first samples as show it best."""
     counts = np.arange(1, len(after) + 1)
     means = np.cumsum(after, axis=0) / counts[:, None]
     weights = np.linalg.solve(noise, means.T).T

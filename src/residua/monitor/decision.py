@@ -17,7 +17,7 @@ from residua.monitor.specification import Specification
 
 
 class Decision:
-    """What a monitor decided on one sample.
+    """Decision of a monitor on one sample.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class Decision:
     fired : tuple of str
         For a bank: the members that are in alarm; for groups of residuals those.
     reading : CodeReading or None
-        For a bank while the alarm is on: what the members that fired over the window say.
+        For a bank while the alarm is on: the reading of the members that fired over the window.
     estimates : mapping of str to float
         For an estimator: the estimated size of every fault now.
     arrived : float or None
@@ -91,8 +91,8 @@ class Decision:
     def quiet(
         cls, residual: NDArray[np.float64], statistic: float, decided: bool, missing: bool, generator: ResidualGenerator
     ) -> Decision:
-        """Return the decision on a sample without an alarm; what it estimates is looked up when it is asked for."""
-        one = cls.__new__(cls)  # it is what a step takes longest for
+        """Return the decision on a sample without an alarm; its estimates are computed on demand."""
+        one = cls.__new__(cls)  # the slowest part of a step
         one._residual, one._statistic = residual, statistic
         one._alarm, one._decided, one._missing = False, decided, missing
         one._fired, one._named = (), _NOBODY
@@ -101,32 +101,32 @@ class Decision:
 
     @property
     def residual(self) -> NDArray[np.float64]:
-        """NaN when a value was missing."""
+        """Residual of the sample; NaN when a value was missing."""
         return self._residual
 
     @property
     def statistic(self) -> float:
-        """NaN when nothing was decided."""
+        """Statistic of the sample; NaN without a decision."""
         return self._statistic
 
     @property
     def alarm(self) -> bool:
-        """Whether an alarm stands."""
+        """True while an alarm stands."""
         return self._alarm
 
     @property
     def decided(self) -> bool:
-        """Whether something was decided."""
+        """True if the sample was decided."""
         return self._decided
 
     @property
     def missing(self) -> bool:
-        """Whether a value was missing."""
+        """True if a value was missing."""
         return self._missing
 
     @property
     def candidates(self) -> tuple[Candidate, ...]:
-        """Best first while the alarm is on."""
+        """Candidates, best first, while the alarm is on."""
         return self._named.candidates
 
     @property
@@ -136,7 +136,7 @@ class Decision:
 
     @property
     def reading(self) -> CodeReading | None:
-        """What the members that fired say."""
+        """The reading of the members that fired."""
         return self._named.reading
 
     @property
@@ -148,17 +148,17 @@ class Decision:
 
     @property
     def arrived(self) -> float | None:
-        """How many seconds ago the fault arrived."""
+        """Time since the arrival of the fault, in seconds."""
         return self._named.arrived
 
     @property
     def blamed(self) -> str:
-        """The fault that the alarm is put down to."""
+        """The fault to which the alarm is attributed."""
         return self._named.blamed
 
     @property
     def present(self) -> tuple[PresentFault, ...]:
-        """The faults that are read, and since when."""
+        """The faults that are read, with their times."""
         return self._named.present
 
     def __repr__(self) -> str:
@@ -172,7 +172,7 @@ class Decision:
         return put_down_to(self.reading, self.candidates)
 
 
-#: What nobody is named for.
+#: Attribution without a name.
 _NOBODY = Named()
 
 

@@ -95,7 +95,7 @@ def generator_in(value: Any, where: str) -> ResidualGenerator:
 
 
 def sampled_out(generator: ResidualGenerator) -> dict[str, Any]:
-    """Return what sampling changes of a generator, as a record."""
+    """Return the parts of a generator that depend on sampling, as a record."""
     return {
         "system": _system_out(generator.system),
         "plant": _plant_out(generator.plant),
@@ -187,7 +187,7 @@ def _checked(generator: ResidualGenerator, where: str) -> ResidualGenerator:
 
 
 def _check_leaks(generator: ResidualGenerator, where: str) -> None:
-    """Measure again what must not reach the residual: alarms rest on it.
+    """Recompute the leakage of decoupled signals into the residual, since alarms rest on it.
 
     Of what :func:`make_generator` checks, this and the stability are checked again. The subspaces tell what faults do;
     they are as good as the checksum of the file.
@@ -234,7 +234,7 @@ def _plant_out(plant: Plant) -> dict[str, Any]:
 
 
 def _identification_out(made: Identification | None) -> dict[str, Any]:
-    """Return how a plant came from recordings; nothing of one that was given, so that its file stays as it was."""
+    """Return a record of an identification; nothing for a given plant, so that its file stays unchanged."""
     if made is None:
         return {}
     gains = [list(pair) for pair in made.uncertain_gains]
@@ -251,7 +251,7 @@ def _identification_in(value: Any, where: str) -> Identification:
 
 
 def _fault_out(fault: Fault) -> list[str]:
-    """Return name, kind and component, and the notes if there are any: any other file stays as it was."""
+    """Return name, kind and component, and the notes if there are any, so that other files stay unchanged."""
     notes = [fault.description, fault.check, fault.unit]
     return [fault.name, fault.kind, fault.component, *(notes if any(notes) else [])]
 
@@ -336,7 +336,7 @@ def _evidence_out(evidence: Evidence) -> dict[str, Any]:
 
 
 def _rank_in(value: Any, where: str) -> RankDecision:
-    """Return a rank decision; the number of singular values that were not computed is left out where there are none."""
+    """Return a rank decision; the number of singular values that were not computed is left out if zero."""
     entries = list_in(value, where)
     rank, values, tolerance, omitted = list_in([*entries, 0] if len(entries) == 3 else entries, where, 4)
     sizes, least = array_in(values, where, NOT_NEGATIVE, 1), float_in(tolerance, where, NOT_NEGATIVE)

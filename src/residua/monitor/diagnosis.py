@@ -1,4 +1,4 @@
-"""The outcome of a monitor on data: the alarms, their times, and the faults to blame."""
+"""Outcome of a monitor on data: the alarms, their times, and the faults to blame."""
 
 from __future__ import annotations
 
@@ -139,21 +139,21 @@ class Diagnosis(Guessed, Shown):
     fired : ndarray of bool, shape (T, members)
         Which members are in alarm at each sample.
     code : ndarray of bool, shape (T, members)
-        Which members count as fired over the window that ends there: what is read.
+        Which members count as fired over the window that ends there, for the reading.
     match : Match or None
-        Of matched filters: likelihood ratio, arrival and size of every fault at every sample, and what a standing
-        alarm is attributed to; see :class:`residua.decide.Match`.
+        Of matched filters: likelihood ratio, arrival and size of every fault at every sample, and the
+        attribution of a standing alarm; see :class:`residua.decide.Match`.
     horizon : int
         Samples of the window of a finite-horizon test (:class:`residua.decide.PeakThreshold`); 0 for any other.
     certified : bool
         Whether its thresholds are certified by the design.
     fit_check : FitCheck or None
-        What the fit says of its own recordings, and of what could have been seen; ``None`` without a fit.
+        Check of the fit on its own recordings, and the faults it could have seen; ``None`` without a fit.
     outside : float
-        Fraction of the decided samples that lie outside of what was learnt: where more than half of what the monitor
-        compares is not judged for it.
+        Fraction of the decided samples outside of the learnt range: more than half of the relations are not judged
+        there.
     is_unlike_the_fit : bool
-        Whether a channel never comes near what it was in the recordings of the fit; the notes say which.
+        Whether a channel never comes near its values in the recordings of the fit; the notes name it.
     predicted : bool
         Whether the filter, a Kalman filter, went on with those outputs of a sample that were there; else values were
         held.
@@ -167,11 +167,11 @@ class Diagnosis(Guessed, Shown):
     signals : ndarray, shape (T, inputs + outputs)
         The measurements, in plant units; NaN for a missing value. No rows if they were not kept.
     isolation : Isolation
-        What names the alarms, and says how sure the names are.
+        Isolation that names the alarms, with the certainty of the names.
     learnt_faults : tuple of LearntRow
         The faults that were learnt from recordings, as the table of the monitor has them.
     explainer : Explainer or None
-        What gives alarms their words, where faults are named by direction or by response.
+        Explainer that gives alarms their words, if faults are named by direction or by response.
     compared : tuple of (int, int)
         Residuals that are a measured output less its prediction from all that was measured before, as pairs (residual,
         output); see ``predictions``.
@@ -236,7 +236,7 @@ class Diagnosis(Guessed, Shown):
 
     @property
     def fault_detected(self) -> bool:
-        """Whether any alarm was raised."""
+        """True if any alarm was raised."""
         return bool(self.alarms)
 
     @property
@@ -246,7 +246,7 @@ class Diagnosis(Guessed, Shown):
 
     @property
     def onset(self) -> float | None:
-        """When the longest alarm first crossed its threshold, in seconds; ``None`` without an alarm.
+        """Time at which the longest alarm first crossed its threshold, in seconds; ``None`` without an alarm.
 
         The change behind it began earlier, as a rule: ``began``.
         """
@@ -254,17 +254,17 @@ class Diagnosis(Guessed, Shown):
 
     @property
     def began(self) -> Beginning | None:
-        """When the longest alarm's change of the residual began, as an interval; ``None`` if that is not known."""
+        """Interval in which the change behind the longest alarm began; ``None`` if unknown."""
         return self.main_alarm.began if self.main_alarm else None
 
     @property
     def clock(self) -> Clock:
-        """The clock for times: that of the recording if it has dates."""
+        """Clock for times: that of the recording if it has dates."""
         return Clock(self.origin, self.generator.dt)
 
     @property
     def predictions(self) -> dict[str, NDArray[np.float64]]:
-        """What the model expected of each output that the filter predicts, in plant units: measured less residual.
+        """Model prediction of each output that the filter predicts, in plant units: measured less residual.
 
         An observer, a Kalman filter and a parity relation predict an output from everything that was measured before,
         and what was measured beside it. Empty for other filters, and where signals were not kept.
@@ -293,7 +293,7 @@ class Diagnosis(Guessed, Shown):
 
     @property
     def present(self) -> tuple[PresentFault, ...]:
-        """By the code of a dedicated bank: the faults of the longest alarm and when their members fired."""
+        """Faults of the longest alarm by the code of a dedicated bank, with the times at which their members fired."""
         return self.main_alarm.present if self.main_alarm else ()
 
     @property
@@ -306,12 +306,12 @@ class Diagnosis(Guessed, Shown):
 
     @property
     def group_names(self) -> tuple[str, ...]:
-        """The groups as text; marked *settled* is a fault that has the code of a group only once it is constant."""
+        """The groups as text; a fault marked *settled* has the code of its group only once it is constant."""
         return self.codes.labels if self.codes else tuple(" or ".join(group) for group in self.groups)
 
     @property
     def no_direction(self) -> bool:
-        """Whether a single estimate shows a fault: then it cannot tell what it estimates from anything else."""
+        """True if the fault is shown by a single estimate, which cannot distinguish it from anything else."""
         if self.codes is not None or not any(self.generator.estimated) or not self.candidates:
             return False
         best, *_ = self.candidates
@@ -327,7 +327,7 @@ class Diagnosis(Guessed, Shown):
         return self.isolation.statement(alarm, self.clock, self.window)
 
     def word(self, alarm: Alarm, after: int = FINAL) -> Word | None:
-        """Return how well listed faults explain an alarm, by so many of its samples and those before it.
+        """Return the word for an alarm: the fit of listed faults to so many of its samples and those before it.
 
         Parameters
         ----------
@@ -415,12 +415,12 @@ class Diagnosis(Guessed, Shown):
 
     @property
     def _nothing_found(self) -> str:
-        """The meaning of no alarm."""
+        """Meaning of a result without an alarm."""
         nothing = self.fit_check.sees_nothing if self.fit_check else ""
         return f"cannot tell: {nothing}" if nothing else "no fault found"
 
     def alarm_lines(self, alarm: Alarm) -> list[str]:
-        """Return what is printed of an alarm: since when, what was over its threshold, and what explains it.
+        """Return the printed lines of an alarm: its beginning, the thresholds exceeded, and the faults that explain it.
 
         Parameters
         ----------
@@ -453,7 +453,7 @@ class Diagnosis(Guessed, Shown):
 
     @property
     def why_undecided(self) -> str:
-        """Why nothing could be decided, where nothing was, in words: what is missing throughout, or too few samples."""
+        """Reason for a result without any decision, as text: channels missing throughout, or too few samples."""
         if not len(self.time):
             return "the recording is empty"
         if self.n_missing < self.totals.samples:
@@ -480,7 +480,7 @@ class Diagnosis(Guessed, Shown):
 
     @property
     def missing_text(self) -> str:
-        """What was done about missing values, in words."""
+        """Text on the treatment of missing values."""
         times = f"{self.resets} time{'' if self.resets == 1 else 's'}"
         restarts = f"; filter restarted {times} after longer gaps" if self.resets else ""
         one = "" if self.n_missing == 1 else "s"
@@ -545,12 +545,12 @@ class Diagnosis(Guessed, Shown):
         write_text(path, text)
 
     def to_json(self, *, whole: bool = True) -> str:
-        """Return the diagnosis as JSON, from which :meth:`from_json` reads it again, every number to its last bit.
+        """Return the diagnosis as JSON, which :meth:`from_json` reads again, every number to its last bit.
 
         Parameters
         ----------
         whole : bool
-            With all series and the generator. If false, what was found alone: the verdict, the alarms, the notes.
+            With all series and the generator. If false, only the findings: the verdict, the alarms, the notes.
 
         Returns
         -------
@@ -582,8 +582,8 @@ class Diagnosis(Guessed, Shown):
         Raises
         ------
         FileFormatError
-            If the text is no whole diagnosis, an entry is missing, unknown or not what it may be (the message names
-            it), or the content is not what was written, by its checksum.
+            If the text is not a whole diagnosis, an entry is missing, unknown or invalid (the message names it), or the
+            content was changed, by its checksum.
         """
         from residua.report.document import diagnosis_of
 
@@ -619,7 +619,7 @@ class Diagnosis(Guessed, Shown):
         return write_page(self, path, title=title)
 
     def thinned_to_draw(self, table: str = "") -> Diagnosis:
-        """Return the diagnosis with few points of each series, all in memory; ``table``: where the full table is."""
+        """Return the diagnosis with few points of each series, all in memory; ``table``: path of the full table."""
         from residua.report.thinned import thinned
 
         return thinned(self, table)
@@ -632,7 +632,7 @@ class Diagnosis(Guessed, Shown):
 
 
 def _absent(signals: NDArray[np.float64], rows: int = 1 << 18) -> NDArray[np.int64]:
-    """Return how many values of each channel are missing, piece by piece: recordings may be larger than memory."""
+    """Return the number of missing values of each channel, piece by piece: recordings may be larger than memory."""
     out = np.zeros(signals.shape[1] if len(signals) else 0, dtype=np.int64)
     for start in range(0, len(signals), rows):
         out += np.count_nonzero(~np.isfinite(signals[start : start + rows]), axis=0)

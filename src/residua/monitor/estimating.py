@@ -1,4 +1,4 @@
-"""A bank that names the fault and an estimator that sizes it, as one filter."""
+"""A bank that names the fault and an estimator of its size, as one filter."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _EQUAL = ("A", "E", "C", *(matrix + role for role in ROLES.values() for matrix i
 
 
 def with_estimator(bank: ResidualGenerator, estimator: ResidualGenerator) -> ResidualGenerator:
-    """Return a bank with the estimates of a fault estimator as further outputs, which no member tests.
+    """Return a bank with the estimates of a fault estimator as further outputs, not tested by any member.
 
     Parameters
     ----------
@@ -30,10 +30,10 @@ def with_estimator(bank: ResidualGenerator, estimator: ResidualGenerator) -> Res
     Raises
     ------
     ModelError
-        If the first is no bank, the second no estimator, or their plants differ.
+        If the first is not a bank, the second not an estimator, or their plants differ.
     """
     if bank.codes is None:
-        raise ModelError("an estimator runs beside a bank, whose members are tested one by one; this is none")
+        raise ModelError("an estimator runs beside a bank, whose members are tested one by one; this is not a bank")
     if not estimator.estimated:
         raise ModelError("estimator= must be a fault estimator: this generator estimates no fault")
     one, other = bank.plant, estimator.plant
@@ -62,7 +62,7 @@ def with_estimator(bank: ResidualGenerator, estimator: ResidualGenerator) -> Res
 def _promise(
     bank: ResidualGenerator, estimator: ResidualGenerator, system: StateSpace
 ) -> tuple[Promise, dict[str, float]]:
-    """Return what both promise, and what sampling cost: designs that were sampled are as good as that says."""
+    """Return the common promise of both, and the cost of sampling, which bounds the promise of sampled designs."""
     if bank.state_map is not None and estimator.state_map is not None:
         return Decoupled(disturbances="disturbance" in bank.evidence.decoupling), {}
     cost = of_sampling(reached(system, bank.plant, None))

@@ -1,4 +1,4 @@
-"""The word for each alarm: how well the listed faults explain the residual around it."""
+"""The word for each alarm: the fit of the listed faults to the residual around it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from residua.monitor.specification import Specification
 
 
 def explainer_of(spec: Specification, generator: ResidualGenerator, check: FitCheck | None) -> Explainer | None:
-    """Return what explains alarms, made once for what runs; ``None`` where faults are named in another way."""
+    """Return the explainer of alarms, made once for a specification; ``None`` if faults are named in another way."""
     known = spec.__dict__.get("_explainer", False)
     if known is False:
         whitening = Whitening.of(spec.test) if spec.isolation.has_words else None
@@ -50,7 +50,7 @@ def with_words(
     spec: Specification,
     since: float = -np.inf,
 ) -> tuple[Alarm, ...]:
-    """Return the alarms with their words; faults that a fitted one names come before other candidates.
+    """Return the alarms with their words; faults named by a fit come before other candidates.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def with_words(
 
 
 def _worded(alarm: Alarm, word: Word) -> Alarm:
-    """Return an alarm with a word, and the groups that it names as the first candidates, in its order."""
+    """Return an alarm with a word, and the groups in the word as the first candidates, in its order."""
     first, rest = [], list(alarm.candidates)
     for group in word.faults:
         same = [one for one in rest if set(one.faults) & set(group)]

@@ -1,4 +1,4 @@
-"""Learning faults from labelled recordings: which samples, what of them, and the table of what was learnt."""
+"""Learning faults from labelled recordings: choice of samples, directions and codes, and the table of learnt faults."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class LabelledRun:
 
 @dataclass(frozen=True)
 class LearntRow:
-    """One learnt fault, as the table of a monitor shows it.
+    """One learnt fault, as shown in the table of a monitor.
 
     Attributes
     ----------
@@ -102,7 +102,7 @@ class LearntFaults(tuple[LearntRow, ...]):
 
 
 def learnt_table(isolation: Isolation) -> LearntFaults:
-    """Return the table of the faults that an isolation has learnt."""
+    """Return the table of the faults learnt by an isolation."""
     if isinstance(isolation, LearntDirections):
         return LearntFaults(_row_of_direction(isolation, j) for j in range(len(isolation.faults)))
     if isinstance(isolation, LearntCodes):
@@ -141,12 +141,12 @@ def _row_of_code(isolation: LearntCodes, fault: LearntFault) -> LearntRow:
 def checked_name(name: Any) -> str:
     """Return the name of a fault, or raise."""
     if not isinstance(name, str) or not name.strip():
-        raise SettingError(f"name must be a text that says which fault the recording shows, got {echo(name)}")
+        raise SettingError(f"name must be a text that names the fault in the recording, got {echo(name)}")
     return name
 
 
 def judging_window(isolate: IsolationSettings, isolation: Isolation) -> int:
-    """Return the samples that a learnt direction is judged over, or raise where none can be."""
+    """Return the number of samples from which a learnt direction is judged, or raise if there is none."""
     if isolate.kind == "matched":
         raise SettingError(
             "matched filters name a fault by its response from its arrival on, and a recording shows a direction: "
@@ -156,7 +156,7 @@ def judging_window(isolate: IsolationSettings, isolation: Isolation) -> int:
 
 
 def whitens(test: ResidualTest) -> bool:
-    """Return whether a test has a whitening of all residuals."""
+    """Tell whether a test has a whitening of all residuals."""
     return not is_selection(test.metric) and test.metric.shape[0] == test.metric.shape[1]
 
 
@@ -182,7 +182,7 @@ def learnt_from_blocks(
     isolate: IsolationSettings,
     normal: NDArray[np.float64] | None,
 ) -> LearntFault:
-    """Return what blocks of (1, time, channels) show of a fault; those without a clock have times by their step."""
+    """Return the fault shown by blocks of (1, time, channels); those without a clock have times by their step."""
     runs = [
         LabelledRun(step * np.arange(data.shape[1]) if clock is None else clock, data)
         for clock, data in zip(clocks, blocks, strict=True)
@@ -200,7 +200,7 @@ def learnt_from(
     space: NDArray[np.float64] | None,
     window: int,
 ) -> LearntFault:
-    """Return what recordings show of a fault: a code by ``spec.isolation``, or a direction in ``space``."""
+    """Return the fault shown by recordings: a code by ``spec.isolation``, or a direction in ``space``."""
     isolation, rows, patterns, samples, spans = spec.isolation, [], [], 0, []
     for k, (run, interval) in enumerate(zip(runs, intervals, strict=True), 1):
         which = f"recording {k} of {len(runs)} of {name!r}" if len(runs) > 1 else f"the recording of {name!r}"
@@ -233,7 +233,7 @@ def learnt_from(
 
 
 def _span(interval: tuple[float, float]) -> str:
-    """Return an interval in words."""
+    """Describe an interval."""
     start, stop = interval
     until = "to the end" if np.isposinf(stop) else f"to {stop:g}"
     return f"interval=({start:g}, {stop:g}), from {start:g} s {until}{'' if np.isposinf(stop) else ' s'},"
@@ -244,9 +244,7 @@ def _chosen(interval: Any, time: NDArray[np.float64], decisions: Decisions, whic
     if interval is None:
         on = np.flatnonzero(decisions.alarm)
         if not on.size:
-            raise DataError(
-                f"{which} raises no alarm: say when the fault was there, interval=(start, stop), in seconds"
-            )
+            raise DataError(f"{which} raises no alarm: give the time of the fault, interval=(start, stop), in seconds")
         return np.arange(len(time)) >= on[0]
     mask = np.asarray(interval)
     if mask.dtype == bool:
@@ -294,7 +292,7 @@ def with_faults(
     normal: NDArray[np.float64] | None,
     isolate: IsolationSettings,
 ) -> Specification:
-    """Return what runs with learnt faults."""
+    """Return the specification extended by learnt faults."""
     if not faults:
         return plain
     window = judging_window(isolate, plain.isolation)

@@ -1,4 +1,4 @@
-"""The generator on a block of samples of many plants: all of one kind at once, those with gaps one by one.
+"""The generator on a block of samples of many plants: in groups of equal treatment, those with gaps one by one.
 
 Everything gives the same bits however the time axis is cut: what is decided here depends on the samples so far alone.
 """
@@ -18,7 +18,7 @@ from residua.monitor.specification import FilterState, Specification
 
 @dataclass(frozen=True, eq=False)
 class Filtered:
-    """What the filter made of a block; every array starts with (plants, time).
+    """Result of the filter on a block; every array starts with (plants, time).
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class Filtered:
 
 
 def filter_block(spec: Specification, state: FilterState, data: NDArray[np.float64]) -> tuple[FilterState, Filtered]:
-    """Run the generator over a block; return the state to go on with, and the residuals."""
+    """Run the generator over a block; return the next state, and the residuals."""
     changed, filtered = _filter_block(spec, state, data)
     return replace(state, **changed), filtered
 
@@ -70,7 +70,7 @@ def _filter_block(
 def plausible_values(
     spec: Specification, data: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return deviations, NaN without a plausible value; where one is missing; and which were put aside."""
+    """Return deviations, NaN without a plausible value; masks of missing values and of those put aside."""
     with np.errstate(over="ignore"):
         v = data - spec.offset
     low, high = spec.plausible.T
@@ -87,7 +87,7 @@ def _of(fields: dict[str, NDArray], who: NDArray) -> dict[str, NDArray]:
 
 
 def _sound(x: NDArray, residuals: NDArray) -> NDArray[np.bool_]:
-    """Return for each plant whether its filter has not overflowed."""
+    """Return for each plant whether its filter is free of overflow."""
     if np.isfinite(x).all() and (not residuals.size or (residuals.min() >= -LARGEST and residuals.max() <= LARGEST)):
         return np.ones(len(x), dtype=bool)
     return np.asarray(np.isfinite(x).all(axis=1) & (np.abs(residuals) <= LARGEST).all(axis=(1, 2)))
@@ -96,7 +96,7 @@ def _sound(x: NDArray, residuals: NDArray) -> NDArray[np.bool_]:
 def _run_calm(
     spec: Specification, before: dict[str, NDArray], v: NDArray
 ) -> tuple[dict[str, NDArray], NDArray, NDArray[np.int64]]:
-    """Run plants of which no value is missing; return their fields, residuals, and samples since the start."""
+    """Run plants without missing values; return their fields, residuals, and samples since the start."""
     fields = dict(before)
     if not before["running"].all():
         _start(spec, fields, v)
@@ -111,7 +111,7 @@ def _run_calm(
 
 
 def _start(spec: Specification, fields: dict[str, NDArray], v: NDArray) -> None:
-    """Start the filters that do not run with their first sample, as if they had settled to it."""
+    """Start the filters that are not running with their first sample, as if they had settled to it."""
     fresh = ~fields["running"]
     x, sums, starting = (fields[name].copy() for name in ("x", "start_sums", "starting"))
     x[fresh], sums[fresh] = ordered_product(v[fresh, 0], spec.start.T), 0.0
@@ -121,7 +121,7 @@ def _start(spec: Specification, fields: dict[str, NDArray], v: NDArray) -> None:
 
 
 def _run_starting(spec: Specification, fields: dict[str, NDArray], v: NDArray) -> NDArray[np.float64]:
-    """Run plants some of which have just started: in groups by age, each up to where its start is corrected."""
+    """Run plants some of which have just started: in groups by age, each up to the correction of its start."""
     assert spec.first is not None
     x, sums, starting, moved = (fields[name].copy() for name in ("x", "start_sums", "starting", "moved"))
     groups = np.where(starting, fields["age"], -1)

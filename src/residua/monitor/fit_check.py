@@ -1,4 +1,4 @@
-"""What a fit says of its fault-free data: alarms on the part that was held out, and where residuals change."""
+"""Check of a fit on its fault-free data: alarms on the held-out part, and changes of the residuals."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Explained(Record):
 
 @dataclass(frozen=True, repr=False)
 class FitCheck(Shown, Record):
-    """The check of a fit on its own recordings. Prints as one line on false alarms, and what speaks against the fit.
+    """The check of a fit on its own recordings. Prints as one line on false alarms, and objections to the fit.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class FitCheck(Shown, Record):
         The alarms on the last part, which was used neither for the covariance nor for the threshold; ``None`` if none
         was held out.
     changes : tuple of Change
-        Where residuals change, in what was taken for fault-free.
+        Changes of residuals in the recordings taken as fault-free.
     left_out : int
         Samples at the starts of recordings that were left out as transients.
     recordings : int
@@ -48,7 +48,7 @@ class FitCheck(Shown, Record):
     units : tuple of str
         The channels that may be in other units than the model, or in some recordings.
     doubts : tuple of str
-        What contradicts the plant: residuals far larger than its noise makes them, outputs that stand still.
+        Contradictions with the plant: residuals far larger than its noise explains, constant outputs.
     rows : int
         Usable rows that the fit used, without those held out.
     colour : tuple of float
@@ -61,7 +61,7 @@ class FitCheck(Shown, Record):
     explained : tuple of Explained
         The outputs that the filter predicts, and how much of them; empty for other residuals.
     cautions : tuple of str
-        What makes the monitor as a whole doubtful: the first words of every diagnosis.
+        Doubts about the monitor as a whole: the first words of every diagnosis.
     promised : float or None
         The fraction that these rows promise not to be exceeded, with 95 % confidence; ``None`` if nothing is known of
         it, as of a threshold that is not from data.
@@ -93,7 +93,7 @@ class FitCheck(Shown, Record):
 
     @property
     def explains(self) -> str:
-        """The shares of outputs that the filter predicts, in a line; empty where it predicts none."""
+        """Explained shares of the outputs that the filter predicts, in a line; empty if it predicts none."""
         if not self.explained:
             return ""
         least = sorted(self.explained, key=lambda one: one.share)
@@ -103,7 +103,7 @@ class FitCheck(Shown, Record):
 
     @property
     def could_have_seen(self) -> tuple[str, ...]:
-        """The constant faults that would have been seen, and those of which nothing can be told, in sentences."""
+        """Sentences on the smallest constant faults that are seen, and on those that are not detectable."""
         seen = [one for one in self.visible if one.is_detectable]
         seen.sort(key=lambda one: -one.lasting / (one.deviation if one.deviation > 0 else one.lasting or 1.0))
         blind = [one for one in self.visible if not one.is_detectable]
@@ -115,12 +115,12 @@ class FitCheck(Shown, Record):
             )
         if blind:
             named = _first([f"{one.fault} (from {one.text(one.lasting)} on)" for one in blind])
-            out.append(f"Of a constant fault at {DETECTABLE:g} deviations nothing can be told: {named}.")
+            out.append(f"Not detectable as a constant fault of {DETECTABLE:g} deviations: {named}.")
         return tuple(out)
 
     @property
     def sees_nothing(self) -> str:
-        """The reason for which no alarm says next to nothing; empty where some fault that lasts is seen."""
+        """Reason why an absence of alarms says next to nothing; empty if some lasting fault is visible."""
         if not self.visible or any(one.is_detectable for one in self.visible):
             return ""
         best = min(self.visible, key=lambda one: one.lasting / (one.deviation if one.deviation > 0 else 1.0))
@@ -131,7 +131,7 @@ class FitCheck(Shown, Record):
 
     @property
     def false_alarms(self) -> str:
-        """How rare false alarms are: what the fit promises, and what was seen; empty where data change no threshold.
+        """Rate of false alarms: promised by the fit, and observed; empty if data change no threshold.
 
         Promised is the rate that the fit aimed at, within a factor of 1.5; where its rows cannot show that, both are
         said.
@@ -151,7 +151,7 @@ class FitCheck(Shown, Record):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What speaks against the fit, and what to do; empty if nothing does."""
+        """Objections to the fit, and remedies; empty if there are none."""
         found = [one.sentence(self.recordings > 1) for one in self.changes]
         held = self.held_out
         if held is not None and held.is_over:
@@ -160,7 +160,7 @@ class FitCheck(Shown, Record):
 
     @property
     def looks_faulty(self) -> str:
-        """The reason for which the recordings are hardly fault-free throughout; empty where there is none.
+        """Reason to doubt that the recordings are fault-free throughout; empty if there is none.
 
         More of the held-out samples are in alarm than ten times the rate aimed at, with 97.5 % confidence, or a mean
         changes far (:meth:`residua.decide.stationarity.Change.large`). Nothing is checked without samples held out.
@@ -178,7 +178,7 @@ class FitCheck(Shown, Record):
         return next(filter(None, (one.large(several) for one in self.changes)), "")
 
     def require_fault_free(self) -> None:
-        """Raise :class:`residua.errors.DataError` where the recordings look faulty."""
+        """Raise :class:`residua.errors.DataError` if the recordings look faulty."""
         if self.looks_faulty:
             raise DataError(
                 f"this does not look like a fault-free recording: {self.looks_faulty}; leave the faulty rows out; "
@@ -188,14 +188,14 @@ class FitCheck(Shown, Record):
 
     @property
     def _wandering(self) -> tuple[str, ...]:
-        """What sums of whitened residuals over 20 samples, or the most there are enough of, say of the model."""
+        """Caution about the model from sums of whitened residuals over 20 samples, or fewer without enough data."""
         variance = self.colour[_TWENTY] if self.colour else 1.0
         if variance <= _WANDERS:
             return ()
         return (
             f"the residuals of healthy data wander {number(variance**0.5, 2)} times as far as noise would: the model "
             'misses some of the plant\'s dynamics, or a drift, and "too early" and "poor match" are more frequent; '
-            "identify the plant anew, estimate its noise from data, or add a disturbance",
+            "identify the plant again, estimate its noise from data, or add a disturbance",
         )
 
     def _headline(self) -> str:
@@ -210,7 +210,7 @@ class FitCheck(Shown, Record):
 
 
 def _first(faults: list[str]) -> str:
-    """Return the first of some faults, and how many there are besides."""
+    """Return the first of some faults, and the number of others."""
     more = [f"and {counted(len(faults) - _TOLD, 'more fault')}"] if len(faults) > _TOLD else []
     return "; ".join([*faults[:_TOLD], *more])
 

@@ -34,7 +34,7 @@ from residua.words import counted, listing
 
 #: Largest part that may be held out.
 MOST_HELD_OUT = 0.5
-#: Residuals this many times as large as the noise of the plant makes them are no matter of its size.
+#: Residuals this many times as large as the noise of the plant makes them are not explained by its size.
 _FAR_LARGER = 10.0
 
 
@@ -91,7 +91,7 @@ def fitted_test(
 def _explained(
     generator: ResidualGenerator, run: FaultFreeRun, held: NDArray[np.bool_] | None
 ) -> tuple[Explained, ...]:
-    """Return how much of its outputs a filter predicts, on the rows that were held out where there are some."""
+    """Return the explained share of the outputs of a filter, on the held-out rows if there are any."""
     rows = run.usable if held is None else run.usable & held
     m, plant = len(generator.plant.inputs), generator.plant
     if run.signals is None or np.count_nonzero(rows) < LEAST:
@@ -106,7 +106,7 @@ def _explained(
 
 
 def _colour(test: ResidualTest, run: FaultFreeRun) -> tuple[float, ...]:
-    """Return how much sums of the white residuals vary, of as many as are known in a row."""
+    """Return the variances of sums of the white residuals, over samples known in a row."""
     whitening = Whitening.of(test)
     if whitening is None:
         return ()
@@ -125,7 +125,7 @@ def fault_free_run(
     plausible: NDArray[np.float64],
     start: str,
 ) -> tuple[Specification, FaultFreeRun]:
-    """Return what runs without a test, and what it makes of fault-free recordings, each from a start of its own."""
+    """Return a specification without a test, and its residuals on fault-free recordings, each from its own start."""
     _check_recordings(recordings, len(generator.plant.inputs))
     blank = specification(
         generator,
@@ -140,7 +140,7 @@ def fault_free_run(
 
 
 def fault_free_covariance(run: FaultFreeRun) -> NDArray[np.float64]:
-    """Return the covariance of fault-free residuals, as far as their number shows it."""
+    """Return the covariance of fault-free residuals, as far as their number allows."""
     data = FaultFree(run.residuals, run.usable, 1, run.seams)
     rows = data.deviations[run.usable]
     return shrunk(rows.T @ rows / max(1, len(rows) - 1), len(rows) / data.worth[0])[0]
@@ -149,7 +149,7 @@ def fault_free_covariance(run: FaultFreeRun) -> NDArray[np.float64]:
 def _fitted(
     settings: TestSettings, watched: Watched, run: FaultFreeRun, held: NDArray[np.bool_] | None, rate: float | None
 ) -> tuple[ResidualTest, FitCheck]:
-    """Return the fitted test, and its check by what was held out: nothing, where what is left would be too little."""
+    """Return the fitted test, and its check on held-out data; none is held out if too little would remain."""
     used = run if held is None else replace(run, usable=run.usable & ~held)
     rows = int(used.usable.sum())
     aimed = settings.asked(watched, rows) if rate is None else rate
@@ -164,7 +164,7 @@ def _fitted(
 
 
 def _checked(check: FitCheck, share: float, samples: int) -> str:
-    """Say in the words of a basis what a fit was checked on."""
+    """Describe the data of the check of a fit."""
     if check.held_out is not None:
         out = str(check.held_out)
     else:
@@ -175,7 +175,7 @@ def _checked(check: FitCheck, share: float, samples: int) -> str:
 
 
 def check_held_out(held_out: Any, transient: Any) -> None:
-    """Raise unless the part that is held out, and the start that is left out, are such."""
+    """Raise unless the held-out part and the start that is left out are valid."""
     if not (is_number(held_out) and 0 <= held_out <= MOST_HELD_OUT):
         raise SettingError(f"held_out must be a part from 0 to {MOST_HELD_OUT:g}, got {echo(held_out)}")
     if transient != "auto":
@@ -188,7 +188,7 @@ def _with_basis(test: ResidualTest, recordings: int, more: str) -> ResidualTest:
 
 
 def _without_transients(run: FaultFreeRun, transient: int | str, residuals: Sequence[str]) -> tuple[FaultFreeRun, int]:
-    """Return a run without the beginnings of its recordings, and how many samples these are."""
+    """Return a run without the beginnings of its recordings, and the number of samples removed."""
     if transient == 0:
         return run, 0
     usable, found = run.usable.copy(), changes(run, residuals) if transient == "auto" else ()
@@ -201,7 +201,7 @@ def _without_transients(run: FaultFreeRun, transient: int | str, residuals: Sequ
 def _levels(
     blank: Specification, generator: ResidualGenerator, recordings: Sequence[NDArray[np.float64]], run: FaultFreeRun
 ) -> dict[str, Any]:
-    """Return mean and spread of each channel, as fields of a check, and what contradicts the plant."""
+    """Return mean and spread of each channel, as fields of a check, and contradictions with the plant."""
     plant = generator.plant
     channels = (*plant.inputs, *plant.outputs)
     values = [plausible_values(blank, data)[0][0] + blank.offset for data in recordings]
@@ -217,7 +217,7 @@ def _levels(
 
 
 def _standing_still(outputs: Sequence[str], spread: NDArray[np.float64]) -> list[str]:
-    """Return which outputs never move where others do."""
+    """Return the outputs that never move where others do."""
     still = [repr(name) for name, one in zip(outputs, spread.tolist(), strict=True) if one == 0]
     if not still or not np.nanmax(spread, initial=0.0) > 0:
         return []
@@ -228,7 +228,7 @@ def _standing_still(outputs: Sequence[str], spread: NDArray[np.float64]) -> list
 
 
 def _far_larger(generator: ResidualGenerator, run: FaultFreeRun) -> list[str]:
-    """Return which residuals are far larger than the noise of the plant makes them, by its model."""
+    """Return the residuals that are far larger than the noise in the plant's model makes them."""
     covariance = generator.covariance_of_sums(1)
     if covariance is None or not run.usable.any():
         return []
@@ -236,10 +236,10 @@ def _far_larger(generator: ResidualGenerator, run: FaultFreeRun) -> list[str]:
     expected, rows = np.where(expected > 0, expected, np.inf), run.residuals[run.usable]
     found = []
     for ratio, said, causes in (
-        (rows.std(axis=0) / expected, "moves {} times as much as the noise of the plant makes it", _MOVES),
+        (rows.std(axis=0) / expected, "moves {} times as much as the noise of the plant explains", _MOVES),
         (
             np.abs(rows.mean(axis=0)) / expected,
-            "lies {} of the deviations off zero that the noise of the plant gives it",
+            "lies {} standard deviations of the plant's noise off zero",
             _OFF,
         ),
     ):
@@ -252,7 +252,7 @@ def _far_larger(generator: ResidualGenerator, run: FaultFreeRun) -> list[str]:
     return found
 
 
-#: What may make residuals far larger than the noise of the plant, and what follows.
+#: Causes of residuals far larger than the noise of the plant, and consequences.
 _MOVES = (
     "check for swapped columns, other units, a dead sensor, or a wrong model. A threshold that "
     "covers this hides faults; residual_report shows more"
@@ -275,7 +275,7 @@ def _check_recordings(recordings: Sequence[NDArray[np.float64]], n_inputs: int) 
 def _run(
     blank: Specification, generator: ResidualGenerator, recordings: Sequence[NDArray[np.float64]], reason: str
 ) -> FaultFreeRun:
-    """Run over each recording from a start of its own."""
+    """Run over each recording from its own start."""
     runs = [run_block(blank, initial_state(blank, 1), data)[1] for data in recordings]
     if len(recordings) > 1:
         for number, (one, data) in enumerate(zip(runs, recordings, strict=True), 1):

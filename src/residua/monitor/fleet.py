@@ -1,4 +1,4 @@
-"""Many plants at once: of one model or of several, each with a state of its own, in one block of memory per model."""
+"""Fleets: many plants of one model or of several, each with its own state, in one block of memory per model."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from residua.words import counted
 
 
 class Fleet(Shown):
-    """Many plants that run at once, each with a state of its own.
+    """Many plants that run at once, each with its own state.
 
     Each plant gives the same bits as a :class:`residua.Monitor` of its own would, whatever the order of records, and
     however the fleet is split. A value that is missing, or an overflow, stays in its own plant. Each plant counts its
@@ -33,8 +33,8 @@ class Fleet(Shown):
     Parameters
     ----------
     monitors : Monitor, or mapping of str to (Monitor, sequence of ids)
-        What watches the plants, with its thresholds: one monitor for all, or several models by name. What the monitors
-        themselves have seen is not taken over.
+        Monitors with thresholds: one for all plants, or several models by name. The state of the monitors themselves
+        is not used.
     plants : sequence of hashable, optional
         The ids of the plants, such as their numbers or names, for one monitor.
     threads : int
@@ -44,15 +44,15 @@ class Fleet(Shown):
     Raises
     ------
     DataError
-        If an id is there twice.
+        If an id occurs twice.
     NotFittedError
         If a monitor has no threshold.
 
     Notes
     -----
     A fleet belongs to one thread of the caller at a time. A tick, or a block, that is interrupted (by Ctrl-C, or for
-    want of memory) happens whole or not at all: what is left of it is done before the fleet does, or says, anything. In
-    a process that is forked while another thread is within a block, the fleet refuses to go on.
+    want of memory) happens whole or not at all: it is finished before any other operation of the fleet. In a process
+    that is forked while another thread is within a block, the fleet refuses to continue.
 
     See Also
     --------
@@ -103,7 +103,7 @@ class Fleet(Shown):
         return fleet
 
     def _use(self, blocks: dict[str, FleetBlock]) -> None:
-        """Go on with other blocks, by model; raise where two of them have the same plant."""
+        """Use other blocks, by model; raise if two of them have the same plant."""
         model_of: dict[Hashable, str] = {}
         for name, block in blocks.items() if len(blocks) > 1 else ():
             for plant in block.ids:
@@ -114,7 +114,7 @@ class Fleet(Shown):
 
     @property
     def _blocks(self) -> dict[str, FleetBlock]:
-        """The plants by model, after all that was begun."""
+        """The plants by model, after finishing any interrupted work."""
         self._worker.finish()
         return self._models[0]
 
@@ -127,7 +127,7 @@ class Fleet(Shown):
 
     @property
     def models(self) -> tuple[str, ...]:
-        """The names of the models; one that is empty for a fleet of one monitor."""
+        """The names of the models; a single empty one for a fleet of one monitor."""
         return tuple(self._blocks)
 
     def __len__(self) -> int:
@@ -138,7 +138,7 @@ class Fleet(Shown):
 
     @property
     def alarms(self) -> list[FleetAlarm]:
-        """The alarms that stand, with candidates by the last sample, the oldest first for each model."""
+        """Standing alarms, with candidates by the last sample, the oldest first for each model."""
         return [alarm for block in self._blocks.values() for alarm in block.alarms()]
 
     def decision(self, plant: Hashable) -> Decision:
@@ -161,7 +161,7 @@ class Fleet(Shown):
     # ---------------------------------------------------------------------- running
 
     def tick(self, ids: Sequence[Hashable] | NDArray | None, u: ArrayLike | None, y: ArrayLike) -> Tick:
-        """Go on with one sample of some plants, or of all.
+        """Process one sample of some plants, or of all.
 
         Parameters
         ----------
@@ -190,7 +190,7 @@ class Fleet(Shown):
         return self._tick_models(self.plants if ids is None else ids, u, y)
 
     def _tick_models(self, ids: Any, u: ArrayLike | None, y: ArrayLike) -> Tick:
-        """Go on with records of several models, whose numbers of channels must agree."""
+        """Process records of several models, whose numbers of channels must agree."""
         keys = ids.tolist() if isinstance(ids, np.ndarray) else list(ids)
         blocks, model_of = self._blocks, self._models[1]
         try:
@@ -273,7 +273,7 @@ class Fleet(Shown):
         return out
 
     def update(self, u: Any, y: Any) -> Decisions | dict[str, Decisions]:
-        """Go on with a block of samples of all plants.
+        """Process a block of samples of all plants.
 
         Parameters
         ----------
@@ -300,7 +300,7 @@ class Fleet(Shown):
         return {name: made() for name, (_, made) in works.items()}
 
     def follow(self, plants: Sequence[Hashable], u: Any, y: Any) -> list[AlarmEvent]:
-        """Go on with a block of samples of some plants of one model, and return what their alarms did.
+        """Process a block of samples of some plants of one model, and return the alarms raised and ended.
 
         Parameters
         ----------
@@ -320,7 +320,7 @@ class Fleet(Shown):
         Raises
         ------
         DataError
-            If a plant is not known, is there twice, or is of another model than the first; or the shapes do not fit:
+            If a plant is unknown, occurs twice, or is of another model than the first; or the shapes do not fit:
             nothing is applied then.
 
         Examples
@@ -345,7 +345,7 @@ class Fleet(Shown):
             rows = np.arange(len(keys))
         if len(np.unique(rows)) < len(rows):
             twice = next(plant for k, plant in enumerate(keys) if plant in keys[:k])
-            raise DataError(f"the plant {echo(twice)} is there twice")
+            raise DataError(f"the plant {echo(twice)} occurs twice")
         shape = np.shape(y)
         if len(shape) != 3 or shape[0] != len(keys):
             outputs = block.generator.plant.n_outputs
@@ -371,7 +371,7 @@ class Fleet(Shown):
         self._use(self._blocks | {name: FleetBlock.joined([block, FleetBlock(block.monitor, new)])})
 
     def remove(self, plants: Iterable[Hashable]) -> None:
-        """Remove plants, with what is remembered of them."""
+        """Remove plants and their state."""
         gone = set(plants)
         for plant in gone:
             self._block_with(plant)
@@ -383,7 +383,7 @@ class Fleet(Shown):
         self._use(blocks)
 
     def split(self, parts: int) -> list[Fleet]:
-        """Return the plants as so many fleets of about the same size, each with what is remembered of them."""
+        """Return the plants as so many fleets of about the same size, with their states."""
         check_samples(parts, "parts")
         fleets: list[dict[str, FleetBlock]] = [{} for _ in range(parts)]
         for name, block in self._blocks.items():
@@ -393,7 +393,7 @@ class Fleet(Shown):
 
     @staticmethod
     def joined(parts: Sequence[Fleet]) -> Fleet:
-        """Return fleets of the same monitors as one, with what is remembered of their plants.
+        """Return fleets of the same monitors as one, with the states of their plants.
 
         Raises
         ------
@@ -414,9 +414,9 @@ class Fleet(Shown):
     # --------------------------------------------------------------------- snapshots
 
     def snapshot(self, plants: Iterable[Hashable] | None = None) -> bytes:
-        """Return what is remembered of all plants, or of some, as bytes: see :mod:`residua.monitor.snapshot`.
+        """Return the state of all plants, or of some, as bytes: see :mod:`residua.monitor.snapshot`.
 
-        The monitors are not in it, only what tells that they are the same.
+        The monitors are not in it, only their fingerprints.
         """
         blocks = self._blocks
         if plants is not None:
@@ -431,7 +431,7 @@ class Fleet(Shown):
 
     @classmethod
     def restore(cls, content: bytes, monitors: Monitor | Mapping[str, Monitor], *, threads: int = 1) -> Fleet:
-        """Return the fleet of a snapshot, which goes on with the same bits.
+        """Return the fleet of a snapshot, which continues equal to the last bit.
 
         Parameters
         ----------
@@ -479,7 +479,7 @@ def _pair(name: object, pair: Any) -> tuple[Monitor, list[Hashable]]:
 
 def _checked_monitor(monitor: object) -> Monitor:
     if not isinstance(monitor, Monitor):
-        raise SettingError(f"a fleet is of monitors, got {echo(monitor)}")
+        raise SettingError(f"a fleet takes monitors, got {echo(monitor)}")
     if not monitor.is_fitted:
         raise NotFittedError(f"the monitor of a fleet needs a threshold: {monitor.test.remedy}")
     return monitor
@@ -488,7 +488,7 @@ def _checked_monitor(monitor: object) -> Monitor:
 def _samples(
     block: FleetBlock, u: ArrayLike | None, y: ArrayLike, shape: tuple[int, ...]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return inputs and outputs as arrays of (*shape, channels), where they lie."""
+    """Return inputs and outputs as arrays of (*shape, channels), without copies."""
     plant = block.generator.plant
     return _numbers("u", u, plant.inputs, shape), _numbers("y", y, plant.outputs, shape)
 

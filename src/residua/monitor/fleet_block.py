@@ -25,13 +25,13 @@ from residua.monitor.skipped_samples import SkippedSamples
 from residua.monitor.whole_blocks import Job, Work, Worker
 from residua.visible import echo
 
-#: What a tick says of its records.
+#: Outputs of a tick.
 _TOLD = ("missing", "usable", "statistic", "alarm")
 
 
 @dataclass(frozen=True)
 class FleetAlarm:
-    """An alarm that stands at one plant of a fleet.
+    """An alarm standing at one plant of a fleet.
 
     Attributes
     ----------
@@ -84,27 +84,27 @@ class AlarmEvent:
 
     @property
     def onset(self) -> float:
-        """In seconds since the sample with number 0."""
+        """Onset in seconds since the sample with number 0."""
         return self.onset_sample * self.step
 
     @property
     def raised(self) -> float:
-        """In seconds since the sample with number 0."""
+        """Time of raising in seconds since the sample with number 0."""
         return self.raised_sample * self.step
 
     @property
     def ended(self) -> float | None:
-        """In seconds since the sample with number 0; ``None`` in an event of an alarm that was raised."""
+        """Time of ending in seconds since the sample with number 0; ``None`` if the alarm was only raised."""
         return None if self.ended_sample is None else self.ended_sample * self.step
 
     @property
     def sample(self) -> int:
-        """The number of the sample at which this happened."""
+        """Number of the sample of the event."""
         return self.raised_sample if self.ended_sample is None else self.ended_sample
 
 
 class StandingAlarms:
-    """Which plants are in alarm, and since when.
+    """Plants in alarm, with the onsets of their alarms.
 
     Parameters
     ----------
@@ -129,19 +129,19 @@ class StandingAlarms:
         return int(np.count_nonzero(self.stands))
 
     def table(self) -> NDArray[np.int64]:
-        """Return row, onset and raise of each, in the order of the rows."""
+        """Return row, onset and raise of each alarm, in the order of the rows."""
         rows = np.flatnonzero(self.stands)
         return np.stack([rows, self.onset[rows], self.raised[rows]], axis=1)
 
     def of(self, rows: NDArray[np.int64]) -> StandingAlarms:
-        """Return those of some plants."""
+        """Return the alarms of some plants."""
         part = StandingAlarms(0)
         part.stands, part.onset, part.raised = self.stands[rows], self.onset[rows], self.raised[rows]
         return part
 
     @staticmethod
     def joined(parts: Sequence[StandingAlarms]) -> StandingAlarms:
-        """Return those of several blocks as one."""
+        """Return the alarms of several blocks as one."""
         whole = StandingAlarms(0)
         whole.stands, whole.onset, whole.raised = (
             np.concatenate([getattr(part, name) for part in parts]) for name in ("stands", "onset", "raised")
@@ -157,7 +157,7 @@ class StandingAlarms:
         return who[now], who[~now]
 
     def change(self, begun: NDArray[np.int64], onset: NDArray, raised: NDArray, ended: NDArray[np.int64]) -> None:
-        """Note alarms that have begun and ended: that they stand comes last, so that it may be done again."""
+        """Note alarms that have begun and ended; the flags are set last, so that it may be repeated."""
         self.onset[begun], self.raised[begun] = onset, raised
         self.stands[ended] = False
         self.stands[begun] = True
@@ -165,7 +165,7 @@ class StandingAlarms:
 
 @dataclass(frozen=True, eq=False)
 class _UnderWay:
-    """A block that is under way: what there is to do, and what was decided once it is done."""
+    """A block in progress: the work left, and its decisions once it is done."""
 
     steps: list[Callable[[], object]]
     jobs: list[Job]
@@ -178,7 +178,7 @@ class _UnderWay:
 
 @dataclass(frozen=True, eq=False)
 class Tick:
-    """What was decided on the records of a tick, in their order.
+    """Decisions on the records of a tick, in their order.
 
     Attributes
     ----------
@@ -194,7 +194,7 @@ class Tick:
 
 
 def fingerprint_of(monitor: Monitor) -> str:
-    """Return what tells that two monitors run the same: the SHA-256 of all that they are made of.
+    """Return the fingerprint of a monitor: the SHA-256 of all that determines its answers.
 
     It is made once for a specification: to write a monitor takes longer than to restore a few plants.
     """
@@ -230,25 +230,25 @@ class FleetBlock:
         standing: StandingAlarms | None = None,
         skipped: SkippedSamples | None = None,
     ) -> None:
-        monitor._specification()  # what runs is made once for all blocks
+        monitor._specification()  # the specification is made once for all blocks
         self.monitor = copy(monitor)  # as it is now: it may be fitted anew while the plants run
         self.monitor.reset()
         self.spec, self.generator, self.ids = self.monitor._specification(), self.monitor.generator, list(ids)
         self.rows = {plant: row for row, plant in enumerate(self.ids)}
         if len(self.rows) < len(self.ids):
             twice = next(plant for row, plant in enumerate(self.ids) if self.rows[plant] != row)
-            raise DataError(f"the plant {echo(twice)} is there twice")
+            raise DataError(f"the plant {echo(twice)} occurs twice")
         self.standing = StandingAlarms(len(self.ids)) if standing is None else standing
         self.skipped = SkippedSamples() if skipped is None else skipped
         #: Of a new block, as long as no sample of any plant was judged: none can be over its threshold.
         self._is_settling = state is None
         self._worker = Worker()
-        #: What alarms did in a block that was interrupted before that was returned.
+        #: Events of a block that was interrupted before they were returned.
         self._untold: list[AlarmEvent] = []
         self._place(initial_state(self.spec, len(self.ids)) if state is None else state)
 
     def _place(self, state: State) -> None:
-        """Put a state of its own, one record for each plant, in the hands of the kernel."""
+        """Move a new state, one record for each plant, into the kernel."""
         plan, plants = plan_of(self.spec), len(self.ids)
         isolation = self.spec.isolation
         members = 0 if isolation.coding is None else len(isolation.coding.members)
@@ -268,22 +268,22 @@ class FleetBlock:
 
     @property
     def fingerprint(self) -> str:
-        """What tells that two monitors run the same."""
+        """Fingerprint of the monitor."""
         return fingerprint_of(self.monitor)
 
     @property
     def state(self) -> State:
-        """Of all plants, in the order of their ids."""
+        """State of all plants, in the order of their ids."""
         self.finish()
         return self._now
 
     @property
     def _now(self) -> State:
-        """The state within a block."""
+        """State within a block."""
         return self._state if self._run is None else self._run.state
 
     def finish(self) -> None:
-        """Do what an interruption has left of a block, so that it happens whole."""
+        """Finish an interrupted block, so that it happens whole."""
         self._worker.finish()
 
     def do(self, work: Work) -> None:
@@ -293,7 +293,7 @@ class FleetBlock:
     # ----------------------------------------------------------------------- running
 
     def places(self, ids: Any) -> NDArray[np.int64] | None:
-        """Return the rows of plants, ``None`` for all in order; the same list again is not looked up again."""
+        """Return the rows of plants, ``None`` for all in order; the last list is cached."""
         if ids is self._looked_up[0] and ids is not None:
             return self._looked_up[1]
         if ids is None:
@@ -311,7 +311,7 @@ class FleetBlock:
         return rows
 
     def tick(self, rows: NDArray[np.int64] | None, u: NDArray, y: NDArray, threads: int) -> Tick:
-        """Go on with one sample of some plants; (records, channels). Records of one plant are applied in order."""
+        """Process one sample of some plants; (records, channels). Records of one plant are applied in order."""
         self.finish()
         work, made = self.work_of_tick(rows, u, y, threads)
         self.do(work)
@@ -320,7 +320,7 @@ class FleetBlock:
     def work_of_tick(
         self, rows: NDArray[np.int64] | None, u: NDArray, y: NDArray, threads: int
     ) -> tuple[Work, Callable[[], Tick]]:
-        """Return what there is to do of a tick, and what returns its decisions once it is done."""
+        """Return the work of a tick, and a function that returns its decisions once it is done."""
         passes = self._passes_over(rows)
         if not passes:
             one = self._go_on(rows, u[:, None], y[:, None], _TOLD, threads, self._follow_alarms)
@@ -338,7 +338,7 @@ class FleetBlock:
         return Work([step for part in parts for step in part.steps], [job for part in parts for job in part.jobs]), made
 
     def _passes_over(self, rows: NDArray[np.int64] | None) -> list[NDArray[np.int64]]:
-        """Return which records to apply together, as :func:`_passes`; of ids that come again not looked for again."""
+        """Return passes over the records as :func:`_passes`; the last ids are cached."""
         if rows is None:
             return []
         known = self._divided
@@ -349,7 +349,7 @@ class FleetBlock:
         return passes
 
     def replace_state(self, rows: NDArray[np.int64], state: State) -> None:
-        """Let some plants go on from other states."""
+        """Replace the states of some plants."""
         self.finish()
         if self._run is not None:
             self._run.write(rows, state)
@@ -359,7 +359,7 @@ class FleetBlock:
     def advance(
         self, rows: NDArray[np.int64], data: NDArray[np.float64], names: Sequence[str], threads: int = 1
     ) -> dict[str, NDArray]:
-        """Go on with a block of some plants, each once, (plants, time, channels); return of the decisions some."""
+        """Process a block of some plants, each once, (plants, time, channels); return some of the decisions."""
         self.finish()
         inputs = len(self.generator.plant.inputs)
         under_way = self._go_on(rows, data[..., :inputs], data[..., inputs:], names, threads)
@@ -375,7 +375,7 @@ class FleetBlock:
         threads: int,
         follow: Callable[[NDArray[np.int64] | None, dict[str, Any]], object] | None = None,
     ) -> _UnderWay:
-        """Return what there is to do of a block of plants, each once; ``follow`` takes what was decided."""
+        """Return the work on a block of plants, each once; ``follow`` takes the decisions."""
         run = self._run
         steps: list[Callable[[], object]]
         if run is not None:
@@ -394,7 +394,7 @@ class FleetBlock:
     def _in_numpy(
         self, rows: NDArray[np.int64] | None, data: NDArray[np.float64], keep: Sequence[str], out: dict[str, Any]
     ) -> list[Callable[[], object]]:
-        """Return the steps of a block in NumPy, which leave in ``out`` what is to be kept."""
+        """Return the steps of a block in NumPy, which leave the outputs to keep in ``out``."""
         places = np.arange(len(self.ids)) if rows is None else rows
         made: list[tuple[State, Decisions]] = []
 
@@ -411,7 +411,7 @@ class FleetBlock:
         return [run, keep_state]
 
     def _after(self, samples: int) -> None:
-        """Let the room for starts go when they are over, which is looked for ever less often."""
+        """Release the room for starts when they are over, checked less and less often."""
         run = self._run
         if run is None or not run.has_room_for_starts:
             return
@@ -421,7 +421,7 @@ class FleetBlock:
             run.let_go_of_starts()
 
     def follow(self, rows: NDArray[np.int64], u: NDArray, y: NDArray, threads: int) -> list[AlarmEvent]:
-        """Go on with a block, (plants, time, channels), of some plants, each once; return what their alarms did."""
+        """Process a block, (plants, time, channels), of some plants, each once; return the alarms raised and ended."""
         if not y.shape[1]:
             return []
         self.finish()
@@ -445,7 +445,7 @@ class FleetBlock:
         last: NDArray[np.float64],
         was: StandingAlarms,
     ) -> list[AlarmEvent]:
-        """Note what the alarms of some plants did in a block, and return it; as these were before it."""
+        """Record the alarms that some plants raised or ended in a block, given their earlier state, and return them."""
         alarm, usable, standing, events = out["alarm"], out["usable"], self.standing, []
         begins = {k: (int(was.onset[k]), int(was.raised[k])) for k in np.flatnonzero(was.stands).tolist()}
         for k, t in np.argwhere(alarm != np.concatenate([was.stands[:, None], alarm[:, :-1]], axis=1)).tolist():
@@ -467,12 +467,12 @@ class FleetBlock:
         return AlarmEvent(self.ids[row], kind, *when, ended, self.generator.dt, named)
 
     def _remember(self, places: NDArray[np.int64], made: Decisions) -> None:
-        """Keep what was decided on the last sample of plants, in NumPy."""
+        """Keep the decisions on the last sample of plants, in NumPy."""
         self.last.remember(places, made)
         self._made[places], self._place_in_made[places] = made, np.arange(len(places))
 
     def _follow_skipped(self, rows: NDArray[np.int64] | None, usable: NDArray[np.bool_]) -> None:
-        """Note the samples of a block that were not judged, once the onsets of its alarms are known."""
+        """Record the samples of a block that were not judged, once the onsets of its alarms are known."""
         self._is_settling = self._is_settling and not usable.any()
         if self._is_settling:
             return
@@ -485,7 +485,7 @@ class FleetBlock:
             self.skipped.note(who, self._now.count[who] - usable.shape[1], usable[which], over)
 
     def over(self, rows: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return how many samples over the threshold plants have had in a row that no alarm stands for.
+        """Return the number of samples in a row over the threshold for plants without a standing alarm.
 
         Of a bank, the largest number of a member. Of a test that does not count them in its state, what it says of the
         last sample.
@@ -497,7 +497,7 @@ class FleetBlock:
         return over if over.ndim == 1 else over.max(axis=1, initial=0)
 
     def _follow_alarms(self, rows: NDArray[np.int64] | None, out: dict[str, Any]) -> None:
-        """Note after a sample of plants which alarms were raised, and which have ended."""
+        """Record the alarms raised and ended by a sample of plants."""
         new, ended = self.standing.changed(rows, out["alarm"][:, 0])
         if new.size or ended.size:
             before, judged = self._now.count[new] - 1, np.ones((len(new), 1), dtype=bool)
@@ -506,13 +506,13 @@ class FleetBlock:
         self._follow_skipped(rows, out["usable"])
 
     def run(self, data: NDArray[np.float64], threads: int) -> Decisions:
-        """Go on with a block of all plants, (plants, time, channels)."""
+        """Process a block of all plants, (plants, time, channels)."""
         work, made = self.work_of_run(data, threads)
         self.do(work)
         return made()
 
     def work_of_run(self, data: NDArray[np.float64], threads: int) -> tuple[Work, Callable[[], Decisions]]:
-        """Return what there is to do of a block of all plants, and what returns its decisions once it is done."""
+        """Return the work on a block of all plants, and a function that returns its decisions once it is done."""
         self.finish()
         before, inputs, made = self._now.count.copy(), len(self.generator.plant.inputs), []
 
@@ -526,9 +526,9 @@ class FleetBlock:
         return Work(under_way.steps, under_way.jobs), lambda: made[0]
 
     def _follow_block(self, decisions: Decisions, before: NDArray[np.int64]) -> None:
-        """Note the alarms that stand after a block."""
+        """Record the standing alarms after a block."""
         alarm, standing = decisions.alarm, self.standing
-        standing.stands &= np.asarray(alarm.all(axis=1))  # what has stood all the time goes on standing
+        standing.stands &= np.asarray(alarm.all(axis=1))  # alarms that stood all the time still stand
         new, ended = standing.changed(None, alarm[:, -1])
         off = ~alarm[new, ::-1]
         raised = np.where(off.any(axis=1), alarm.shape[1] - off.argmax(axis=1), 0)
@@ -573,7 +573,7 @@ class FleetBlock:
         return decision_from(made, self.spec, self.generator, state)
 
     def alarms(self) -> list[FleetAlarm]:
-        """Return the alarms that stand, the oldest first."""
+        """Return the standing alarms, the oldest first."""
         self.finish()
         dt, isolation, scores, table = self.generator.dt, self.spec.isolation, self.last.scores, self.standing.table()
         return [
@@ -584,7 +584,7 @@ class FleetBlock:
     # ------------------------------------------------------------------- other plants
 
     def of(self, rows: NDArray[np.int64]) -> FleetBlock:
-        """Return a block of some of the plants, with a state of its own."""
+        """Return a block of some of the plants, with its own state."""
         self.finish()
         ids = [self.ids[row] for row in rows]
         part = FleetBlock(self.monitor, ids, rows_of(self.state, rows), self.standing.of(rows), self.skipped.of(rows))
@@ -593,7 +593,7 @@ class FleetBlock:
         return part
 
     def take_over(self, last: LastSample, made: NDArray | None = None, places: NDArray | None = None) -> None:
-        """Take over what was decided on the last sample of every plant."""
+        """Copy the decisions on the last sample of every plant."""
         written_rows(self.last, np.arange(len(self.ids)), last)
         if made is not None and places is not None:
             self._made, self._place_in_made = made.copy(), places.copy()
@@ -615,7 +615,7 @@ class FleetBlock:
 
 
 def _last_sample(whole: Any) -> Any:
-    """Return a dataclass of arrays of (plants, time, ...) with the last sample alone."""
+    """Return the last sample alone of a dataclass of arrays of (plants, time, ...)."""
     if whole is None:
         return None
     if isinstance(whole, np.ndarray):
@@ -624,7 +624,7 @@ def _last_sample(whole: Any) -> Any:
 
 
 def _passes(rows: NDArray[np.int64], plants: int) -> list[NDArray[np.int64]]:
-    """Return which records to apply together, so that each plant is there once at a time; empty for all of them."""
+    """Return passes over the records, each with a plant at most once; empty for a single pass."""
     if len(rows) < 2 or np.bincount(rows, minlength=plants).max() == 1:
         return []
     order = np.argsort(rows, kind="stable")
@@ -636,7 +636,7 @@ def _passes(rows: NDArray[np.int64], plants: int) -> list[NDArray[np.int64]]:
 
 
 def _stacked(parts: Sequence[Any]) -> Any:
-    """Return dataclasses of arrays as one, with the plants one after the other."""
+    """Return dataclasses of arrays as one, concatenated over plants."""
     first = parts[0]
     if first is None:
         return None

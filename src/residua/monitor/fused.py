@@ -1,4 +1,4 @@
-"""The fused loop: filter, test and isolation in one pass over the data, where there is a compiled kernel.
+"""Fused loop: filter, test and isolation in one pass over the data, if there is a compiled kernel.
 
 It gives the same bits as :mod:`residua.monitor.running`, its reference, which runs where there is no kernel, where
 ``RESIDUA_NO_COMPILED`` is ``1``, or where a test or an isolation is not written in C. What a Kalman filter needs where
@@ -39,16 +39,16 @@ _TYPES = {
     "fired": bool,
     "code": bool,
 }
-#: What starts of filters need, and what is counted of restarts: zero as a rule.
+#: Fields for starts of filters, and counters of restarts: usually zero.
 _OF_STARTS, _RESTARTS = ("start_sums", "moved"), ("resets", "broken")
-#: What a step returns in one number: alarm, whether it was decided, and whether a value was missing; that the plant was
-#: left, besides.
+#: Flags in the number that a step returns: alarm, whether it was decided, and whether a value was missing; that the
+#: plant was left, besides.
 ALARM, DECIDED, MISSING, _IS_LEFT = 1, 2, 4, 8
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """What the kernel needs of a specification, in its order.
+    """Arguments of the kernel from a specification, in its order.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class Plan:
 
 
 def plan_of(spec: Specification) -> Plan | None:
-    """Return what the kernel needs; ``None`` where NumPy runs. It is made once for a specification."""
+    """Return the arguments of the kernel; ``None`` if NumPy runs. It is made once for a specification."""
     if _kernel is None or not compiled():
         return None
     known = spec.__dict__.get("_plan", False)
@@ -81,7 +81,7 @@ def plan_of(spec: Specification) -> Plan | None:
 
 
 def compiled_isolation(spec: Specification) -> CompiledIsolation | CompiledCodes | None:
-    """Return what the loop runs of the isolation; codes are read of as many parts as they have members."""
+    """Return the isolation for the loop; codes need as many parts as they have members."""
     named, test = spec.isolation.compiled, spec.test.compiled
     parts = 0 if test is None or test.sizes is None else len(test.sizes)
     return None if isinstance(named, CompiledCodes) and len(named.codes) != parts else named
@@ -95,7 +95,7 @@ def _plan(spec: Specification, test: CompiledTest) -> Plan:
     parts = 0 if test.sizes is None else len(test.sizes)
     channels, k = spec.B.shape[1], test.whitening.shape[1]
     largest = np.finfo(np.float64).max
-    plausible = np.clip(spec.plausible, -largest, largest)  # infinity is no measurement, however wide the range
+    plausible = np.clip(spec.plausible, -largest, largest)  # infinity is not a measurement, however wide the range
     first = spec.first
     integers = [
         len(spec.A), channels, 0, len(spec.C), spec.settle, spec.max_hold,
@@ -140,7 +140,7 @@ def _plan(spec: Specification, test: CompiledTest) -> Plan:
 
 
 def state_arrays(spec: Specification, state: State) -> tuple[NDArray | None, ...]:
-    """Return the arrays of a state in the order of the kernel; ``None`` for what it does not read."""
+    """Return the arrays of a state in the order of the kernel; ``None`` for those that it does not read."""
     f = state.filter
     named, naming = compiled_isolation(spec), (None,) * 5
     if isinstance(named, CompiledCodes):
@@ -158,12 +158,12 @@ def state_arrays(spec: Specification, state: State) -> tuple[NDArray | None, ...
 
 
 def _has_room(seldom: NDArray) -> bool:
-    """Tell whether a state has room for what is zero as a rule, such as covariances off the stationary one."""
+    """Tell whether a state has allocated a field that is usually zero, such as an extra covariance."""
     return bool(seldom.size) and not takes_no_memory(seldom)
 
 
 def with_room(state: State, names: Iterable[str]) -> State:
-    """Return a state with room for what is zero as a rule; the system provides the memory where it is written."""
+    """Return a state with fields that are usually zero allocated; memory is only used where it is written."""
     filtered = state.filter
     now = {name: getattr(filtered, name) for name in names}
     room = {name: np.zeros(one.shape, one.dtype) for name, one in now.items() if takes_no_memory(one)}
@@ -171,7 +171,7 @@ def with_room(state: State, names: Iterable[str]) -> State:
 
 
 def with_starts(spec: Specification, state: State) -> State:
-    """Return the state of new plants with room for their starts: those of all of them come soon."""
+    """Return the state of new plants with allocated fields for their starts, which all come soon."""
     if spec.first is None or not len(state.count):
         return state
     state = with_room(state, _OF_STARTS)
@@ -185,7 +185,7 @@ def _there(values: NDArray | None) -> NDArray:
 
 
 def copied(whole: Any) -> Any:
-    """Return a dataclass of arrays with arrays of its own; those that are broadcast from one number stay so."""
+    """Return a dataclass with copies of its arrays; broadcast numbers stay so."""
     if isinstance(whole, np.ndarray):
         return whole if takes_no_memory(whole) else whole.copy()
     if not is_dataclass(whole):
@@ -195,7 +195,7 @@ def copied(whole: Any) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class LastSample:
-    """What was decided on the last sample of every plant, a row each, in the order of the kernel.
+    """Decisions on the last sample of every plant, a row each, in the order of the kernel.
 
     Attributes
     ----------
@@ -220,7 +220,7 @@ class LastSample:
 
     @staticmethod
     def blank(plants: int, residuals: int, groups: int, members: int = 0) -> LastSample:
-        """Return that nothing was decided yet; ``members`` of a code, if one is read."""
+        """Return the decisions before the first sample; ``members`` of a code, if one is read."""
         return LastSample(
             np.zeros(plants, dtype=np.uint8),
             np.full(plants, np.nan),
@@ -276,12 +276,12 @@ class FusedRun:
         #: Whether it runs single samples, with their isolation.
         self.steps = plan.names and self.plants == 1
         self._last = np.empty(0)  # the residual that single samples are written to
-        #: The state, the kernel on its arrays, and what it writes of single samples: changed together, at once.
+        #: The state, the kernel on its arrays, and its outputs of single samples: changed together, at once.
         self._on: tuple[State, Any, dict[str, NDArray | None] | None] = (state, self._runner(state), None)
 
     @property
     def state(self) -> State:
-        """After the last block, of all plants."""
+        """State of all plants after the last block."""
         self.finish()
         return self._on[0]
 
@@ -299,23 +299,23 @@ class FusedRun:
         return _kernel.Runner(self._integers, plan.numbers, arrays, remembered, self.plants, best_path())
 
     def _use(self, state: State, one: dict[str, NDArray | None] | None = None) -> None:
-        """Go on with the arrays of another state; ``one``: what single samples are written to."""
+        """Use the arrays of another state; ``one``: outputs of single samples."""
         runner = self._runner(state)
         if one is not None:
             runner.bind(tuple(one[name] for name in OUTPUTS))
         self._on = (state, runner, one)
 
     def _make_room(self, names: Iterable[str]) -> None:
-        """Make room for what is zero as a rule: where values are missing, a Kalman filter needs its covariance."""
+        """Allocate fields that are usually zero: with missing values, a Kalman filter needs its covariance."""
         self._use(with_room(self._on[0], names), self._on[2])
 
     @property
     def has_room_for_starts(self) -> bool:
-        """Whether there is room for what residuals say of starts."""
+        """True if the fields for estimated starts are allocated."""
         return _has_room(self._on[0].filter.start_sums)
 
     def let_go_of_starts(self) -> None:
-        """Let the room go that starts need, if no plant starts."""
+        """Release the fields for estimated starts, if no plant starts."""
         state = self._on[0]
         if state.filter.starting.any():
             return
@@ -324,7 +324,7 @@ class FusedRun:
         self._use(replace(state, filter=replace(state.filter, **gone)))
 
     def _take_in(self, notes: NDArray[np.float64]) -> None:
-        """Write what the kernel had no room for: restarts of plants, and starts that are under way."""
+        """Write the values for which the kernel had no room: restarts of plants, and starts in progress."""
         state, n = self._on[0], self._on[0].filter.x.shape[1]
         kind = [("row", "i8"), ("resets", "i8"), ("broken", "i8"), ("starting", "i8"), ("moved", "f8")]
         table = np.ascontiguousarray(notes).view(np.dtype([*kind, ("start_sums", "f8", (n,))]))[:, 0]
@@ -338,7 +338,7 @@ class FusedRun:
         self._use(roomy, self._on[2])
 
     def write(self, rows: NDArray[np.int64], state: State) -> None:
-        """Let some plants go on from other states."""
+        """Replace the states of some plants."""
         before = self.state
         after = written_rows(before, rows, state)
         if state.filter.starting.any():
@@ -347,7 +347,7 @@ class FusedRun:
             self._use(after)
 
     def outputs(self, plants: int, time: int, keep: Sequence[str] = OUTPUTS) -> dict[str, NDArray | None]:
-        """Return arrays for what a block leaves: zeros, for much of it is written only where it is not zero."""
+        """Return output arrays of a block: zeros, for much of it is written only where it is not zero."""
         out: dict[str, NDArray | None] = {}
         for name in OUTPUTS:
             width = self.plan.widths.get(name)
@@ -358,7 +358,7 @@ class FusedRun:
         return out
 
     def run(self, job: Job) -> None:
-        """Go on with a block.
+        """Process a block.
 
         An error leaves all plants as they were, or a block of which :meth:`finish`, or whatever looks at the state
         next, does the rest.
@@ -370,11 +370,11 @@ class FusedRun:
         return Work([lambda: self.perform(job)], [job], undo=undo)
 
     def finish(self) -> None:
-        """Do what an interruption has left of a block."""
+        """Finish an interrupted block."""
         self.worker.finish()
 
     def perform(self, job: Job) -> None:
-        """Run what has not been run of a block; it may be interrupted, and performed again."""
+        """Run the remaining part of a block; it may be interrupted, and performed again."""
         while not job.is_done:
             parts = job.parts
             if parts is None:
@@ -397,7 +397,7 @@ class FusedRun:
             job.is_done = True
 
     def block(self, data: NDArray[np.float64], outputs: dict[str, NDArray | None]) -> Decisions:
-        """Go on with a block of (plants, time, channels), and return what was decided, isolation included."""
+        """Process a block of (plants, time, channels), and return its decisions, isolation included."""
         decisions, u, y = decisions_of(outputs), data[..., : self._inputs], data[..., self._inputs :]
         if self.plan.names:
             self.run(Job(u, y, outputs))
@@ -420,9 +420,9 @@ class FusedRun:
     # ------------------------------------------------------------------------ one sample
 
     def step(self, u: Any, y: Any) -> tuple[int, float]:
-        """Go on with one sample of one plant, and return what it says, as a sum of flags, and the statistic.
+        """Process one sample of one plant, and return a sum of flags, and the statistic.
 
-        Raises an error of Python where u or y is no array of floats with as many numbers as there are channels.
+        Raises a Python error unless u and y are arrays of floats with one number per channel.
         """
         if self._on[2] is None:
             one = self.outputs(1, 1)
@@ -445,7 +445,7 @@ class FusedRun:
 
 
 def decisions_of(outputs: dict[str, Any]) -> Decisions:
-    """Return what a block left as decisions; names are those of an isolation in C."""
+    """Return the outputs of a block as decisions; names are those of an isolation in C."""
     shape = () if outputs["alarm"] is None else outputs["alarm"].shape
     nobody = np.zeros((*shape, 0))
     usable, statistic, exceeded, alarm, up = (outputs[n] for n in ("usable", "statistic", "exceeded", "alarm", "up"))

@@ -1,4 +1,4 @@
-"""What users hand to a monitor: arrays, data frames or recordings, made into one form."""
+"""Conversion of the arrays, data frames or recordings that users pass to a monitor."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from residua.recording.time_axis import regular_step, seconds_from_dates
 from residua.tolerances import ROUNDING
 from residua.visible import echo
 
-#: What is left of the slowest pole once a filter counts as settled: where thresholds come from data or a noise model,
+#: Remainder of the slowest pole once a filter counts as settled: where thresholds come from data or a noise model,
 #: and, for bounds that are known or certified, to the digits that these are computed to.
 SETTLED, SETTLED_FOR_BOUNDS = 1e-2, 1e-6
 #: Samples after which a filter counts as settled, however slow it is.
@@ -55,7 +55,7 @@ class Signals:
 
 
 def several_signals(u: Any, y: Any, time: ArrayLike | None, dt: float | None, plant: Plant) -> list[Signals]:
-    """Return the recordings that were handed over: one as :func:`signals` takes it, or a list of such.
+    """Return the recordings passed by a user: one as in :func:`signals`, or a list of such.
 
     In a list arrays come as pairs ``(u, y)``.
     """
@@ -80,7 +80,7 @@ def several_signals(u: Any, y: Any, time: ArrayLike | None, dt: float | None, pl
 
 
 def signals(u: Any, y: Any, time: ArrayLike | None, dt: float | None, source: str, plant: Plant) -> Signals:
-    """Return what was handed over as arrays, with the step that the times imply.
+    """Return the data passed by a user as arrays, with the step that the times imply.
 
     Without ``y``, ``u`` is a :class:`residua.monitor.Recording`, the path of a file, or a data frame whose columns are
     matched by name.
@@ -115,7 +115,7 @@ def signals(u: Any, y: Any, time: ArrayLike | None, dt: float | None, source: st
 
 
 def with_channels(one: Recording, plant: Plant) -> Recording:
-    """Return a recording with the channels of a plant, matched by name: it may be read without one, or for another."""
+    """Return a recording with the channels of a plant, matched by name."""
     channels, columns = (*plant.inputs, *plant.outputs), tuple(one.columns)
     if columns == channels and one.u.shape[1] == len(plant.inputs):
         return one
@@ -141,7 +141,7 @@ def plant_signals(
 
 
 def with_all_channels(u: Any, y: Any, plant: Plant) -> tuple[Any, Any]:
-    """Return inputs and outputs as the plant has them: of recorded channels, which are all outputs, inputs go there.
+    """Return inputs and outputs as the plant has them; for a plant of recorded channels, inputs become outputs.
 
     Raises
     ------
@@ -169,12 +169,12 @@ def with_all_channels(u: Any, y: Any, plant: Plant) -> tuple[Any, Any]:
 
 
 def _is_frame(data: Any) -> bool:
-    """Return whether data have columns with names."""
+    """Tell whether data have columns with names."""
     return hasattr(data, "columns")
 
 
 def _is_of_channels(plant: Plant) -> bool:
-    """Return whether a plant is nothing but channels that were recorded."""
+    """Tell whether a plant consists of recorded channels alone."""
     return not plant.inputs and not plant.n_states
 
 
@@ -206,7 +206,7 @@ def _by_name(data: Any, channels: tuple[str, ...], source: str, plant: Plant) ->
 
 
 def _seconds(time: ArrayLike) -> tuple[NDArray[np.float64], str]:
-    """Return times in seconds, and the moment that they count from; dates are counted from the first."""
+    """Return times in seconds, and their origin; dates are counted from the first."""
     clock = np.asarray(time)
     if clock.dtype.kind == "M":
         return seconds_from_dates(clock)
@@ -219,9 +219,9 @@ def _seconds(time: ArrayLike) -> tuple[NDArray[np.float64], str]:
 
 
 def settling_samples(generator: ResidualGenerator, test: ResidualTest | None = None) -> int:
-    """Return how many samples the slowest pole of a sampled generator needs to decay to 1 %.
+    """Return the number of samples in which the slowest pole of a sampled generator decays to 1 %.
 
-    To a millionth for a test by bounds: 1 % of what a start leaves in the residual is in no certified threshold. And
+    To a millionth for a test by bounds: 1 % of the effect of a start on the residual is in no certified threshold. And
     until the residual itself has forgotten the start as far: poles that are near to each other, or zero, take longer.
     """
     if test is None or not test.is_bound:
@@ -230,7 +230,7 @@ def settling_samples(generator: ResidualGenerator, test: ResidualTest | None = N
 
 
 def settling_reason(generator: ResidualGenerator, settle: int) -> str:
-    """Say how long a filter settles, and which pole makes it take that long."""
+    """Describe the settling time of a filter, and the pole that causes it."""
     settling = f"settling takes {settle} samples ({settle * generator.dt:g} s)"
     by_itself = [_samples_until(generator, SETTLED), _samples_for_bounds(generator)]
     if settle not in by_itself or not generator.system.n_states:
@@ -245,7 +245,7 @@ def _samples_for_bounds(generator: ResidualGenerator) -> int:
 
 
 def _forgotten(generator: ResidualGenerator, left: float) -> int:
-    """Return after how many samples a state at the start leaves no more in the residual than a part of the largest."""
+    """Return the number of samples after which an initial state leaves at most a fraction of its largest effect."""
     s = generator.system.explicit()
     if not s.n_states or not np.any(s.C):
         return 0
@@ -262,13 +262,13 @@ def _forgotten(generator: ResidualGenerator, left: float) -> int:
 
 def _samples_until(generator: ResidualGenerator, left: float) -> int:
     slowest = float(np.abs(generator.system.poles()).max(initial=0.0))
-    if slowest < 1e-6:  # a moving average: what it was before the start is gone with the last sample that it reads
+    if slowest < 1e-6:  # a moving average: samples before the start leave it with the last one that it reads
         return _last_read(generator)
     return int(np.ceil(np.log(left) / np.log(min(slowest, 1 - 1e-9))))
 
 
 def _last_read(generator: ResidualGenerator) -> int:
-    """Return after how many samples a state at the start leaves nothing in the residual of a moving average."""
+    """Return the number of samples after which an initial state leaves the residual of a moving average."""
     s = generator.system.explicit()
     units = scaling(s.A, s.B, s.C, s.D, sampled=True).states
     rows, step = s.C * units, s.A / units[:, None] * units

@@ -1,4 +1,4 @@
-"""A monitor from fault-free recordings alone: a model, relations of channels, and a check on rows held out."""
+"""A monitor from fault-free recordings alone: a model, relations of channels, and a check on held-out rows."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ Rows = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Tried:
-    """One way of watching on the rows held out.
+    """Results of one route on the held-out rows.
 
     Attributes
     ----------
@@ -88,7 +88,7 @@ class Tried:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Learnt(Shown):
-    """A monitor that was learnt from fault-free recordings, and what its check says. Prints as a summary.
+    """A monitor learnt from fault-free recordings, and its check. Prints as a summary.
 
     Attributes
     ----------
@@ -116,7 +116,7 @@ class Learnt(Shown):
 
     @property
     def cautions(self) -> tuple[str, ...]:
-        """The reasons to doubt this monitor, which every run repeats."""
+        """Reasons to doubt this monitor, repeated by every run."""
         check = self.monitor.fit_check
         return check.cautions if check else ()
 
@@ -169,12 +169,12 @@ def learn(
        through the same check: the innovation alone by the default test, and
        :func:`residua.identify.canonical_variates`. Forms with more than five times the rate asked are left out, and
        these two with more than three times. Of the others the first in that order is taken that is within .02 of the
-       best; relations see what the innovation sees as well, and come before it.
-    3. All is fitted anew to all rows. Thresholds that the check exceeds more than three times as often as asked are
-       raised above all that it shows.
+       best; relations also see the innovation, and come before it.
+    3. All is fitted again to all rows. Thresholds that the check exceeds more than three times as often as requested
+       are raised above all its values.
 
-    Guaranteed: the answers are the same in all units. ``learnt.monitor.fit_check`` tells what the check showed, and
-    every diagnosis repeats what is doubtful.
+    Guaranteed: the answers are the same in all units. ``learnt.monitor.fit_check`` has the results of the check, and
+    every diagnosis repeats the doubts.
 
     Parameters
     ----------
@@ -182,12 +182,13 @@ def learn(
         Fault-free, as :func:`residua.identify.subspace` takes them.
     y : array_like, shape (time, outputs), optional
     inputs, outputs : sequence of str, optional
-        Channels by name. Inputs are what drives the plant; when omitted, they are guessed: columns that hold their
+        Channels by name. Inputs drive the plant; when omitted, they are guessed: columns that hold their
         values over most rows, where others do not. ``[]`` for none.
     dt : float, optional
         Step in seconds of arrays.
     false_alarm_rate : float, optional
-        Intended fraction of fault-free samples in alarm; what the rows can carry when omitted, 1e-3 at the rarest.
+        Intended fraction of fault-free samples in alarm; one that the rows can support when omitted, 1e-3 at the
+        rarest.
     form : {"auto", "static", "curve", "lags", "horizon", "innovation", "variates"}
     sensor_faults, actuator_faults : bool
         Whether faults of every output, and of every input that has an effect, can be named.
@@ -208,7 +209,7 @@ def learn(
     DataError
         If the rows are too few, the log looks faulty, or the monitor can see next to nothing, and ``force`` is not set.
     SettingError
-        If an option is none of its values.
+        If an option has an invalid value.
 
     See Also
     --------
@@ -255,7 +256,7 @@ def learn(
     if complete < _MOSTLY * total:
         cautions.append(
             f"only {complete:,} of {total:,} rows are complete, and thresholds are from these: leave out channels that "
-            "are seldom there"
+            "are rarely present"
         )
     if complete < _TOO_FEW and not force:
         raise DataError(
@@ -308,7 +309,7 @@ def _at(rows: Rows, share: float) -> int:
 
 
 def _with_inputs(recordings: Any, y: Any, inputs: Names, outputs: Names, dt: float | None) -> tuple[Gathered, bool]:
-    """Return the recordings with their inputs, and whether these were guessed."""
+    """Return the recordings with their inputs, and a flag for guessed ones."""
     gathered = gather(recordings, y, inputs=inputs, outputs=outputs, dt=dt)
     if inputs is not None or gathered.inputs:
         return gathered, False
@@ -327,7 +328,7 @@ def _with_inputs(recordings: Any, y: Any, inputs: Names, outputs: Names, dt: flo
 
 
 def _stable_model(parts: Any, names: Mapping[str, Any], options: dict[str, Any]) -> IdentifiedModel:
-    """Return a model of recordings; where its order is chosen by the data and it is not stable, one of a near order."""
+    """Return a stable model of recordings, of a near order if the order chosen from the data is unstable."""
     try:
         made = subspace(parts, **names, **options)
         radius, order = float(np.abs(made.report.poles).max(initial=0.0)), len(made.report.poles)
@@ -352,7 +353,7 @@ def _modelled(
     sensors: bool,
     actuators: bool,
 ) -> tuple[ResidualGenerator, FitReport | None, list[str]]:
-    """Return the Kalman filter of a model of the first half, its report, and what is doubtful about it."""
+    """Return the Kalman filter of a model of the first half, its report, and cautions about it."""
     m, cautions = len(gathered.inputs), []
     names = {"inputs": gathered.inputs, "outputs": gathered.outputs, "dt": gathered.dt}
     made = _stable_model(parts, names | {"held_out": 1 - _MODEL / _CHECK, "progress": progress}, dict(options or {}))
@@ -385,7 +386,7 @@ def _modelled(
 
 @dataclass(frozen=True, eq=False)
 class _Routes:
-    """The ways to a fitted monitor."""
+    """Routes to a fitted monitor."""
 
     generator: ResidualGenerator
     gathered: Gathered
@@ -393,13 +394,13 @@ class _Routes:
 
     @property
     def inputs(self) -> int:
-        """How many of the channels are inputs: the first ones."""
+        """Number of channels that are inputs: the first ones."""
         return len(self.gathered.inputs)
 
     def monitor(
         self, route: str, parts: Sequence[tuple[Rows, Rows]], unseen: float, raised: Mapping[str, float]
     ) -> Monitor:
-        """Return a monitor of recordings, of which the first part is that which the model is from."""
+        """Return a monitor of recordings, the first part of which the model was identified from."""
         fitting: dict[str, Any] = {"dt": self.gathered.dt, "false_alarm_rate": self.rate, "held_out": 0.0}
         if route in FORMS:
             test = ChannelRelations(route, self.rate, unseen, raised)  # pyright: ignore[reportArgumentType]
@@ -423,7 +424,7 @@ class _Routes:
         return decided.statistic[..., None] / monitor.threshold
 
     def by_channels(self, monitor: Monitor, data: Rows) -> Rows:
-        """Return the same of channels alone, where these are compared: the bank of means of the residual takes long."""
+        """Return the statistics of the channels alone, if these are compared; the bank of means is slow."""
         test = monitor.norm_test
         if not isinstance(test, ChannelRelationsTest):
             return self.statistics(monitor, data)
@@ -436,7 +437,7 @@ class _Routes:
 def _try(
     route: str, routes: _Routes, first: Sequence[tuple[Rows, Rows]], last: Sequence[Rows]
 ) -> tuple[Tried, tuple[dict[str, float], HeldOut]]:
-    """Return one route as the rows held out have it, the factors that these ask for, and all alarms there."""
+    """Return the results of one route on the held-out rows, the factors that these require, and all alarms there."""
     rate = routes.rate
     try:
         monitor = routes.monitor(route, first, _MODEL / _CHECK, {})
@@ -461,7 +462,7 @@ def _try(
 
 
 def _seen(routes: _Routes, monitor: Monitor, rows: Rows, limits: NDArray[np.float64]) -> float:
-    """Return the share of the time in alarm after faults were put into rows, in the mean."""
+    """Return the mean share of the time in alarm after faults were injected into rows."""
     begin, spread = int(_BEGIN * len(rows)), np.nanstd(rows, axis=0)
     if len(rows) - begin < 2:
         return 0.0
@@ -509,9 +510,9 @@ def with_channel_fault(rows: Rows, column: int, kind: str, size: float, begin: i
 
 
 def _choose(tried: Sequence[Tried], rate: float) -> str:
-    """Return the route to use: the first of the good ones, or that with the fewest false alarms where none is good.
+    """Return the route to use: the first good one, or that with the fewest false alarms if none is good.
 
-    A monitor with relations sees what the innovation sees as well.
+    A monitor with relations also sees the innovation.
     """
     made = [one for one in tried if not one.failed]
     if not made:

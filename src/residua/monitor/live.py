@@ -1,4 +1,4 @@
-"""What a monitor goes on from: the state after the last sample, in the hands of the fused loop where there is one."""
+"""Running state of a monitor: the state after the last sample, kept in the fused loop if there is one."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from residua.visible import echo, listed
 
 #: Samples per piece when a recording is run: bounds memory and lets progress be shown.
 PIECE = 100_000
-#: What users can have of a block: all that decisions have but what they are made from.
+#: Fields that users can request of a block: those of decisions, without their sources.
 KEPT = ("residuals", "missing", "aside", "usable", "statistic", "exceeded", "alarm", "up", "scores")
-#: What a block has of members besides, whatever is kept.
+#: Outputs of members, kept in any case.
 _OF_MEMBERS = ("member_statistics", "fired", "code")
-#: What is not needed of a recording once it is judged.
+#: Outputs not needed once a recording is judged.
 _PASSING = ("whitened", "ready")
 
 
 class Live:
-    """The running state of a monitor, changed in place by the kernel.
+    """Running state of a monitor, changed in place by the kernel.
 
     Parameters
     ----------
@@ -46,14 +46,14 @@ class Live:
 
     def __init__(self, inputs: int) -> None:
         self.inputs = inputs
-        #: What to go on from: in the hands of the kernel if there is one, else the state.
+        #: State for the next block: in the kernel if there is one, else the state itself.
         self._run: FusedRun | None = None
         self._kept: State | None = None
         self._is_running = False
 
     @property
     def state(self) -> State | None:
-        """What the next block goes on from."""
+        """State from which the next block starts."""
         return self._kept if self._run is None else self._run.state
 
     @state.setter
@@ -62,11 +62,11 @@ class Live:
         self._run = None
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave out the kernel, which belongs to the arrays of this very object."""
+        """Leave out the kernel, which belongs to the arrays of this object."""
         return {"inputs": self.inputs, "_kept": self.state, "_run": None, "_is_running": False}
 
     def apart(self) -> Live:
-        """Return the same with arrays of its own, which no later block changes."""
+        """Return a copy with its own arrays, which no later block changes."""
         other = Live(self.inputs)
         other.state = copied(self.state)
         return other
@@ -74,7 +74,7 @@ class Live:
     def go_on(
         self, spec: Specification, data: NDArray[np.float64], keep: Sequence[str] | None = None
     ) -> tuple[Decisions, State]:
-        """Return what was decided on a block of (plants, time, channels), and the state after it."""
+        """Return the decisions on a block of (plants, time, channels), and the state after it."""
         before = self.state
         if before is not None and len(before.count) != len(data):
             raise DataError(f"the monitor follows {len(before.count)} plants, the block has {len(data)}; reset() first")
@@ -98,7 +98,7 @@ class Live:
         return (decisions if keep is None else _only(decisions, keep)), run.state
 
     def step(self, spec: Specification, generator: ResidualGenerator, u: Any, y: Any) -> Decision | None:
-        """Return the decision on one sample, if the kernel can take it as it is."""
+        """Return the decision on one sample, if the kernel can take it unchanged."""
         run = self._run
         if run is None or run.spec is not spec or run.worker.work is not None:  # as a rule it is as it is
             run = self._fused(spec, 1)
@@ -107,13 +107,13 @@ class Live:
         try:
             flags, statistic = run.step(u, y)
         except (TypeError, ValueError, BufferError):
-            return None  # what is wrong with them is said where they are checked
+            return None  # errors in them are reported by their checks
         if flags & ALARM:
             return decision_from(run.last_decisions(), spec, generator, run.state)
         return Decision.quiet(run.last_residual(), statistic, flags & DECIDED != 0, flags & MISSING != 0, generator)
 
     def _fused(self, spec: Specification, plants: int) -> FusedRun | None:
-        """Return the kernel on the state; ``None`` where NumPy runs."""
+        """Return the kernel on the state; ``None`` if NumPy runs."""
         run = self._run
         if run is not None and run.spec is spec:
             run.finish()
@@ -152,7 +152,7 @@ def run_whole(
 
 
 def _kept(run: FusedRun, y: NDArray[np.float64]) -> dict[str, NDArray | None]:
-    """Return arrays for what is kept of a recording."""
+    """Return output arrays for a recording."""
     return run.outputs(len(y), y.shape[1], [name for name in OUTPUTS if name not in _PASSING])
 
 
@@ -184,7 +184,7 @@ def _run_stacked(
 
 
 def checked_keep(keep: Sequence[str] | None) -> tuple[str, ...] | None:
-    """Return the names of what is to be kept of a block; ``None`` for all."""
+    """Return the names of the outputs to keep of a block; ``None`` for all."""
     if keep is None:
         return None
     names = (keep,) if isinstance(keep, str) else tuple(keep)
@@ -195,7 +195,7 @@ def checked_keep(keep: Sequence[str] | None) -> tuple[str, ...] | None:
 
 
 def _only(decisions: Decisions, keep: Sequence[str]) -> Decisions:
-    """Return decisions with what is not kept left out: ``None`` in its place."""
+    """Return decisions with ``None`` in place of outputs that are not kept."""
     tested = decisions.tested
     fields = ("usable", "statistic", "exceeded", "alarm", "up")
     only: Any = {name: getattr(tested, name) if name in keep else None for name in fields}

@@ -63,13 +63,13 @@ class Monitor(Guessed, Shown):
     Data are in plant units: the plant's operating point is subtracted inside. A continuous generator is sampled at
     ``dt``. Missing values (NaN, infinity) never end a run: the last value of that channel is held for the filter, no
     residual is reported on that sample, and nothing is decided until the filter has settled again; after more than
-    ``max_hold`` incomplete samples in a row the filter starts anew with the next complete sample. A stationary Kalman
-    filter goes on with the values that are there instead, by the exact gain for them: nothing is decided on the
-    incomplete sample itself, and everything on the next one. Nothing is assumed of an input that is missing: the filter
-    learns from the outputs what it did. Samples without any output that can be used (none is there, or a missing input
-    acts on all of them at once) count towards ``max_hold`` there. A value that cannot be one (``plausible``) is missing
-    too, and is counted; and should the state of the filter overflow all the same, it starts anew, which is counted. The
-    state at a start is estimated (``start``), so that the plant need not be at rest then.
+    ``max_hold`` incomplete samples in a row the filter restarts with the next complete sample. A stationary Kalman
+    filter uses the values that are present instead, by the exact gain for them: nothing is decided on the incomplete
+    sample itself, and everything on the next one. A missing input is treated as unknown; its effect is estimated from
+    the outputs. Samples without a usable output (none is present, or a missing input acts on all of them at once) count
+    towards ``max_hold`` there. An implausible value (``plausible``) is missing too, and is counted; if the state of the
+    filter still overflows, it restarts, which is counted. The initial state is estimated (``start``), so that the plant
+    need not be at rest then.
 
     Parameters
     ----------
@@ -95,30 +95,30 @@ class Monitor(Guessed, Shown):
     settle : int, optional
         Samples after a start or a gap in which nothing is decided. By default until the slowest pole of the filter
         has decayed to 1 %; to a millionth, which takes three times as long, if the thresholds of
-        :class:`residua.decide.PeakThreshold` are certified or set by the user: no certified threshold covers what a
-        start or a held value leaves in the residual. Fewer samples decide earlier, at that price.
+        :class:`residua.decide.PeakThreshold` are certified or set by the user: no certified threshold covers the
+        effect of a start or a held value on the residual. Fewer samples decide earlier, at that price.
     max_hold : int
         Longest gap in samples that is bridged by holding values.
     plausible : float, mapping of str to (float, float), or None
         Values outside are missing: marks for "no value" such as ``1e300``, not faults. A number: each channel from the
         middle of the recording that was fitted up to so many times its size there (its range, or its largest absolute
         value where that is more). A mapping: the smallest and largest value of the channels that it names, in plant
-        units; the others as by default. ``None``, or without a recording: only what would move the residual by more
-        than 1e30 standard deviations (thresholds of :class:`residua.decide.PeakThreshold`) is missing. A sensor that
-        fails to an end of its scale must stay within: what is missing raises no alarm.
+        units; the others as by default. ``None``, or without a recording: only values that would move the residual by
+        more than 1e30 standard deviations (thresholds of :class:`residua.decide.PeakThreshold`) is missing. A sensor
+        that fails to an end of its scale must stay within: missing values raise no alarm.
     start : {"estimated", "rest"}
         How the filter finds its state after a start, and after a gap longer than ``max_hold``. ``"rest"``: as if the
-        plant had been at rest at the first sample; what is wrong with that decays, and no more than 1 % of it is left
-        after ``settle`` samples. ``"estimated"``: besides, what the residuals of these samples (2,000 at most) show of
-        it by least squares is taken out of the state after them. A fault that is there from the first sample on is
-        partly taken out with it: as far as its residual looks like that of a wrong start. Thresholds that are bounds,
+        plant had been at rest at the first sample; the error of that decays, to 1 % at most after ``settle`` samples.
+        ``"estimated"``: in addition, its least-squares estimate from the residuals of these samples (2,000 at most) is
+        removed from the state after them. A fault present from the first sample on is partly removed with it, as far as
+        its residual looks like that of a wrong start. Thresholds that are bounds,
         certified or set by the user, hold from rest, or once every start has died away: there a start is always from
         rest. The notes of a diagnosis say where the estimate moved the residual by more than a tenth of its threshold.
 
     Notes
     -----
     Threads: :meth:`run` works on a state of its own, so one monitor may run several recordings at once in several
-    threads; what :meth:`step` goes on from is then the end of the one that finished last. :meth:`update` and
+    threads; :meth:`step` then continues from the end of the one that finished last. :meth:`update` and
     :meth:`step` belong to one stream of data: calls from several threads are done one after the other, each complete,
     but the order of samples is the caller's to keep. Give each stream a monitor of its own
     (``copy.deepcopy(monitor)`` shares nothing that changes). :meth:`fit` waits for samples of a stream, they for it.
@@ -200,17 +200,17 @@ class Monitor(Guessed, Shown):
 
     @property
     def is_fitted(self) -> bool:
-        """Whether the monitor has a threshold: from data, from the noise model, or from the user."""
+        """True if the monitor has a threshold: from data, from the noise model, or from the user."""
         return self._test is not None
 
     @property
     def isolate(self) -> IsolationSettings | None:
-        """How faults are named; ``None``: not at all."""
+        """Settings of the isolation; ``None`` for none."""
         return None if isinstance(self._isolation, NoIsolation) else self._isolation
 
     @property
     def norm_test(self) -> Any:
-        """The test with every number filled in; for a bank, those of all its members."""
+        """The fitted test; for a bank, those of all its members."""
         if self._test is None:
             raise NotFittedError(f"this monitor has no threshold: {self._settings.remedy}")
         return self._test
@@ -222,19 +222,19 @@ class Monitor(Guessed, Shown):
 
     @property
     def false_alarm_rate(self) -> float:
-        """The fraction of fault-free samples in alarm aimed at: by the last fit; before one by the test, or 1e-4."""
+        """Target fraction of fault-free samples in alarm: by the last fit; before one by the test, or 1e-4."""
         if self._check is not None and self._check.aimed is not None:
             return self._check.aimed
         return self._settings.asked(self._watched(self.generator))
 
     @property
     def fit_check(self) -> FitCheck | None:
-        """What the last fit says of its own recordings; ``None`` where nothing was fitted."""
+        """Check of the last fit on its own recordings; ``None`` without a fit."""
         return self._check
 
     @property
     def groups(self) -> tuple[tuple[str, ...], ...]:
-        """The faults, those that this monitor cannot tell apart in one group.
+        """The faults, indistinguishable ones in one group.
 
         A fault that some members of a bank see only while it changes is in two: see :class:`residua.decide.CodeTest`.
         """
@@ -242,7 +242,7 @@ class Monitor(Guessed, Shown):
 
     @property
     def settling_samples(self) -> int:
-        """Samples after a start in which nothing is decided."""
+        """Number of samples after a start without a decision."""
         if self._test is not None:
             return self._specification().settle  # of a loaded monitor that with which it was saved
         return settling_samples(self.generator) if self.settle is None else int(self.settle)
@@ -378,7 +378,7 @@ class Monitor(Guessed, Shown):
         Returns
         -------
         Monitor
-            Itself. What it runs starts anew. A later :meth:`fit` keeps what was learnt.
+            Itself. Its running state restarts. A later :meth:`fit` keeps the learnt faults.
 
         Raises
         ------
@@ -392,13 +392,13 @@ class Monitor(Guessed, Shown):
 
         Notes
         -----
-        Assumes: the fault moves the residual along one line; what changes over the interval counts as scatter, and
+        Assumes: the fault moves the residual along one line; changes over the interval count as scatter, and
         widens the cone. One recording does not say how much one occurrence differs from the next, and the diagnosis
         says so.
 
         See Also
         --------
-        learnt_faults : the table of what was learnt, with angles to what the model predicts.
+        learnt_faults : the table of learnt faults, with angles to the predictions of the model.
 
         References
         ----------
@@ -484,7 +484,7 @@ class Monitor(Guessed, Shown):
         progress: Callable[[int, int], None] | None = None,
         own: NDArray[np.bool_] | None = None,
     ) -> Diagnosis | list[Diagnosis]:
-        """Run over a recording; ``own``: the samples that are this monitor's to judge, where others have the rest."""
+        """Run over a recording; ``own``: the samples for this monitor to judge, if others judge the rest."""
         self._learn_step(measured.dt)
         checked = plant_signals(measured.u, measured.y, self.generator.plant)
         with self._lock:
@@ -522,7 +522,7 @@ class Monitor(Guessed, Shown):
         return run_file(self, path, residuals=residuals, alarms=alarms, report=report, progress=progress)
 
     def update(self, u: ArrayLike | None, y: ArrayLike, *, keep: Sequence[str] | None = None) -> Decisions:
-        """Go on with a block of samples.
+        """Process a block of samples.
 
         Parameters
         ----------
@@ -530,7 +530,7 @@ class Monitor(Guessed, Shown):
         y : array_like, shape (time, outputs) or (plants, time, outputs)
             In plant units; NaN where a value is missing.
         keep : sequence of str, optional
-            What is wanted of the decisions, such as ``("alarm", "statistic")``: the rest is ``None``, and is not
+            Wanted fields of the decisions, such as ``("alarm", "statistic")``: the rest is ``None``, and is not
             written. All when omitted.
 
         Returns
@@ -548,7 +548,7 @@ class Monitor(Guessed, Shown):
             return self._live.go_on(self._specification(), data, names)[0]
 
     def step(self, u: ArrayLike | None, y: ArrayLike) -> Decision:
-        """Go on with one sample of one plant; the same answers as :meth:`run`, to the last bit.
+        """Process one sample of one plant; the same answers as :meth:`run`, to the last bit.
 
         Parameters
         ----------
@@ -595,7 +595,7 @@ class Monitor(Guessed, Shown):
 
     @staticmethod
     def load(path: str | Path) -> Monitor:
-        """Read a monitor that :meth:`save` wrote; it goes on where it stopped, bit for bit.
+        """Read a monitor saved by :meth:`save`; it continues where it stopped, bit for bit.
 
         Parameters
         ----------
@@ -608,8 +608,8 @@ class Monitor(Guessed, Shown):
         Raises
         ------
         FileFormatError
-            If the file is no monitor, an entry is missing, unknown or not what it may be (the message names it), or the
-            content is not what was saved, by its checksum. A file that was edited on purpose says so by
+            If the file is not a monitor, an entry is missing, unknown or invalid (the message names it), or the
+            content was changed, by its checksum. A file that was edited on purpose declares it by
             ``"checksum": null``; its monitor then says so in every diagnosis.
         """
         from residua.monitor.saving import load_monitor
@@ -633,12 +633,12 @@ class Monitor(Guessed, Shown):
                 self._state = state
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return what a copy, which has a lock and a state of its own, takes over: all between two blocks."""
+        """Return the content of a copy, which gets its own lock and state, all taken between two blocks."""
         with self._lock:
             return {**self.__dict__, "_lock": None, "_live": self._live.apart()}
 
     def __setstate__(self, content: dict[str, Any]) -> None:
-        """Take over everything but the lock."""
+        """Restore everything but the lock."""
         self.__dict__.update(content, _lock=forkable_lock())
 
     def _watched(self, generator: ResidualGenerator) -> Watched:
@@ -665,7 +665,7 @@ class Monitor(Guessed, Shown):
         return stacked(*plant_signals(u, y, self.generator.plant))
 
     def _specification(self) -> Specification:
-        """Return what runs, with the learnt faults."""
+        """Return the specification, with the learnt faults."""
         with self._lock:
             plain = self._plain_specification()
             if self._running is None or self._running[0] is not plain:
@@ -673,7 +673,7 @@ class Monitor(Guessed, Shown):
             return self._running[1]
 
     def _plain_specification(self) -> Specification:
-        """Return what runs, without learnt faults."""
+        """Return the specification, without learnt faults."""
         with self._lock:
             if self._spec is None:
                 self._spec = specification(

@@ -14,7 +14,7 @@ from residua.monitor.specification import FilterState, Specification
 
 #: A residual beyond is one of a filter that overflows.
 LARGEST = 1e150
-#: What the filter changes of a running monitor's state.
+#: Fields of a running monitor's state that the filter changes.
 FIELDS = ("x", "held", "gap", "running", "age", "resets", "broken", "starting", "start_sums", "moved", "apart")
 #: Likewise, and zero for all plants as a rule: how a Kalman filter is off its stationary one.
 SELDOM = ("spread", "bent")
@@ -54,7 +54,7 @@ class OnePlant:
         return OnePlant(**kept)
 
     def field(self, name: str) -> Any:
-        """Return what a state keeps."""
+        """Return a field as kept in the state."""
         value = getattr(self, name)
         return min(value, LAST_COUNT) if name in _COUNTERS else value
 
@@ -108,7 +108,7 @@ class OnePlant:
     def _piece_until_lost(
         self, spec: Specification, signals: _Signals, ages: NDArray[np.int64]
     ) -> tuple[NDArray, _Bends, bool, bool]:
-        """Run over a piece in which the filter is not to stop; return residuals up to where it overflowed, if it did.
+        """Run over an uninterrupted piece; return residuals up to an overflow, if there is one.
 
         And the bends, whether it overflowed, and whether enough is known of the state to go on.
         """
@@ -124,7 +124,7 @@ class OnePlant:
         return r, bends, True, True
 
     def _piece(self, spec: Specification, signals: _Signals, ages: NDArray[np.int64]) -> tuple[NDArray, _Bends, bool]:
-        """Run over a piece in which the filter is not to stop, unless too little is known of the state after a sample.
+        """Run over an uninterrupted piece, unless too little is known of the state after a sample.
 
         In parts: one sample where a Kalman filter has not its stationary gain, or where a start has to be estimated
         anew; else up to the next such sample, or to where the start is known.
@@ -156,7 +156,7 @@ class OnePlant:
         return r, bends, True
 
     def _end_of_part(self, spec: Specification, signals: _Signals, i: int) -> int:
-        """Return up to where the filter runs with its stationary gain, and its start is not to be estimated."""
+        """Return the end of the stretch with a stationary gain and no start to estimate."""
         ends = [len(signals.filled)]
         if spec.partial is not None:
             ends += (i + np.flatnonzero(~signals.whole[i:])[:1]).tolist()
@@ -166,7 +166,7 @@ class OnePlant:
         return min(ends)
 
     def _learn_start(self, spec: Specification, r: NDArray, upset: bool) -> None:
-        """Take in what residuals say of the start; a value that was held makes it one of its own."""
+        """Update the estimate of the start by a residual; a held value begins a new estimate."""
         assert spec.first is not None
         if upset:
             self.start_sums = np.zeros_like(self.start_sums)
@@ -174,7 +174,7 @@ class OnePlant:
             self.start_sums = spec.first.add(self.start_sums[None], r, int(self.age))[0]
 
     def _sample(self, spec: Specification, signals: _Signals, i: int) -> tuple[NDArray, NDArray | None, bool]:
-        """Run a Kalman filter over one sample with the values that are there, by the gain for them.
+        """Run a Kalman filter over one sample with the values that are available, by the gain for them.
 
         Return the innovation, in units of the stationary one where it is whole; the responses that faults have in it,
         where they are matched; and whether enough is known of the state afterwards.
@@ -208,7 +208,7 @@ class OnePlant:
 
 @dataclass(frozen=True, eq=False)
 class _Signals:
-    """A block of one plant: values with those held that are missing, and what is missing at each sample.
+    """A block of one plant: values with missing ones held, and masks of missing values at each sample.
 
     ``there``: each output that can be used; ``given``: each input; ``whole``: all channels; ``blank``: nothing that the
     filter could be corrected by; ``upset``: whether a value was held for the filter, which then has to settle again.
@@ -222,7 +222,7 @@ class _Signals:
     upset: NDArray[np.bool_]
 
     def cut(self, start: int, stop: int) -> _Signals:
-        """Return those of some samples."""
+        """Return the signals of some samples."""
         names = ("filled", "there", "given", "whole", "blank", "upset")
         return _Signals(*(getattr(self, name)[start:stop] for name in names))
 
@@ -252,7 +252,7 @@ def _hold(v: NDArray, held: NDArray) -> NDArray:
 
 
 def _end_of_piece(blank: NDArray[np.bool_], k: int, gap: int, max_hold: int) -> tuple[int, int]:
-    """Return where the running filter has to stop (first sample of a gap that is too long) and the gap there."""
+    """Return the sample at which the filter has to stop, the first of a gap that is too long, and the gap there."""
     rest = blank[k:]
     count = np.arange(1, len(rest) + 1)
     run = count - np.maximum.accumulate(np.where(rest, -gap, count))

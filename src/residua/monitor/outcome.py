@@ -36,7 +36,7 @@ _PIECE = 1 << 18
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """The recording of one plant: times, inputs and outputs, where from, since when, and what the filter predicts.
+    """Recording of one plant: times, inputs and outputs, source, origin, and the outputs that the filter predicts.
 
     ``own`` are the samples that are this monitor's to judge; ``None`` for all of them.
     """
@@ -74,7 +74,7 @@ def diagnosis_from(
     bounds: Mapping[str, MemberBounds],
     check: FitCheck | None = None,
 ) -> Diagnosis:
-    """Return the diagnosis of one plant from the decisions on its recording; ``state`` is that after it, of all."""
+    """Return the diagnosis of one plant from the decisions on its recording; ``state`` is the later state of all."""
     tested, named, test, isolation = decisions.tested, decisions.named, spec.test, spec.isolation
     seen = Seen(recorded.time, decisions.residuals, tested, named, generator, test)
     alarms = with_beginnings(alarms_of(seen, isolation), decisions.residuals, tested.usable, recorded.time)
@@ -130,7 +130,7 @@ def diagnosis_from(
 
 
 def _of_test(test: ResidualTest, tested: Tested) -> dict[str, Any]:
-    """Return what a diagnosis has of the test itself."""
+    """Return the fields of a diagnosis that come from the test."""
     band, share = test.bands()
     return {
         "center": test.center,
@@ -147,7 +147,7 @@ def _of_test(test: ResidualTest, tested: Tested) -> dict[str, Any]:
 
 
 def settings_of(spec: Specification, generator: ResidualGenerator) -> dict[str, str]:
-    """Return how threshold, alarms and isolation were set, in words."""
+    """Describe the settings of threshold, alarms and isolation."""
     step = generator.dt
     settled = f"no decision in the first {spec.settle} samples after a start ({spec.settle * step:g} s)"
     return {
@@ -169,15 +169,15 @@ def _start(spec: Specification) -> str:
 def _missing(spec: Specification) -> str:
     more = f"; {spec.isolation.where_missing}" if spec.isolation.where_missing else ""
     if spec.partial is None:
-        return f"held for up to {spec.max_hold} samples, then the filter starts anew{more}"
+        return f"held for up to {spec.max_hold} samples, then the filter restarts{more}"
     return (
-        "the filter goes on with the values that are there, and assumes no value for a missing input; "
-        f"after more than {spec.max_hold} samples in a row without an output it starts anew{more}"
+        "the filter uses the values that are present, and treats a missing input as unknown; "
+        f"after more than {spec.max_hold} samples in a row without an output it restarts{more}"
     )
 
 
 def _sampling_notes(generator: ResidualGenerator) -> tuple[str, ...]:
-    """Return a warning where sampling a continuous design let a notable part of a signal through."""
+    """Return a warning if sampling a continuous design let a notable part of a signal through."""
     return tuple(
         f"sampling at {generator.dt:g} s lets {100 * gain:.2g} % of the {name} signals "
         "into the residual at some frequency: design on the sampled plant, plant.discretize(dt), to avoid it"
@@ -189,13 +189,13 @@ def _sampling_notes(generator: ResidualGenerator) -> tuple[str, ...]:
 def _notes(
     spec: Specification, generator: ResidualGenerator, usable: NDArray[np.bool_], missing: NDArray[np.bool_]
 ) -> tuple[str, ...]:
-    """Return what is to be minded of the design, the filter and the settings."""
+    """Return remarks on the design, the filter and the settings."""
     settling = _settling_notes(spec, generator, usable, missing)
     return *_affine_notes(spec, generator), *_sampling_notes(generator), *settling, *spec.isolation.notes()
 
 
 def _affine_notes(spec: Specification, generator: ResidualGenerator) -> tuple[str, ...]:
-    """Return that certified thresholds are those of a linearised set, once for all members of a bank."""
+    """Return a remark that certified thresholds are those of a linearised set, once for all members of a bank."""
     if not spec.test.is_certified:
         return ()
     notes = (note.partition(AFFINE_FORM) for note in generator.evidence.notes)
@@ -205,7 +205,7 @@ def _affine_notes(spec: Specification, generator: ResidualGenerator) -> tuple[st
 def _settling_notes(
     spec: Specification, generator: ResidualGenerator, usable: NDArray[np.bool_], missing: NDArray[np.bool_]
 ) -> tuple[str, ...]:
-    """Return how long the filter settles where nothing could be decided because of that."""
+    """Return a remark on the settling time of the filter, if it prevented every decision."""
     if usable.any() or missing.all():
         return ()
     return (settling_reason(generator, spec.settle),)
@@ -214,8 +214,8 @@ def _settling_notes(
 def _gap_notes(
     spec: Specification, generator: ResidualGenerator, decisions: Decisions, recorded: Recorded
 ) -> tuple[str, ...]:
-    """Return what part was not judged for want of values, of which channel most were missing, and what helps."""
-    if not np.any(decisions.missing):  # as a rule; what follows needs memory for every sample
+    """Return a remark on the share not judged because of missing values, the worst channel, and a remedy."""
+    if not np.any(decisions.missing):  # as a rule; the rest needs memory for every sample
         return ()
     own = np.ones(len(decisions.missing), dtype=bool) if recorded.own is None else recorded.own
     missing, usable = decisions.missing & own, decisions.tested.usable
@@ -238,19 +238,19 @@ def _gap_notes(
     said = f"{lost} of {part} is not judged because values are missing: {absent} samples miss one"
     said += f" (channel {worst!r} at {gaps.max()} of them, the most)"
     if not waited:
-        return (f"{said}; fill in what is known, or leave out a channel that is seldom there",)
+        return (f"{said}; fill in known values, or leave out a channel that is rarely present",)
     anew = "after gaps that were too long" if spec.partial is not None else "after every gap"
     remedy = (
-        "fill in what is known"
+        "fill in known values"
         if spec.partial is not None
-        else "fill in what is known (a command that stands still), or use a Kalman filter of the same model, which "
-        "goes on with the other values, or a filter that settles sooner"
+        else "fill in known values (of a constant command), or use a Kalman filter of the same model, which "
+        "uses the other values, or a filter that settles sooner"
     )
     return (f"{said}, and {waited} more pass while the filter settles, for {spec.settle} samples {anew}; {remedy}",)
 
 
 def _aside_notes(spec: Specification, generator: ResidualGenerator, decisions: Decisions) -> tuple[str, ...]:
-    """Return how many values of which channels were put aside."""
+    """Return a remark on the number of values put aside, by channel."""
     if not np.any(decisions.aside):  # as a rule; counting takes much longer
         return ()
     counts = np.count_nonzero(decisions.aside, axis=0)
@@ -262,34 +262,34 @@ def _aside_notes(spec: Specification, generator: ResidualGenerator, decisions: D
     ]
     several = np.sum(counts) > 1
     return (
-        f"{np.sum(counts)} value{'s were' if several else ' was'} no plausible measurement, and taken as missing: "
+        f"{np.sum(counts)} value{'s were' if several else ' was'} not plausible, and taken as missing: "
         f"{', '.join(counted)}; Monitor(plausible=...) sets the limits",
     )
 
 
 def _broken_notes(count: int) -> tuple[str, ...]:
-    """Return how often the filter overflowed."""
+    """Return a remark on the number of overflows of the filter."""
     if not count:
         return ()
     times = "once" if count == 1 else f"{count} times"
-    return (f"the filter overflowed and was started anew {times}: is the recording in the units of the model?",)
+    return (f"the filter overflowed and was restarted {times}: is the recording in the units of the model?",)
 
 
 def _start_notes(spec: Specification, moved: float) -> tuple[str, ...]:
-    """Return that the plant was not at rest, where that matters, and what follows for faults."""
+    """Return a remark that the plant was not at rest, if it matters, and its consequence for faults."""
     if spec.first is None or moved < MOVED_FROM:
         return ()
     return (
         f"the plant was hardly at rest when the filter started: its state was estimated from {spec.first.samples} "
-        f"samples, which moved the residual by {moved:.2g} times its threshold; a fault that was there from the first "
-        "sample is partly taken out with it (start='rest' does not)",
+        f"samples, which moved the residual by {moved:.2g} times its threshold; a fault present from the first "
+        "sample is partly removed with it (start='rest' does not)",
     )
 
 
 def _unlike_the_fit(
     check: FitCheck | None, plant: Plant, signals: NDArray[np.float64], aside: NDArray[np.bool_]
 ) -> list[str]:
-    """Say which channels never come near what they were in the recordings that were fitted."""
+    """Return cautions about channels that never come near their values in the fitted recordings."""
     if check is None or not check.mean or not len(signals):
         return []
     apart = rows_apart(len(signals))
@@ -299,7 +299,7 @@ def _unlike_the_fit(
 
 
 def alarms_of(seen: Seen, isolation: Isolation) -> tuple[Alarm, ...]:
-    """Return the alarms of a recording, those that are one event as one; when they began is not looked for."""
+    """Return the alarms of a recording, merged by event, without the intervals of their beginnings."""
 
     def name(start: int, stop: int, last: int) -> Named:
         return isolation.name(seen, start, stop, last)
@@ -323,7 +323,7 @@ def _alarms(seen: Seen, name: Naming) -> tuple[Alarm, ...]:
 
 
 def _runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return where flags are set in a row: the first sample of each run, and that after its last."""
+    """Return the runs of set flags: the first sample of each, and the one after its last."""
     edges, before = [], False
     for begin in range(0, len(flags), _PIECE):  # the recording may be larger than memory
         part = np.asarray(flags[begin : begin + _PIECE])
@@ -350,7 +350,7 @@ def _usable_before(usable: NDArray[np.bool_], last: int, count: int) -> int:
 
 
 def _events(alarms: Sequence[Alarm], apart: int, isolation: Isolation) -> list[list[Alarm]]:
-    """Return the alarms with those together that lie less than ``apart`` samples apart and are about the same thing.
+    """Return the alarms, merged if less than ``apart`` samples apart and about the same event.
 
     A small fault takes the statistic over the threshold and back many times; that is one event.
     """
@@ -365,7 +365,7 @@ def _events(alarms: Sequence[Alarm], apart: int, isolation: Isolation) -> list[l
 
 
 def _one_alarm(parts: Sequence[Alarm], isolation: Isolation, exceeded: NDArray[np.bool_], name: Naming) -> Alarm:
-    """Return several alarms that are one event as one: its onset is that of the first.
+    """Return several alarms of one event as one: its onset is that of the first.
 
     The candidates, reading and sizes are those of the longest part (the later one of two that are equally long), or
     what the isolation says of all parts together.

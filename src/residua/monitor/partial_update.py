@@ -1,4 +1,4 @@
-"""A Kalman filter where some values are missing: it goes on with those that are there, by the exact gain.
+"""A Kalman filter with missing values: it uses the available ones, by the exact gain.
 
 While values are missing, and until its covariance is back at the stationary one, the filter runs the recursion of
 Riccati. Then it has exactly its stationary gain again. A missing input is one of which nothing is known: the last
@@ -37,7 +37,7 @@ _MOST_GAINS = 4000
 
 @dataclass(frozen=True, eq=False)
 class Gain:
-    """What the filter does with one sample of which some outputs are there.
+    """Step of the filter for one sample with some of its outputs.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class PartialUpdate:
     ages : int
         For how many ages of a fault matched filters look for its response.
     settled : ndarray, shape (p, faults)
-        What the innovations settle to; without columns where nothing is matched.
+        Steady values of the innovations; without columns if nothing is matched.
     whitening : ndarray, shape (p, residuals)
         Of the test.
     """
@@ -108,13 +108,13 @@ class PartialUpdate:
 
     @cached_property
     def spread(self) -> Matrix:
-        """Product of the deviations of every two states, one step after nothing was measured."""
+        """Product of the deviations of every two states, one step after no output was measured."""
         size = np.sqrt(np.diag(_product(_product(self.A, self.covariance), self.A.T) + self.Q))
         return np.multiply.outer(size, size)
 
     @cached_property
     def unknown(self) -> Matrix:
-        """Covariance where nothing is known."""
+        """Covariance without knowledge."""
         return np.diag(_UNKNOWN * np.diag(self.spread))
 
     @cached_property
@@ -123,7 +123,7 @@ class PartialUpdate:
 
     @cached_property
     def free_input(self) -> Matrix:
-        """Variance of each input where nothing is known of it.
+        """Variance of each input when it is unknown.
 
         An error of this size would move the whitened innovations by ``1e4`` deviations, all samples after it together;
         zero for an input that none of them sees.
@@ -154,7 +154,7 @@ class PartialUpdate:
 
     @cached_property
     def numbers(self) -> Matrix:
-        """All that gains follow from, one after the other in the order of ``_partial_gain.h``."""
+        """All numbers that determine gains, one after the other in the order of ``_partial_gain.h``."""
         plant, noise = (self.A, self.B, self.C, self.D, self.K), (self.Q, self.R, self.S)
         derived = (self.free_input, self._most, _REACHED * self.spread, self.unknown, self._stationary_root)
         return np.concatenate([np.ravel(one) for one in (*plant, *noise, self.covariance, *derived)])
@@ -177,7 +177,7 @@ class PartialUpdate:
         return np.stack([*rows, self.settled.T]), scale
 
     def gain(self, covariance: Matrix, there: NDArray[np.bool_], given: NDArray[np.bool_]) -> Gain:
-        """Return what to do with a sample; ``covariance`` is that of the prediction, zero for the stationary one.
+        """Return the step for a sample; ``covariance`` is that of the prediction, zero for the stationary one.
 
         ``there``: the outputs that can be used; ``given``: the inputs that are known.
         """
@@ -229,7 +229,7 @@ class PartialUpdate:
         return following[0], r[0, 0]
 
     def bend(self, gain: Gain, bent: Matrix) -> Matrix:
-        """Return how far the errors that faults cause are off the stationary ones, one sample on.
+        """Return the deviation of the errors that faults cause from the stationary ones, one sample on.
 
         Parameters
         ----------
@@ -248,7 +248,7 @@ class PartialUpdate:
 
 
 def partial_update(generator: ResidualGenerator, test: ResidualTest) -> PartialUpdate | None:
-    """Return what a generator needs to go on without some values; ``None`` unless it is a stationary Kalman filter."""
+    """Return the data for filtering with missing values; ``None`` unless it is a stationary Kalman filter."""
     matched = test.responses
     system, plant, p = generator.system, generator.plant, generator.n_residuals
     n, m = system.n_states, len(plant.inputs)
@@ -290,7 +290,7 @@ def partial_update(generator: ResidualGenerator, test: ResidualTest) -> PartialU
 
 
 def empty_partial(partial: PartialUpdate | None, plants: int) -> dict[str, Matrix]:
-    """Return the fields of a state that say how a filter is off its stationary one: zeros, that take no memory."""
+    """Return the fields for deviations from the stationary filter: zeros that take no memory."""
     n = 0 if partial is None else len(partial.A)
     rows = (0, 0) if partial is None or not partial.settled.size else (partial.ages + 1, partial.settled.shape[1])
     shapes = {"spread": (plants, n, n), "bent": (plants, *rows, n)}

@@ -1,4 +1,4 @@
-"""State as records: what is remembered of one plant lies side by side, so that a plant costs a few lines of cache."""
+"""State as records: the state of one plant is contiguous, so that a plant costs a few lines of cache."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 #: Numbers begin at multiples of so many bytes; records of more than a line begin with a line of the cache.
 _ALIGNED, _LINE = 8, 64
-#: What is zero as a rule. Each has an array of its own, whose memory the system provides where something is written;
-#: of plants all of which have zeros it is one zero, broadcast, and room is made when one of them needs it.
+#: Fields that are usually zero. Each has its own array, whose memory the system provides where something is written;
+#: for plants that all have zeros it is one zero, broadcast, and room is made when one of them needs it.
 SELDOM = ("start_sums", "moved", "resets", "broken", "spread", "bent")
 
 
 def takes_no_memory(array: NDArray) -> bool:
-    """Tell whether an array is one number, broadcast."""
+    """Tell whether an array is one broadcast number."""
     return bool(array.size) and not any(array.strides)
 
 
@@ -45,7 +45,7 @@ def _seldom(array: NDArray) -> NDArray:
 
 
 def _block(plants: int, size: int) -> tuple[NDArray[np.uint8], int]:
-    """Return zeros for so many records, which begin with a line of the cache, and how far apart they are."""
+    """Return zeros for so many records aligned to lines of the cache, and their stride."""
     stride = -(-size // _LINE) * _LINE if size > _LINE else size
     room = np.zeros(plants * stride + _LINE, dtype=np.uint8)
     begin = -room.ctypes.data % _LINE
@@ -53,7 +53,7 @@ def _block(plants: int, size: int) -> tuple[NDArray[np.uint8], int]:
 
 
 def bytes_of_record(wholes: list[Any]) -> int:
-    """Return the bytes of what is remembered of one plant; of what is seldom, those for which there is room now."""
+    """Return the bytes of state of one plant; for rarely used fields, those allocated now."""
     named = [pair for whole in wholes for pair in _arrays(whole)]
     often = [one for name, one in named if name not in SELDOM]
     return _offsets(often)[1] + sum(one.nbytes // len(one) for name, one in named if name in SELDOM and len(one))
@@ -78,7 +78,7 @@ def _rebuilt(whole: Any, views: Iterator[NDArray]) -> Any:
 
 
 def _offsets(arrays: list[NDArray]) -> tuple[list[int], int]:
-    """Return where each array begins in a record, the widest numbers first, and the size of a record."""
+    """Return the offset of each array in a record, the widest numbers first, and the size of a record."""
     offsets, at = [0] * len(arrays), 0
     for k in sorted(range(len(arrays)), key=lambda k: -arrays[k].itemsize):
         offsets[k] = at

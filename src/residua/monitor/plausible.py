@@ -1,4 +1,4 @@
-"""Which values can be measurements: what lies far outside is a mark for "no value", and is taken as missing."""
+"""Plausible values of measurements: values far outside are marks for "no value", and count as missing."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from residua.errors import SettingError
 from residua.visible import echo, listed
 
 #: Sizes of a signal in a fault-free recording that its plausible values reach from the middle, unless set otherwise.
-#: Far above what a sensor reads that fails to the end of its scale: that is a fault, which must be seen.
+#: Far above the reading of a sensor that fails to the end of its scale: that is a fault, which must be seen.
 TIMES = 1e6
 #: Without limits from data: standard deviations, or thresholds, that the largest value may move the residual by.
 _GUARD = 1e30
@@ -126,7 +126,7 @@ def plausible_deviations(
 
 
 def _largest_response(generator: ResidualGenerator, test: ResidualTest) -> NDArray[np.float64]:
-    """Return for each channel the largest response of the whitened residual to it, as soon as the filter knows it."""
+    """Return for each channel the largest response of the whitened residual to an impulse in it."""
     system = generator.system
     weights = test.guarded
     largest, x = np.abs(system.D).T @ weights, system.B

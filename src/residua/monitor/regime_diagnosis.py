@@ -1,4 +1,4 @@
-"""The outcome of a monitor that is switched by operating mode: one line of time, and who judged when."""
+"""Outcome of a monitor that is switched by operating mode: one time line, with the mode that judged each sample."""
 
 from __future__ import annotations
 
@@ -72,18 +72,18 @@ class RegimeDiagnosis(Shown):
 
     @property
     def alarms(self) -> tuple[RegimeAlarm, ...]:
-        """The alarms of all modes in order of time; one that goes on in another mode is raised there again."""
+        """The alarms of all modes in order of time; one that continues in another mode is raised there again."""
         every = [RegimeAlarm(name, alarm) for name, one in self.judged.items() for alarm in one.alarms]
         return tuple(sorted(every, key=lambda one: one.alarm.start))
 
     @property
     def main_alarm(self) -> RegimeAlarm | None:
-        """The alarm with the most samples that were judged in its mode; ``None`` without one."""
+        """The alarm with the most samples judged in its mode; ``None`` without one."""
         return max(self.alarms, key=self._judged_in, default=None)
 
     @property
     def onset(self) -> float | None:
-        """The estimated begin of the first alarm; ``None`` without one."""
+        """The estimated beginning of the first alarm; ``None`` without one."""
         return min((one.alarm.onset for one in self.alarms), default=None)
 
     @property
@@ -98,16 +98,16 @@ class RegimeDiagnosis(Shown):
         return float((self.alarm & self.decided).sum() / decided) if decided else 0.0
 
     def _judged_in(self, one: RegimeAlarm) -> int:
-        """Return how many samples of an alarm were judged: it stands on over visits to other modes."""
+        """Return the number of judged samples of an alarm, which persists through visits to other modes."""
         return int(np.count_nonzero(self.judged[one.mode].decided[one.alarm.start : one.alarm.stop]))
 
     def samples(self, name: str) -> int:
-        """Return how many samples of the recording are in a mode."""
+        """Return the number of samples of the recording in a mode."""
         return int(np.count_nonzero(self.mode == self.modes.index(name))) if name in self.modes else 0
 
     @property
     def not_judged(self) -> tuple[str, ...]:
-        """The spans without a decision, in words, with the number of their samples."""
+        """Description of the spans without a decision, with the number of their samples."""
         lines = [
             f"not judged: {name} ({why}), {counted(self.samples(name), 'sample')}"
             for name, why in self.unjudged.items()

@@ -1,4 +1,4 @@
-"""Monitors by operating mode as JSON: the switch, and the monitor of every mode as a file of its own would have it."""
+"""Monitors by operating mode as JSON: the switch, and the monitor of every mode as in a file of its own."""
 
 from __future__ import annotations
 
@@ -65,11 +65,11 @@ def save_regimes(monitor: RegimeMonitor, path: str | Path) -> None:
 
 
 def load_regimes(path: str | Path) -> RegimeMonitor:
-    """Read a monitor by operating mode; raises :class:`FileFormatError` that says which entry is wrong."""
+    """Read a monitor by operating mode; :class:`FileFormatError` names the wrong entry."""
     path = Path(path)
     content = loads(read_bytes(path, "monitor"), path.name)
     if content.get("format") != REGIMES:
-        raise FileFormatError(f'{path.name} is no monitor by operating mode (no "format": {REGIMES!r} in it)')
+        raise FileFormatError(f'{path.name} is not a monitor by operating mode (no "format": {REGIMES!r} in it)')
     if content.get("version") != VERSION:
         raise FileFormatError(
             other_version(path.name, content.get("version"), VERSION, "design and fit the monitor again")
@@ -91,7 +91,7 @@ def _made(content: Mapping[str, Any]) -> RegimeMonitor:
     dt = float_in(content["dt"], "dt", POSITIVE)
     absent = [name for name in signals.names if name not in inputs + outputs]
     if absent:
-        raise FileFormatError(f"by: {listed(absent)} is none of the inputs and outputs")
+        raise FileFormatError(f"by: {listed(absent)} is not among the inputs and outputs")
     modes: dict[str, OperatingMode] = {}
     monitors: dict[str, Monitor] = {}
     for k, entry in enumerate(list_in(content["modes"], "modes")):
@@ -101,7 +101,7 @@ def _made(content: Mapping[str, Any]) -> RegimeMonitor:
         key = tuple(float_in(value, where_key) for value in list_in(one["key"], where_key, len(signals.names)))
         name = signals.label(key)
         if name in modes:
-            raise FileFormatError(f"{where}: the mode {echo(name)} is there twice")
+            raise FileFormatError(f"{where}: the mode {echo(name)} occurs twice")
         monitor = monitor_from(
             {**table_in(one["monitor"], joined(where, "monitor")), CHECKSUM: None}, joined(where, "monitor")
         )

@@ -26,7 +26,7 @@ from residua.recording.time_axis import REGULAR
 from residua.shown import Shown, notes, table
 from residua.visible import echo, listed
 
-#: What is said of a mode that no recording showed.
+#: Remark on a mode that no recording showed.
 NEVER_SEEN = "a mode never seen"
 #: Steps of a recording and of the monitor may differ by that part, as for a :class:`residua.Monitor`.
 SAME_STEP = REGULAR / 10
@@ -37,7 +37,7 @@ class RegimeMonitor(Shown):
 
     A sample is judged by the monitor of its own mode. Nothing is decided in a mode without a model, where a signal
     of the modes is missing, over the transient after a change of mode (:attr:`OperatingMode.transient
-    <residua.identify.OperatingMode>`), nor until the filter of the mode has settled after it: it starts anew at
+    <residua.identify.OperatingMode>`), nor until the filter of the mode has settled after it: it restarts at
     every visit, and after every missing value; a window of the test goes on with the last judged samples of earlier
     visits. What the recording holds of these is said in the diagnosis, with the numbers of samples. Each monitor
     has the false alarm rate that was asked for, so all together have it too.
@@ -47,7 +47,7 @@ class RegimeMonitor(Shown):
     regimes : Regimes
         From :func:`residua.identify.regimes`.
     test : TestSettings, optional
-        When to raise an alarm, in every mode; what each design brings, when omitted (:class:`residua.Monitor`).
+        When to raise an alarm, in every mode; by default the test of each design (:class:`residua.Monitor`).
     isolate : IsolationSettings, None or "auto"
         How to name the fault, as in :class:`residua.Monitor`.
     settle : int, optional
@@ -109,7 +109,7 @@ class RegimeMonitor(Shown):
 
     @classmethod
     def of(cls, regimes: Regimes, monitors: Mapping[str, Monitor], unfitted: Mapping[str, str]) -> RegimeMonitor:
-        """Return the switch between monitors that are there already, one for each mode.
+        """Return the switch between existing monitors, one for each mode.
 
         Parameters
         ----------
@@ -137,12 +137,12 @@ class RegimeMonitor(Shown):
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """Inputs, then outputs, of the recordings that it takes."""
+        """Inputs, then outputs, of its recordings."""
         return self.regimes.inputs + self.regimes.outputs
 
     @property
     def is_fitted(self) -> bool:
-        """Whether some mode has a threshold."""
+        """True if some mode has a threshold."""
         return any(one.is_fitted for one in self.monitors.values())
 
     def fit(
@@ -267,7 +267,7 @@ class RegimeMonitor(Shown):
         time: ArrayLike | None = None,
         dt: float | None = None,
     ) -> dict[str, str]:
-        """Learn a fault from labelled recordings of it, in every mode that they show it in.
+        """Learn a fault from labelled recordings of it, in every mode in which they show it.
 
         Parameters
         ----------
@@ -330,7 +330,7 @@ class RegimeMonitor(Shown):
 
     @staticmethod
     def load(path: str | Path) -> RegimeMonitor:
-        """Read what :meth:`save` wrote: it says of any recording what the saved one said, to the last bit.
+        """Read a monitor saved by :meth:`save`, with the same answers to the last bit.
 
         Parameters
         ----------
@@ -343,7 +343,7 @@ class RegimeMonitor(Shown):
         Raises
         ------
         FileFormatError
-            If the file is no such monitor, or an entry is not what it may be.
+            If the file is not such a monitor, or an entry is invalid.
         """
         from residua.monitor.regime_files import load_regimes
 
@@ -352,7 +352,7 @@ class RegimeMonitor(Shown):
     # ------------------------------------------------------------------ helpers
 
     def _plant(self) -> Plant:
-        """Return the channels as a plant: what measurements are matched to."""
+        """Return the channels as a plant, for matching measurements."""
         m, p = len(self.regimes.inputs), len(self.regimes.outputs)
         return Plant(
             np.zeros((0, 0)),
@@ -387,7 +387,7 @@ class RegimeMonitor(Shown):
         return self.regimes.signals.keys(rows[:, [self.channels.index(name) for name in names]])
 
     def _own(self, mode: OperatingMode, keys: NDArray[np.float64], old: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Return which rows are this mode's to judge."""
+        """Return the mask of rows for this mode to judge."""
         return rows_in(keys, mode.key) & (old >= mode.transient)
 
     def _split(
@@ -400,7 +400,7 @@ class RegimeMonitor(Shown):
         return rows[:, u], rows[:, y]
 
     def _rows_of(self, interval: Any, part: tuple[NDArray[np.float64], Signals]) -> NDArray[np.bool_] | None:
-        """Return which rows an interval holds; a mask as it is."""
+        """Return the mask of rows in an interval; a mask unchanged."""
         rows, measured = part
         if not isinstance(interval, tuple):
             return interval
@@ -408,7 +408,7 @@ class RegimeMonitor(Shown):
         return (clock >= interval[0]) & (clock < interval[1])
 
     def _why_not(self, name: str) -> str:
-        """Say why a mode is not judged; nothing for one that is."""
+        """Describe why a mode is not judged; empty for one that is."""
         if name in self.regimes.without_model:
             return f"no model: {self.regimes.without_model[name]}"
         if name not in self.regimes.modes:
@@ -425,17 +425,17 @@ class RegimeMonitor(Shown):
 
 
 def _any(own: NDArray[np.bool_], span: NDArray[np.bool_] | None) -> bool:
-    """Return whether some own row is in a span; all rows are where there is none."""
+    """Tell whether any own row is in a span; ``None`` spans all rows."""
     return bool((own if span is None else own & span).any())
 
 
 def _longest(own: NDArray[np.bool_]) -> int:
-    """Return the largest number of own rows in a row."""
+    """Return the largest number of consecutive own rows."""
     return int(np.diff(runs(own)).max(initial=0))
 
 
 def _still(mode: OperatingMode) -> tuple[str, ...]:
-    """Return which channels are not looked at."""
+    """Return a remark on channels that are ignored because they never moved."""
     if not mode.still:
         return ()
     return (f"not looked at, because they never moved in this mode when it was learnt: {listed(mode.still)}",)

@@ -1,4 +1,4 @@
-"""The report of what the residuals of fault-free recordings are."""
+"""Report on the residuals of fault-free recordings."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def residual_report(
     dt: float | None = None,
     transient: int = 0,
 ) -> ResidualReport:
-    r"""Return what the residuals of fault-free recordings really are, and which test they ask for.
+    r"""Return the properties of fault-free residuals, and the test they call for.
 
     Thresholds are designed for residuals that are white, Gaussian, stationary, of mean zero, and as large as the noise
     model says. This tests each of these on a recording, for all residuals together:
@@ -40,9 +40,9 @@ def residual_report(
 
         .. math:: Q = n^2 \sum_{l=1}^{20} \frac{\hat\varrho_l^2}{n - l} \sim \chi^2_{20}
     bursts
-        The same for the ranks of the sizes of what an autoregression leaves: noise that becomes larger and smaller.
+        The same for the ranks of the sizes of the innovations of an autoregression: noise of varying size.
     tails, light tails, skewness
-        Kurtosis and skewness of what an autoregression leaves, by D'Agostino and Pearson's transformations; with the
+        Kurtosis and skewness of the innovations, by D'Agostino and Pearson's transformations; with the
         shape of the tail by a generalised Pareto distribution.
     quantised
         Few different values.
@@ -51,10 +51,10 @@ def residual_report(
     offset, variance
         Against zero and against the noise model of the plant, with as many independent samples as there are.
     copies
-        Residuals that are combinations of others, or that the past of all foretells exactly.
+        Residuals that are combinations of others, or that the past of all predicts exactly.
 
     Each kind is found on residuals without such a thing with a probability of 1 % or less (``Finding.level``), for all
-    residuals together; what is too small to matter is not found, however many samples show it.
+    residuals together; effects too small to matter are not reported, however many samples show them.
 
     Parameters
     ----------
@@ -75,11 +75,11 @@ def residual_report(
     DataError
         If a recording does not fit the plant, or is too short, or holds no noise.
     SettingError
-        If this is no generator.
+        If this is not a generator.
 
     See Also
     --------
-    residua.Monitor.fit : Does what this recommends by itself with ``treatment="auto"``, and says so in its basis.
+    residua.Monitor.fit : Follows these recommendations with ``treatment="auto"``, and states so in its basis.
 
     Notes
     -----

@@ -26,7 +26,7 @@ _MOST_NUMBERS = 10**7
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """What a running monitor remembers.
+    """State of a running monitor.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class Decisions:
-    """What a monitor decided on a block; every array starts with (plants, time), or (time,) for one plant.
+    """Decisions of a monitor on a block; every array starts with (plants, time), or (time,) for one plant.
 
     Attributes
     ----------
@@ -66,9 +66,9 @@ class Decisions:
     match : Match or None
         Of matched filters: likelihood ratio, arrival and size of every fault.
     tested : Tested
-        What the test says.
+        Results of the test.
     named : Scores
-        What the isolation says.
+        Results of the isolation.
     """
 
     residuals: NDArray[np.float64]
@@ -79,17 +79,17 @@ class Decisions:
 
     @property
     def statistic(self) -> NDArray[np.float64]:
-        """Of the test."""
+        """Statistic of the test."""
         return self.tested.statistic
 
     @property
     def exceeded(self) -> NDArray[np.bool_]:
-        """Whether the statistic is over its threshold."""
+        """True where the statistic is over its threshold."""
         return self.tested.exceeded
 
     @property
     def alarm(self) -> NDArray[np.bool_]:
-        """Whether an alarm stands."""
+        """True while an alarm stands."""
         return self.tested.alarm
 
     @property
@@ -99,37 +99,37 @@ class Decisions:
 
     @property
     def usable(self) -> NDArray[np.bool_]:
-        """Where something is decided."""
+        """True where there is a decision."""
         return self.tested.usable
 
     @property
     def scores(self) -> NDArray[np.float64]:
-        """Of the isolation."""
+        """Scores of the isolation."""
         return self.named.scores
 
     @property
     def member_statistics(self) -> NDArray[np.float64]:
-        """Of what is tested by itself."""
+        """Statistics of the parts tested separately."""
         return self.tested.part_statistics
 
     @property
     def fired(self) -> NDArray[np.bool_]:
-        """Which of what is tested by itself is in alarm."""
+        """True where a part tested separately is in alarm."""
         return self.tested.fired
 
     @property
     def code(self) -> NDArray[np.bool_]:
-        """Which members count as fired; no columns where no code is read."""
+        """Mask of the members that count as fired; no columns if no code is read."""
         code = self.named.code
         return np.zeros((*self.usable.shape, 0), dtype=bool) if code is None else code
 
     @property
     def match(self) -> Match | None:
-        """Of matched filters."""
+        """Match of matched filters."""
         return self.named.match
 
     def of(self, plant: int) -> Decisions:
-        """Return those of one plant."""
+        """Return the decisions of one plant."""
         return rows_of(self, plant)
 
 
@@ -139,7 +139,7 @@ def joined_decisions(parts: Sequence[Decisions]) -> Decisions:
 
 
 def _joined(parts: Sequence[Any]) -> Any:
-    """Return dataclasses of arrays as one, with the blocks of each array one after the other."""
+    """Return dataclasses of arrays as one, concatenated over blocks."""
     first = parts[0]
     if first is None:
         return None
@@ -183,7 +183,7 @@ def initial_state(spec: Specification, plants: int) -> State:
 
 
 def written_rows(whole: Any, rows: NDArray[np.int64], part: Any) -> Any:
-    """Return a dataclass of arrays with those of some plants written into it, in place but where it takes no memory."""
+    """Return a dataclass of arrays with those of some plants written in place, unless it takes no memory."""
     if whole is None:
         return None
     if isinstance(whole, np.ndarray):
@@ -198,7 +198,7 @@ def written_rows(whole: Any, rows: NDArray[np.int64], part: Any) -> Any:
 
 
 def run_reference(spec: Specification, state: State, data: NDArray[np.float64]) -> tuple[State, Decisions]:
-    """Run filter, test and isolation over a block of samples, in NumPy: the reference of the fused loop.
+    """Run filter, test and isolation over a block of samples, in NumPy: the reference for the fused loop.
 
     Parameters
     ----------
@@ -231,13 +231,13 @@ def _run_at_once(spec: Specification, state: State, data: NDArray[np.float64]) -
 def judged(
     spec: Specification, state: State, filter_state: FilterState, filtered: Filtered, *, name: bool = True
 ) -> tuple[State, Decisions]:
-    """Run test and isolation over what the filter made of a block; ``name``: whether the isolation is run too."""
+    """Run the test, and with ``name`` the isolation, on the filtered block."""
     block = Block(filtered.residuals, filtered.usable, state.count, filtered.bends, filtered.signals)
     test, tested = spec.test.run(state.test, block)
     isolation, named = state.isolation, Scores(np.zeros((*filtered.usable.shape, 0)))
     if name:
         isolation, named = spec.isolation.run(state.isolation, block, tested)
-    if tested.likelihood is not None:  # what the isolation has read
+    if tested.likelihood is not None:  # already read by the isolation
         tested = replace(tested, likelihood=None)
     if filtered.usable.shape[1]:
         state = State(filter_state, test, isolation, state.count + filtered.usable.shape[1])
@@ -245,7 +245,7 @@ def judged(
 
 
 def _longest_block(spec: Specification, state: State, data: NDArray[np.float64]) -> int:
-    """Return how many samples to run at once: matched filters hold the responses at each where outputs are missing."""
+    """Return the number of samples to run at once, limited by the memory of matched filters with missing outputs."""
     if spec.test.responses is None or spec.partial is None or data.shape[1] < 2:
         return data.shape[1]
     low, high = (spec.plausible + spec.offset[:, None]).T

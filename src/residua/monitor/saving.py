@@ -58,10 +58,10 @@ FORMAT = "residua-monitor"
 REGIMES = "residua-regime-monitor"
 VERSION = 12
 
-#: What a monitor says in every diagnosis whose file was edited: nobody but its author can know whether it still holds.
+#: Caution in every diagnosis of a monitor whose file was edited: only its author can know whether it still holds.
 EDITED = "the file of this monitor was edited after it was saved: its numbers are not those of the design"
 
-#: What is computed from the design before the first sample is right to that.
+#: Relative accuracy of values computed from the design before the first sample.
 _EXACT = 1e-6
 
 _ENTRIES = (
@@ -81,7 +81,7 @@ _ENTRIES = (
     "running",
     "state",
 )
-#: Entries of a file only where there are any, and what stands for them elsewhere.
+#: Optional entries of a file, and their defaults.
 _ABSENT: dict[str, Any] = {"bounds": {}, "fit_check": None, "normal": None, "learnt": []}
 
 
@@ -123,9 +123,9 @@ def monitor_out(monitor: Monitor) -> dict[str, Any]:
 
 
 def load_monitor(path: str | Path) -> Monitor:
-    """Read a monitor; raises :class:`FileFormatError` that says which entry is wrong.
+    """Read a monitor; :class:`FileFormatError` names the wrong entry.
 
-    Every number must be what it may be (:class:`residua.records.Record`), the parts must fit together, and the
+    Every number must be valid (:class:`residua.records.Record`), the parts must fit together, and the
     content must be what was saved, by its checksum. With ``"checksum": null`` in the file, which says that it was
     edited, the monitor is as the file says, and its notes say that.
     """
@@ -140,7 +140,7 @@ def load_monitor(path: str | Path) -> Monitor:
 
 
 def monitor_from(content: Mapping[str, Any], source: str) -> Monitor:
-    """Return the monitor of a record, whose checksum is the caller's to check."""
+    """Return the monitor of a record; the caller checks the checksum."""
     if content.get("format") == REGIMES:
         raise FileFormatError(f"{source} is a monitor by operating mode: read it by residua.RegimeMonitor.load")
     if content.get("format") != FORMAT:
@@ -150,7 +150,7 @@ def monitor_from(content: Mapping[str, Any], source: str) -> Monitor:
             other_version(source, content.get("version"), VERSION, "design and fit the monitor again")
         )
     try:
-        with np.errstate(all="ignore"):  # what overflows is refused; that it did is no news
+        with np.errstate(all="ignore"):  # overflow is refused later; a warning adds nothing
             return _monitor_in(record(_ABSENT | dict(content), "", (*_ENTRIES, *_ABSENT, CHECKSUM)))
     except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError, MemoryError, ResiduaError) as error:
         raise FileFormatError(f"{source}: {shortened(str(error), 1000)}") from error
@@ -200,7 +200,7 @@ def _monitor_in(content: Mapping[str, Any]) -> Monitor:
 def _learnt_in(
     content: Mapping[str, Any], monitor: Monitor
 ) -> tuple[NDArray[np.float64] | None, tuple[LearntFault, ...]]:
-    """Return the fault-free covariance, where it is not that of the test, and the faults that were learnt."""
+    """Return the fault-free covariance, if it is not that of the test, and the learnt faults."""
     k, coding = monitor.generator.n_residuals, monitor._plain_specification().isolation.coding
     normal = None if content["normal"] is None else _square_in(content["normal"], "normal", k)
     faults = []
@@ -227,13 +227,13 @@ class _Saved:
 
 
 def _check_parts(content: Mapping[str, Any], test: TestSettings, isolate: IsolationSettings) -> None:
-    """Raise where the settings are not of what was made of them, before anything is made of them again.
+    """Raise if the settings do not match the saved results, before anything is rebuilt.
 
     What takes the time of a window is in the file then, as long as its window says.
     """
     fitted, running = content["fitted"], content["running"]
     if (fitted is None) != (running is None):
-        raise FileFormatError("running must be there if and only if fitted is")
+        raise FileFormatError("running must be present if and only if fitted is")
     if fitted is not None:
         test.check_record(table_in(fitted, "fitted"), "fitted")
         where = "running.isolation"
@@ -256,11 +256,11 @@ def _plausible_in(value: Any) -> Plausible:
     return out
 
 
-# --------------------------------------------------------------------- what runs
+# --------------------------------------------------------------------- the running state
 
 
 def _running_out(spec: Specification) -> dict[str, Any]:
-    """Return what was computed from the design before the first sample."""
+    """Return the values computed from the design before the first sample."""
     return {
         "start": array_out(spec.start),
         "settle": int(spec.settle),
@@ -277,7 +277,7 @@ _RUNNING = ("start", "settle", "plausible", "first", "partial", "isolation")
 
 
 def _running_in(spec: Specification, value: Any, monitor: Monitor, watched: Watched) -> Specification:
-    """Return the specification with what was computed when it was saved in place of what is computed now."""
+    """Return the specification with the saved values in place of those computed now."""
     content = record(value, "running", _RUNNING)
     start = array_in(content["start"], "running.start", ENTRY)
     if start.shape != spec.start.shape:
@@ -292,7 +292,7 @@ def _running_in(spec: Specification, value: Any, monitor: Monitor, watched: Watc
 
 
 def _state_in(value: Any, spec: Specification) -> State:
-    """Return the state of a running monitor, as it may be for what runs."""
+    """Return the state of a running monitor, checked against its specification."""
     filtered = table_in(table_in(value, "state").get("filter"), "state.filter")
     plants = len(array_in(filtered.get("gap"), "state.filter.gap", INDEX, 1))
     state: State = state_in(value, "state", initial_state(spec, plants))
@@ -305,14 +305,14 @@ def _state_in(value: Any, spec: Specification) -> State:
 
 
 def _first_out(spec: Specification, first: StartFit) -> dict[str, Any]:
-    """Return what estimates a start; its weights only if they are not those that a file without them has."""
+    """Return the record of a start estimator; its weights only if they differ from the default."""
     out = {"samples": int(first.samples), "correction": array_out(first.correction)}
     without = start_from(spec.A, spec.C, spec.test, first.samples, first.correction, None)
     return out if np.array_equal(without.weights, first.weights) else {**out, "weights": array_out(first.weights)}
 
 
 def _first_in(value: Any, spec: Specification) -> StartFit | None:
-    """Return what estimates a start, with the correction that was saved."""
+    """Return the estimator of a start, with the saved correction."""
     if value is None:
         return None
     content = {"weights": None} | table_in(value, "running.first")  # an entry only where it is needed
@@ -328,12 +328,12 @@ def _first_in(value: Any, spec: Specification) -> StartFit | None:
 
 
 def _partial_in(value: Any, spec: Specification) -> PartialUpdate | None:
-    """Return what a Kalman filter without some outputs needs, with the covariance that was saved."""
+    """Return the data for a Kalman filter with missing outputs, with the saved covariance."""
     if value is None:
         return None
     content = record(value, "running.partial", ("covariance", "settled"))
     if spec.partial is None:
-        raise FileFormatError("running.partial is there, and the generator is no stationary Kalman filter")
+        raise FileFormatError("running.partial is present, but the generator is not a stationary Kalman filter")
     covariance = _square_in(content["covariance"], "running.partial.covariance", len(spec.A))
     settled, shape = array_in(content["settled"], "running.partial.settled", ENTRY), spec.partial.settled.shape
     if settled.shape != shape:
@@ -360,7 +360,7 @@ def _limits_in(value: Any, spec: Specification) -> NDArray[np.float64]:
 
 
 def _check_start(spec: Specification, start: NDArray[np.float64]) -> None:
-    """Raise unless the filter would stay where it starts: what was computed elsewhere differs by rounding alone."""
+    """Raise unless the filter would stay where it starts, up to rounding."""
     remains = np.eye(len(spec.A)) - spec.A
     size = np.abs(remains) @ np.abs(start) + np.abs(spec.B)
     if start.size and np.abs(remains @ start - spec.B).max() > _EXACT * size.max():

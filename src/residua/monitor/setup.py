@@ -1,4 +1,4 @@
-"""From a design and settings to what a monitor runs."""
+"""Specification of a monitor from a design and settings."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from residua.visible import echo
 
 #: Numbers that the windows of a monitor may keep for each plant; more is a mistake in the window.
 _MOST_NUMBERS = 10**7
-#: What is asked for where ``isolate`` is none of these.
+#: Message for an invalid ``isolate``.
 _KINDS = (
     "isolate must be 'auto', Directional(...), Structured(...), Matched(...), Likelihood(...), one of your own, or None"
 )
 
 
 def chosen_isolation(isolate: Any, generator: ResidualGenerator, design: Any = None) -> IsolationSettings:
-    """Return how faults are named; ``"auto"``: by the kind that says that a design is made for it."""
+    """Return the settings of the isolation; ``"auto"``: of the kind for which the design is made."""
     if isinstance(isolate, str) and isolate == "auto":
         offers = (kind.for_design(design, generator) for kind in reversed(ISOLATIONS.values()))
         isolate = next(offer for offer in offers if offer is not None)
@@ -48,7 +48,7 @@ def chosen_isolation(isolate: Any, generator: ResidualGenerator, design: Any = N
 def chosen_test(
     test: Any, design: Any, generator: ResidualGenerator, isolate: IsolationSettings
 ) -> tuple[TestSettings, dict[str, float]]:
-    """Return the settings of the test, and the thresholds that the design has certified; empty if none are used.
+    """Return the settings of the test, and the thresholds certified by the design; empty if none are used.
 
     Without settings: :class:`PeakThreshold` for a design with certified thresholds, the test that a design is made for
     where it brings one, else :class:`MultiscaleEWMA`.
@@ -67,7 +67,7 @@ def chosen_test(
 
 
 def brought_test(design: Any, isolate: IsolationSettings) -> TestSettings:
-    """Return the settings of the test that a design is made for, or that its isolation asks for; else a bank of means.
+    """Return the settings of the test of a design or of its isolation; else a bank of means.
 
     The test of matched filters is one of likelihoods.
     """
@@ -78,7 +78,7 @@ def brought_test(design: Any, isolate: IsolationSettings) -> TestSettings:
 
 
 def brought_thresholds(design: Any, generator: ResidualGenerator) -> dict[str, float]:
-    """Return the thresholds that a design brings for the members of its generator; empty for one that brings none.
+    """Return the certified thresholds of a design for the members of its generator; empty without.
 
     Raises
     ------
@@ -98,7 +98,7 @@ def brought_thresholds(design: Any, generator: ResidualGenerator) -> dict[str, f
 
 
 def brought_bounds(design: Any, generator: ResidualGenerator) -> dict[str, MemberBounds]:
-    """Return the bounds that a design brings for the members of its generator; empty for one that brings none."""
+    """Return the certified bounds of a design for the members of its generator; empty without."""
     if not isinstance(design, BoundedDesign):
         return {}
     bounds_of = design.member_bounds
@@ -108,7 +108,7 @@ def brought_bounds(design: Any, generator: ResidualGenerator) -> dict[str, Membe
 
 
 def check_windows(settings: TestSettings, isolate: IsolationSettings, watched: Watched) -> None:
-    """Raise where sums over so many samples are asked for that no machine could hold them."""
+    """Raise if sums are over more samples than fit into memory."""
     for asked in (settings.kept(watched), isolate.kept(watched.generator)):
         if asked is None:
             continue
@@ -121,7 +121,7 @@ def check_windows(settings: TestSettings, isolate: IsolationSettings, watched: W
 
 
 def blank_test(generator: ResidualGenerator) -> NormTest:
-    """Return a test that never raises an alarm: to see the residuals before there is a threshold."""
+    """Return a test that never raises an alarm, to see the residuals before there is a threshold."""
     n = generator.n_residuals
     return NormTest(np.zeros(n), np.eye(n), np.inf, 1, 1, 1, "")
 
@@ -136,7 +136,7 @@ def specification(
     plausible: NDArray[np.float64],
     start: str,
 ) -> Specification:
-    """Return what runs; ``plausible`` are the limits of every channel, as deviations."""
+    """Return the specification; ``plausible`` are the limits of every channel, as deviations."""
     system, point = generator.system, generator.plant.operating_point
     settled = settling_samples(generator, test) if settle is None else int(settle)
     return Specification(

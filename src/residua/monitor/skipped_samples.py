@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 
 class SkippedSamples:
-    """Which samples of which plants were not judged since the statistic went over its threshold.
+    """Samples that were not judged since the statistics of plants went over the threshold.
 
     A test counts the samples over its threshold; what is missing between them is not counted, and an alarm that is
     raised later began so much earlier.
@@ -31,7 +31,7 @@ class SkippedSamples:
         return np.array(sorted(self._spans), dtype=np.int64)
 
     def table(self, count: NDArray[np.int64], over: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return row, first sample and the one after the last of each span that matters, in the order of the rows.
+        """Return row, first sample and the one after the last of each relevant span, in the order of the rows.
 
         ``count`` and ``over``, of :meth:`rows`: samples that each plant has had, and those over the threshold that no
         alarm stands for.
@@ -44,7 +44,7 @@ class SkippedSamples:
         return np.array(spans, dtype=np.int64).reshape(-1, 3)
 
     def of(self, rows: NDArray[np.int64]) -> SkippedSamples:
-        """Return those of some plants."""
+        """Return the spans of some plants."""
         part = SkippedSamples()
         if self._spans:
             part._spans = {k: list(self._spans[row]) for k, row in enumerate(rows.tolist()) if row in self._spans}
@@ -52,7 +52,7 @@ class SkippedSamples:
 
     @staticmethod
     def joined(parts: Sequence[tuple[SkippedSamples, int]]) -> SkippedSamples:
-        """Return those of several blocks as one; each with how many plants it has."""
+        """Return the spans of several blocks as one, given their numbers of plants."""
         whole, before = SkippedSamples(), 0
         for part, plants in parts:
             whole._spans |= {before + row: list(spans) for row, spans in part._spans.items()}
@@ -62,7 +62,7 @@ class SkippedSamples:
     def note(
         self, rows: NDArray[np.int64], before: NDArray[np.int64], usable: NDArray[np.bool_], over: NDArray[np.int64]
     ) -> None:
-        """Note what a block has left out.
+        """Record the samples of a block that were not judged.
 
         Parameters
         ----------
@@ -119,7 +119,7 @@ class SkippedSamples:
 
 
 def _since_onset(spans: list[tuple[int, int]], end: int, over: int) -> list[tuple[int, int]]:
-    """Return the spans without those that lie before this excursion."""
+    """Return the spans within this excursion."""
     onset = _counted_back(spans, end, over)
     return [span for span in spans if span[1] > onset]
 

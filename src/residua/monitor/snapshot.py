@@ -1,4 +1,4 @@
-"""What a fleet remembers as bytes: little-endian columns behind a header, with a checksum; none of it is executed.
+"""State of a fleet as bytes: little-endian columns behind a header, with a checksum; nothing is executed.
 
 The layout, version 3: the mark ``RESIDUAF``; the version and the length of the header, four bytes each; the header,
 JSON in UTF-8, which names for each model the fingerprint of its monitor and its columns (name, type, shape); the
@@ -38,7 +38,7 @@ _TYPES = {"<f8": np.float64, "<i8": np.int64, "<i4": np.int32, "|b1": np.bool_, 
 
 
 def snapshot_of(blocks: Mapping[str, FleetBlock]) -> bytes:
-    """Return what blocks of plants remember, as bytes."""
+    """Return the state of blocks of plants, as bytes."""
     models, columns = [], []
     for name, block in blocks.items():
         kept = _columns(block)
@@ -63,7 +63,7 @@ def snapshot_of(blocks: Mapping[str, FleetBlock]) -> bytes:
 
 
 def restored_blocks(content: bytes, monitors: Mapping[str, Monitor]) -> dict[str, FleetBlock]:
-    """Return the blocks of a snapshot, for the monitors that they ran with."""
+    """Return the blocks of a snapshot, for their monitors."""
     view = memoryview(content)
     header, start = _header(view)
     try:
@@ -76,7 +76,7 @@ def restored_blocks(content: bytes, monitors: Mapping[str, Monitor]) -> dict[str
     except ResiduaError:
         raise
     except (TypeError, KeyError, ValueError, IndexError, AttributeError, OverflowError) as error:
-        raise FileFormatError(f"the header of this snapshot is none: {error}") from error
+        raise FileFormatError(f"the header of this snapshot is invalid: {error}") from error
     if start != len(view) - _SUM:
         raise FileFormatError("this snapshot has more in it than its header says")
     missing = [name for name in monitors if name not in blocks]
@@ -86,29 +86,29 @@ def restored_blocks(content: bytes, monitors: Mapping[str, Monitor]) -> dict[str
 
 
 def _header(view: memoryview) -> tuple[dict[str, Any], int]:
-    """Return the header of a snapshot whose checksum is right, and where its columns begin."""
+    """Return the header of a snapshot whose checksum is right, and the offset of its columns."""
     if len(view) < len(MARK) or bytes(view[: len(MARK)]) != MARK:
-        raise FileFormatError("these bytes are no snapshot of a fleet")
+        raise FileFormatError("these bytes are not a snapshot of a fleet")
     if len(view) < _HEAD.size + _SUM:
         raise FileFormatError("this snapshot is cut short")
     _, version, length = _HEAD.unpack_from(view)
     if version != VERSION:
         raise FileFormatError(other_version("this snapshot", version, VERSION, "start the fleet without it"))
     if hashlib.sha256(view[:-_SUM]).digest() != bytes(view[-_SUM:]):
-        raise FileFormatError("this snapshot is cut short or was changed: its checksum is that of other bytes")
+        raise FileFormatError("this snapshot is cut short or was changed: its checksum does not match")
     try:
         header = json.loads(bytes(view[_HEAD.size : _HEAD.size + length]))
     except (ValueError, RecursionError) as error:
-        raise FileFormatError(f"the header of this snapshot is none: {error}") from error
+        raise FileFormatError(f"the header of this snapshot is invalid: {error}") from error
     if not isinstance(header, dict) or not isinstance(header.get("models"), list):
-        raise FileFormatError("the header of this snapshot is none: it has no models")
+        raise FileFormatError("the header of this snapshot is invalid: it has no models")
     start = _HEAD.size + length
     return header, start + len(_padding(start))
 
 
 def _column(view: memoryview, start: int, kind: str, shape: list[int], label: str) -> tuple[NDArray, int]:
     if kind not in _TYPES or any(not isinstance(n, int) or n < 0 for n in shape):
-        raise FileFormatError(f"the column {echo(label)} of this snapshot is no array")
+        raise FileFormatError(f"the column {echo(label)} of this snapshot is not an array")
     count = math.prod(shape)
     size = count * np.dtype(kind).itemsize
     if start + size > len(view) - _SUM:
@@ -127,7 +127,7 @@ def _padding(size: int) -> bytes:
 
 
 def _columns(block: FleetBlock) -> dict[str, NDArray]:
-    """Return what a block remembers, by name."""
+    """Return the state of a block, by name."""
     block.finish()
     out = {"ids": _ids_out(block.ids), "standing": block.standing.table()}
     rows = block.skipped.rows()
@@ -136,7 +136,7 @@ def _columns(block: FleetBlock) -> dict[str, NDArray]:
 
 
 def _arrays(whole: Any, where: str) -> list[tuple[str, NDArray]]:
-    """Return the arrays of a state by name; those that take no memory, or need none, are left out."""
+    """Return the arrays of a state by name, without those that take no memory or are not needed."""
     if whole is None:
         return []
     if isinstance(whole, np.ndarray):
@@ -146,7 +146,7 @@ def _arrays(whole: Any, where: str) -> list[tuple[str, NDArray]]:
 
 
 def _state_from(like: Any, kept: dict[str, NDArray], where: str) -> Any:
-    """Return the state that columns describe; what was left out is as at the start."""
+    """Return the state that columns describe, with absent fields as at the start."""
     if like is None:
         return None
     if is_dataclass(like):
@@ -178,7 +178,7 @@ def _block(name: str, model: Any, kept: dict[str, NDArray], monitors: Mapping[st
     standing = _of_plants(kept.pop("standing"), len(ids), "alarms")
     skipped = _of_plants(kept.pop("skipped"), len(ids), "skipped samples")
     if not _in_order(skipped, state):
-        raise FileFormatError("the skipped samples of this snapshot are in no order")
+        raise FileFormatError("the skipped samples of this snapshot are not in order")
     alarms = StandingAlarms(len(ids), standing.tolist())
     block = FleetBlock(monitor, ids, state, alarms, SkippedSamples(skipped.tolist()))
     block.take_over(_state_from(block.last, kept, "last"))
@@ -188,14 +188,14 @@ def _block(name: str, model: Any, kept: dict[str, NDArray], monitors: Mapping[st
 
 
 def _of_plants(table: NDArray, plants: int, what: str) -> NDArray:
-    """Return a table whose first column names rows of plants, once it has that form."""
+    """Return a table whose first column names rows of plants, checked for its form."""
     if table.ndim != 2 or table.shape[1] != 3 or not ((table >= 0) & (table[:, :1] < plants)).all():
-        raise FileFormatError(f"the {what} of this snapshot are none of its plants")
+        raise FileFormatError(f"the {what} of this snapshot do not belong to its plants")
     return table
 
 
 def _in_order(spans: NDArray, state: State) -> bool:
-    """Return whether spans of samples are some, one after the other, of samples that plants have had."""
+    """Tell whether spans of samples are ordered, not empty, and within the samples of the plants."""
     row, start, stop = spans.T
     same = row[1:] == row[:-1]
     after = np.where(same, start[1:] > stop[:-1], row[1:] > row[:-1])
@@ -203,11 +203,11 @@ def _in_order(spans: NDArray, state: State) -> bool:
 
 
 def _check_state(spec: Specification, state: State) -> None:
-    """Raise where a state cannot be one; the checksum keeps out damage, and this what somebody made up."""
+    """Raise if a state is invalid; the checksum detects damage, and this check invented states."""
     counters = (state.count, state.filter.age, state.filter.gap, state.filter.resets, state.filter.broken)
     numbers = (state.filter.x, state.filter.start_sums, state.filter.moved)
     if any((one < 0).any() for one in counters) or not all(np.isfinite(one).all() for one in numbers):
-        raise FileFormatError("this snapshot holds a filter that cannot be")
+        raise FileFormatError("this snapshot holds an impossible state of the filter")
     first = spec.first
     if first is not None and (state.filter.age[state.filter.starting] >= first.samples).any():
         raise FileFormatError("this snapshot holds a start that should be over")
@@ -215,7 +215,7 @@ def _check_state(spec: Specification, state: State) -> None:
         spec.test.check_state(state.test)
         spec.isolation.check_state(state.isolation, int(state.count.max(initial=0)))
     except ResiduaError as error:
-        raise FileFormatError(f"this snapshot holds a state that cannot be: {error}") from error
+        raise FileFormatError(f"this snapshot holds an impossible state: {error}") from error
 
 
 # -------------------------------------------------------------------------------- ids
@@ -245,7 +245,7 @@ def _ids_in(column: NDArray, kind: str) -> list[Hashable]:
         ids = json.loads(column.tobytes())
         if isinstance(ids, list) and all(isinstance(one, str) for one in ids):
             return ids
-    raise FileFormatError("the ids of this snapshot are none")
+    raise FileFormatError("the ids of this snapshot are invalid")
 
 
 __all__ = ["MARK", "VERSION", "restored_blocks", "snapshot_of"]

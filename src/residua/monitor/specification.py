@@ -1,4 +1,4 @@
-"""What a monitor runs, and what its filter remembers."""
+"""Specification of a running monitor, and the state of its filter."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from residua.monitor.starting import StartFit
 
 @dataclass(frozen=True, eq=False)
 class Specification:
-    """Everything that running needs and that never changes.
+    """Constant parameters of a running monitor.
 
     Attributes
     ----------
@@ -26,20 +26,20 @@ class Specification:
     offset : ndarray, shape (channels,)
         Operating point.
     test : ResidualTest
-        What turns the residual into a statistic and an alarm.
+        Test that turns the residual into a statistic and an alarm.
     isolation : Isolation
-        What names the fault.
+        Isolation that names the fault.
     settle : int
         Samples after a start, or after a held value, in which nothing is decided.
     max_hold : int
-        Longest gap over which missing values are held; after a longer one the filter starts anew.
+        Longest gap over which missing values are held; after a longer one the filter restarts.
     plausible : ndarray, shape (channels, 2)
         Smallest and largest deviation of each channel from its operating point that is taken for a value; any other is
         missing.
     first : StartFit or None
-        What estimates a start from the first residuals; ``None`` if a start is from rest.
+        Estimator of a start from the first residuals; ``None`` if a start is from rest.
     partial : PartialUpdate or None
-        What a Kalman filter needs to go on where outputs are missing; ``None`` for any other generator.
+        Data of a Kalman filter for missing outputs; ``None`` for any other generator.
     """
 
     A: NDArray[np.float64]
@@ -58,18 +58,18 @@ class Specification:
 
     @property
     def held(self) -> int:
-        """How many channels have values that are held: a Kalman filter takes missing outputs out of its correction."""
+        """Number of channels whose missing values are held: a Kalman filter leaves missing outputs out instead."""
         return self.B.shape[1] if self.partial is None else self.partial.B.shape[1]
 
     @property
     def members(self) -> tuple[str, ...]:
-        """Names of what has an alarm of its own: members of a bank, or groups of residuals."""
+        """Names of the parts with their own alarm: members of a bank, or groups of residuals."""
         return self.test.part_names
 
 
 @dataclass(frozen=True, eq=False)
 class FilterState:
-    """What the filter of a running monitor remembers; every array has one row per plant.
+    """State of the filter of a running monitor; every array has one row per plant.
 
     Counters of 32 bits stop at :data:`residua.decide.persistence.LAST_COUNT`. Those of :data:`SELDOM` are zero as a
     rule, and take no memory for plants all of which have zeros.
@@ -92,7 +92,7 @@ class FilterState:
     starting : ndarray of bool
         Whether the start is still to be estimated.
     start_sums : ndarray, shape (plants, states)
-        What residuals say of the start so far; zero where none is to be estimated.
+        Sums of residuals for the estimate of the start; zero if none is to be estimated.
     moved : ndarray
         How far an estimate of the start moved a residual, in units of the threshold, at most; zero where it is less
         than :data:`residua.monitor.starting.MOVED_FROM`.

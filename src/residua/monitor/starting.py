@@ -1,4 +1,4 @@
-r"""The state that a filter should have started with, estimated from its first residuals by least squares.
+r"""Initial state of a filter, estimated from its first residuals by least squares.
 
 A filter that starts with an error :math:`e_0` has without faults the residual :math:`r_k = C A^k e_0` and noise. What
 the first ``N`` of them say of :math:`e_0` is taken out of the state after them.
@@ -38,7 +38,7 @@ _ADDED = 1.0
 
 @dataclass(frozen=True, eq=False)
 class StartFit:
-    """What estimates a start.
+    """Estimator of the initial state.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class StartFit:
     ratios : ndarray, shape (residuals, k)
         ``r @ ratios`` are in units of the threshold.
     correction : ndarray, shape (n, n)
-        From the sum of products to what is to be subtracted from the state after these samples.
+        From the sum of products to the correction of the state after these samples.
     """
 
     samples: int
@@ -87,7 +87,7 @@ class StartFit:
         return np.cumsum(np.concatenate([sums[:, None], steps], axis=1), axis=1)[:, -1]
 
     def corrected(self, x: NDArray[np.float64], sums: NDArray[np.float64]) -> tuple[NDArray, NDArray]:
-        """Return states without what the start has left in them, and how far that moves the next residual.
+        """Return states corrected for the effect of the start, and the size of the move of the next residual.
 
         In units of the threshold, zero where it is less than :data:`MOVED_FROM`; both for every plant.
         """
@@ -105,7 +105,7 @@ def checked_start(value: object) -> str:
 
 
 def start_fit(generator: ResidualGenerator, test: ResidualTest, settle: int) -> StartFit | None:
-    """Return what estimates a start from the samples in which the filter settles; ``None`` if nothing can."""
+    """Return an estimator of the start from the samples in which the filter settles; ``None`` if there is none."""
     system = generator.system
     n = system.n_states
     samples = min(settle, MOST_SAMPLES, max(n, _MOST_WORK // max(1, len(system.C) * n * n)))
@@ -121,9 +121,9 @@ def start_fit(generator: ResidualGenerator, test: ResidualTest, settle: int) -> 
         blocks.append(block)
         block = block @ A
     seen = np.concatenate(blocks)
-    units = np.linalg.norm(seen, axis=0)  # states in units of what is seen of them
+    units = np.linalg.norm(seen, axis=0)  # states in units of their effect on residuals
     units = np.where(units > 0, 1 / np.where(units > 0, units, 1.0), 0.0)
-    after = [block]  # what a state at the start does to a residual after them, at ever longer intervals
+    after = [block]  # effect of the initial state on later residuals, at ever longer intervals
     power = A
     for _ in range(24):
         after.append(after[-1] @ power)
@@ -150,7 +150,7 @@ def start_from(
     correction: NDArray[np.float64],
     weights: NDArray[np.float64] | None,
 ) -> StartFit:
-    """Return the estimator of a start, from the filter, its test and the correction.
+    """Return an estimator of the start, from the filter, its test and the correction.
 
     Weights that the test does not know are those of the correction; ``None`` for a correction from a file that does not
     have them: then they depend on the units of the states, as they did.
@@ -168,7 +168,7 @@ def _known_weights(test: ResidualTest) -> NDArray[np.float64] | None:
 
 
 def _weights_by_size(C: NDArray, A: NDArray, samples: int) -> NDArray[np.float64]:
-    """Return weights that make residuals comparable by how they see a start."""
+    """Return weights that make residuals comparable by their response to a start."""
     size, block = np.zeros(len(C)), C
     for _ in range(samples):
         size = size + np.sum(block**2, axis=1)

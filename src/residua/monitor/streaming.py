@@ -1,4 +1,4 @@
-"""Recordings larger than memory: what a monitor decides goes to the disk as it comes, and is judged from there.
+"""Recordings larger than memory: decisions of a monitor are written to disk, and judged from there.
 
 The pieces of the recording go through ``run_block`` one by one, which gives the same bits as the whole; what it leaves
 is written to files without a name, which vanish with the process, however that ends. Mapped into memory, those files
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 #: Seconds after which pages that were read from the disk leave memory: the system would keep them while there is room.
 _MOMENT = 0.02
 Progress = Callable[[int, int], None]
-#: What is said of a file that was not read piece by piece.
+#: Remark on a file that was not read piece by piece.
 AT_ONCE = (
     "the file was read into memory at once: run_file reads Parquet, uncompressed .npz, and CSV with a header, plain "
 )
@@ -47,7 +47,7 @@ AT_ONCE += "numbers and times in seconds piece by piece"
 
 
 class _Column:
-    """One array that is written piece by piece to a file without a name; what is zero takes no room on the disk."""
+    """An array that is written piece by piece to an unnamed file; zeros take no room on the disk."""
 
     def __init__(self, folder: str | None) -> None:
         self._file: IO[bytes] = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115 (the spool closes it)
@@ -73,7 +73,7 @@ class _Column:
             raise _no_room(error) from error
 
     def mapped(self) -> NDArray:
-        """Return all rows, which are read from the disk where they are looked at."""
+        """Return all rows as a memory map."""
         if not self.rows or not np.prod(self._shape):
             return np.zeros((self.rows, *self._shape), dtype=self._dtype)
         try:
@@ -85,24 +85,24 @@ class _Column:
         return np.frombuffer(self._map, dtype=self._dtype).reshape(self.rows, *self._shape)
 
     def forget(self) -> None:
-        """Let what was read leave memory."""
+        """Release the memory of the rows that were read."""
         if self._map is not None and sys.platform != "win32":
             self._map.madvise(mmap.MADV_DONTNEED)
 
     def close(self) -> None:
-        """Give the room on the disk back, once nothing shows the rows any more."""
+        """Release the room on the disk, once nothing shows the rows any more."""
         self._file.close()
 
 
 def _no_room(error: OSError) -> FileFormatError:
     return FileFormatError(
-        f"{tempfile.gettempdir()}: what the monitor decides cannot be kept there while the recording is read: "
-        f"{error.strerror or error}; it takes some 200 bytes a sample: say another folder by TMPDIR"
+        f"{tempfile.gettempdir()}: the decisions of the monitor cannot be stored there: "
+        f"{error.strerror or error}; they take some 200 bytes a sample: set another folder by TMPDIR"
     )
 
 
 class Spool:
-    """Arrays of decisions that are written as they come, and read back by memory map."""
+    """Arrays of decisions that are written piece by piece, and read back by memory map."""
 
     def __init__(self, folder: str | None = None) -> None:
         self._folder = folder
@@ -120,7 +120,7 @@ class Spool:
         self.clear()
 
     def clear(self) -> None:
-        """Give the room on the disk back."""
+        """Release the room on the disk."""
         for column in self._columns.values():
             column.close()
         self._columns = {}
@@ -137,7 +137,7 @@ class Spool:
                 self.append(getattr(whole, one.name), *place, one.name)
 
     def mapped(self, template: Any, *place: str) -> Any:
-        """Return all that was written, in the shape of what was."""
+        """Return everything that was written, as arrays in a structure like the template."""
         if isinstance(template, np.ndarray):
             return self._columns[place].mapped()
         if template is None:
@@ -146,7 +146,7 @@ class Spool:
         return type(template)(**{name: self.mapped(getattr(template, name), *place, name) for name in names})
 
     def forget_now_and_then(self) -> None:
-        """Bound what the process holds of the files that it looks through."""
+        """Bound the memory of the process for the files that it reads."""
 
         def forgetting() -> None:
             while not self._over.wait(_MOMENT):
@@ -161,7 +161,7 @@ class Spool:
 def judged_file(
     monitor: Monitor, path: Path, options: ReadOptions, progress: Progress | None = None
 ) -> Iterator[Diagnosis | None]:
-    """Run a monitor over a file in constant memory; the arrays of the diagnosis are on the disk, and go with the block.
+    """Run a monitor over a file in constant memory; the arrays of the diagnosis are on disk, and end with the block.
 
     ``None``: the file is not read piece by piece, and must be read at once.
 
@@ -242,7 +242,7 @@ def _text(origin: Any) -> str:
 
 
 def _step(spool: Spool, stream: Stream, options: ReadOptions) -> float:
-    """Return the step of a recording by its times alone, for a generator that is not sampled yet."""
+    """Return the step of a recording from its times alone, for a generator that is not sampled yet."""
     origin = None
     for piece in stream.pieces():
         assert piece.time is not None
@@ -257,7 +257,7 @@ def _step(spool: Spool, stream: Stream, options: ReadOptions) -> float:
 
 
 def _regular(time: NDArray[np.float64], options: ReadOptions, stream: Stream) -> float:
-    """Return the step of the times, which are regular: without their median where no step is far from any other."""
+    """Return the step of regular times; without the median if all steps are nearly equal."""
     low, high, last = np.inf, -np.inf, np.nan
     for start in range(0, len(time) - 1, 1 << 20):
         part = time[start : start + (1 << 20) + 1]
@@ -280,7 +280,7 @@ def run_file(
     """Run a monitor over a file that may be larger than memory, from a fresh start.
 
     Alarms, names, sizes and notes are those of :meth:`residua.Monitor.run`, to the last bit. Memory does not grow with
-    the recording; what is decided is kept on the disk meanwhile, some 200 bytes a sample, in the folder for temporary
+    the recording; decisions are stored on disk meanwhile, some 200 bytes a sample, in the folder for temporary
     files.
 
     Parameters
@@ -356,7 +356,7 @@ def write_outputs(
     alarms: str | Path | None,
     residuals: str | Path | None,
 ) -> list[Path]:
-    """Write page, alarms and residuals as they were asked for, each whole or not at all, and return the paths."""
+    """Write the requested page, alarms and residuals, each whole or not at all, and return the paths."""
     if report is not None:
         diagnosis.to_html(report)
     if alarms is not None:

@@ -1,4 +1,4 @@
-"""The smallest constant fault that a fitted monitor sees, soon and for as long as it lasts."""
+"""Smallest constant fault that a fitted monitor sees, soon and for as long as it lasts."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class VisibleSize(Record):
 
     @property
     def is_detectable(self) -> bool:
-        """Whether it is seen as long as it lasts, at five deviations of its channel or less; else at any size."""
+        """True if it is seen as long as it lasts, at five deviations of its channel or less; else at any size."""
         if math.isnan(self.deviation):
             return math.isfinite(self.lasting)
         return self.lasting <= DETECTABLE * self.deviation
@@ -90,7 +90,7 @@ class VisibleSize(Record):
 
 
 def visible_sizes(generator: ResidualGenerator, test: ResidualTest, run: FaultFreeRun) -> tuple[VisibleSize, ...]:
-    r"""Return the smallest constant sizes of all faults that a test sees; empty where the test cannot tell.
+    r"""Return the smallest constant sizes of all faults that a test sees; empty if the test cannot tell.
 
     .. math:: f_{soon} = \min_{t < 100} \frac{1}{l(t)}, \qquad f_{lasting} = \frac{1}{Q_{0.1}(l(100), \dots, l(999))}
 
@@ -129,7 +129,7 @@ def visible_sizes(generator: ResidualGenerator, test: ResidualTest, run: FaultFr
 
 
 def _responses(generator: ResidualGenerator) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return what each fault of one, from the first sample on, does to channels and residuals, (faults, time, ...)."""
+    """Return the responses of channels and residuals to a unit step of each fault, (faults, time, ...)."""
     plant, system = generator.plant, generator.system.explicit()
     steps = np.ones((len(plant.faults), LASTING, 1)) * np.eye(len(plant.faults))[:, None, :]
     faulty = plant.system("fault").explicit()
@@ -142,7 +142,7 @@ def _responses(generator: ResidualGenerator) -> tuple[NDArray[np.float64], NDArr
 
 
 def _places(signals: NDArray[np.float64], run: FaultFreeRun, rows: int) -> NDArray[np.float64]:
-    """Return stretches of the fault-free signals, (places, time, channels), as long as there are rows for."""
+    """Return stretches of the fault-free signals, (places, time, channels), each of so many rows."""
     if not len(signals):
         return signals[None]
     bounds = [0, *run.seams, len(signals)]

@@ -1,4 +1,4 @@
-"""Blocks of samples that happen whole or not at all, whatever interrupts them and whichever thread does not start.
+"""Blocks of samples that happen whole or not at all, in spite of interruptions and of threads that do not start.
 
 Signals, such as Ctrl-C, and a want of memory raise errors between any two steps of Python, but never within a call of
 the kernel. So the kernel itself writes down which plants it has run, and whatever follows can be done again from any
@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 
 from residua.errors import DataError
 
-#: What a block leaves, in the order of the kernel.
+#: Outputs of a block, in the order of the kernel.
 OUTPUTS = (
     *("residuals", "missing", "aside", "usable", "statistic", "exceeded", "alarm", "up", "whitened", "scores", "ready"),
     *("member_statistics", "fired", "code"),
 )
-#: What the kernel writes down of a part: that it has run, how many of its plants stopped for want of room, whether one
+#: Receipt of the kernel for a part: that it has run, how many of its plants stopped for want of room, whether one
 #: did for want of gains, and how many notes there are.
 RAN, STOPPED, WANTS_GAINS, NOTED = range(4)
 #: Plants of a part that are noted, and numbers of a note before the sums of a start, as in the kernel.
@@ -37,7 +37,7 @@ UNDER_WAY = (
 
 
 class Parts:
-    """Plants of a block in parts, each of which runs once, in whichever thread.
+    """Plants of a block in parts, each of which runs once, in any thread.
 
     Parameters
     ----------
@@ -59,14 +59,14 @@ class Parts:
         self._claims: dict[int, _Helper | None] = {}
 
     def again(self, plants: int) -> bool:
-        """Begin anew with so many plants, if no other thread knows of this."""
+        """Restart with so many plants, if no other thread knows of this."""
         if len(self._ends) > 1 or self._ends[0][1] != plants:
             return False
         self.receipts[:] = 0
         return True
 
     def run(self, run: Callable[..., object]) -> None:
-        """Run the parts that have not run; where a thread does not start, the calling one does its part.
+        """Run the remaining parts; the calling thread does the part of a thread that does not start.
 
         ``run`` takes the first plant of a part, the one after its last, a receipt and room for notes.
         """
@@ -82,7 +82,7 @@ class Parts:
             if self._claims.setdefault(k, None) is None:
                 self._run(run, k)
         self.wait()
-        for k in range(len(self._ends)):  # what a thread did not do for an error, which is met again
+        for k in range(len(self._ends)):  # parts left by a thread with an error, which occurs again here
             self._run(run, k)
 
     def help(self, helper: _Helper, run: Callable[..., object], k: int) -> None:
@@ -102,7 +102,7 @@ class Parts:
                 helper.wait()
 
     def told(self) -> tuple[int, int, int]:
-        """Return how many plants stopped, how many parts want gains, and how many notes there are."""
+        """Return the number of plants that stopped, of parts that want gains, and of notes."""
         first, *others = self.receipts.tolist()
         _, stopped, wants_gains, noted = first if not others else map(sum, zip(first, *others, strict=True))
         return stopped, wants_gains, noted
@@ -115,7 +115,7 @@ class Parts:
 
 
 class _Helper:
-    """A thread that runs a part of a block, if it comes to it."""
+    """A thread that runs a part of a block, unless another one already has."""
 
     def __init__(self, parts: Parts, run: Callable[..., object], k: int) -> None:
         self._thread = threading.Thread(target=self._help, args=(parts, run, k))
@@ -135,25 +135,25 @@ class _Helper:
             self._latch.release()
 
     def wait(self) -> None:
-        """Wait for its end; an interruption takes nothing that others wait for."""
+        """Wait for its end; an interruption loses nothing that others wait for."""
         if not self._is_over:
             self._latch.acquire()
 
 
 class Job:
-    """A block that the kernel runs in place, as far as it has come.
+    """A block that the kernel runs in place, with its progress.
 
     Parameters
     ----------
     u, y : ndarray, shape (plants, time, channels)
     outputs : mapping of str to ndarray or None
-        Where to write what the block leaves, by all names of :data:`OUTPUTS`.
+        Arrays for the outputs of the block, by all names of :data:`OUTPUTS`.
     rows : ndarray of int, shape (plants,), optional
         Whose data they are: each row of the state once. All rows in order when omitted.
     threads : int
         The plants are shared among so many.
     then : callable, optional
-        What comes after the kernel; it may be done again.
+        Steps after the kernel; they may be repeated.
     joined : ndarray, shape (plants, time, channels), optional
         Where to put u and y side by side.
 
@@ -183,7 +183,7 @@ class Job:
 
     @property
     def is_begun(self) -> bool:
-        """Whether a plant has been run."""
+        """True if a plant has been run."""
         return self.is_done or not self.is_fresh or (self.parts is not None and bool(self.parts.receipts[:, RAN].any()))
 
     def run(self, kernel: Any, first: int, stop: int, receipt: NDArray, notes: NDArray) -> None:
@@ -203,12 +203,12 @@ class Job:
         kernel.run(*call)
 
     def end_round(self) -> None:
-        """Let the next round run what is left."""
+        """Let the next round run the remaining plants."""
         self.is_fresh = False
         self.parts = None
 
     def own(self) -> None:
-        """Go on with signals of its own, if it does."""
+        """Copy borrowed signals, if the job is not done."""
         if self.is_borrowed and not self.is_done:
             u, y = self.signals
             self.signals = u.copy(), y.copy()
@@ -216,14 +216,14 @@ class Job:
 
 
 class Work:
-    """Steps of which all happen, or none.
+    """Steps that happen all or not at all.
 
     Parameters
     ----------
     steps : sequence of callable
         Each may be begun again where it was interrupted, and after its end: it then does the rest, or nothing.
     jobs : sequence of Job
-        What the kernel runs in them.
+        Jobs of the kernel in them.
     within : sequence of Work
         Work that these steps do.
     undo : callable, optional
@@ -243,12 +243,12 @@ class Work:
 
     @property
     def is_begun(self) -> bool:
-        """Whether anything was changed."""
+        """True if anything was changed."""
         begun = self._done > 0 or any(one.is_begun for one in (*self.jobs, *self._within))
         return begun and not self._is_undone
 
     def go_on(self) -> None:
-        """Do what is left."""
+        """Do the remaining steps."""
         try:
             self.is_under_way = True
             while self._done < len(self.steps):
@@ -264,7 +264,7 @@ class Work:
                 job.parts.wait()
 
     def own(self) -> None:
-        """Be ready to go on later, when the caller may have changed its signals, or to be undone."""
+        """Prepare for a later continuation, when the caller may have changed its signals, or for undoing."""
         self.is_under_way = False  # where an interruption came just before that was written
         self.wait()
         if self.is_begun and not self.take_back():
@@ -281,10 +281,10 @@ class Work:
 
 
 class Worker:
-    """Does one piece of work after the other; what an interruption leaves of one is done before anything else."""
+    """Worker for one piece of work after the other; interrupted work is finished before anything else."""
 
     def __init__(self) -> None:
-        #: What is under way, or was interrupted.
+        #: Work in progress, or interrupted.
         self.work: Work | None = None
 
     def do(self, work: Work) -> None:
@@ -301,7 +301,7 @@ class Worker:
         self.work = None
 
     def finish(self) -> None:
-        """Do what an interruption has left, if anything was changed.
+        """Finish interrupted work, if it changed anything.
 
         Raises
         ------

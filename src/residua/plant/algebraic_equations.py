@@ -1,4 +1,4 @@
-"""Algebraic equations of a plant: their elimination, exactly, where the index allows it."""
+"""Algebraic equations of a plant: their exact elimination, if the index allows it."""
 
 from __future__ import annotations
 
@@ -127,10 +127,10 @@ def _reduced(plant: Plant, p: ScaledPencil, U: NDArray, r: int, inverse: NDArray
 
 
 def _kept_states(p: ScaledPencil, X1: NDArray, X2: NDArray, B2: NDArray) -> tuple[list[int | None], NDArray]:
-    """Return the old states that become new ones (None: a new direction) and the rows that they are of ``z``."""
+    """Return the old states that become new ones (None: a new direction) and their rows of ``z``."""
     r = X1.shape[1]
     terms = np.abs(X2) @ np.abs(B2)
-    # A state that an input reaches at once is no function of z, and has no derivative to speak of.
+    # A state that an input reaches at once is not a function of z, and has no useful derivative.
     free = np.flatnonzero(
         np.abs(X2 @ B2).max(axis=1, initial=0.0) <= ROUNDING * np.maximum(terms.max(initial=0.0), TINY)
     )
@@ -150,7 +150,7 @@ def _kept_states(p: ScaledPencil, X1: NDArray, X2: NDArray, B2: NDArray) -> tupl
 def _cancelled(
     p: ScaledPencil, U: NDArray, r: int, inverse: NDArray, basis: NDArray, back: NDArray, B: NDArray
 ) -> tuple[NDArray, NDArray]:
-    """Return the sizes of what both identities are computed from: of rows that cancel, their rounding is left."""
+    """Return the sizes of the terms of both identities; rows that cancel leave the rounding of these."""
     size = np.full_like(inverse, np.abs(inverse).max(initial=0.0))
     X, left = size[:, :r] @ np.abs(back), np.abs(basis) @ np.abs(U[:, :r].T)
     direct = size[:, r:] @ np.abs(U[:, r:].T) @ np.abs(B)
@@ -175,7 +175,7 @@ def _check_elimination(
     floors: tuple[NDArray, NDArray],
     limit: float = IDENTITY,
 ) -> None:
-    """Check ``E X A = A X`` and ``E X B = A direct + B``, each relative to the terms that it is made of.
+    """Check ``E X A = A X`` and ``E X B = A direct + B``, each relative to its terms.
 
     At least 1e-4 of ``floors`` counts, which are the terms before they cancelled.
     """

@@ -1,4 +1,4 @@
-"""Noise of a plant whose noise nobody knows, from the size of its signals; and a step to sample a plant with."""
+"""Assumed noise of a plant, from the size of its signals; and a step to sample a plant with."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from residua.linear.poles.spectrum import mean_rate
 from residua.plant.plant import Plant
 from residua.tolerances import RANK
 
-#: Standard deviations: of a measurement relative to its output, and of what moves a state in one sample to that state.
+#: Standard deviations: of a measurement relative to its output, and of process noise in one sample to its state.
 MEASUREMENT, PROCESS = 0.1, 0.003
 #: Samples in the time constant of the mean rate, and those over which the signals of a plant that integrates are taken.
 _SAMPLES, _INTEGRATED = 10, 100
@@ -24,7 +24,7 @@ def sensible_step(plant: Plant) -> float:
 
 
 def lasting_gains(plant: Plant, role: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return how far constant inputs of size one move states and outputs in the end, (states or outputs, inputs).
+    """Return the steady-state gains from constant inputs to states and outputs, (states or outputs, inputs).
 
     Of a plant with a pole on the boundary of stability, or beyond, what slow inputs do within a hundred samples.
     """

@@ -1,4 +1,4 @@
-"""A plant in balanced units, as ordinary state equations: what every analysis and every design works on."""
+"""A plant in balanced units, as ordinary state equations: the form for every analysis and design."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _SOMEWHERE = 0.8317 + 0.6139j
 
 @dataclass(frozen=True, eq=False)
 class BalancedPlant:
-    r"""A plant in units in which its entries are near one, the states that ``E`` does not see written as inputs.
+    r"""A plant in units in which its entries are near one, with the states that ``E`` does not see as inputs.
 
     Without ``E`` these are :math:`\dot\xi = A \xi + B v, \; y = C \xi + D v` with time in units of ``1 / rate``. With
     one, the variables that ``E`` does not see are further unknown inputs, and its algebraic equations further outputs,
@@ -64,7 +64,7 @@ class BalancedPlant:
     _quotients: dict[tuple[frozenset[int], float], Quotient] = field(default_factory=dict, repr=False)
 
     def unknown(self, ignored: Iterable[int] = ()) -> tuple[Matrix, Matrix]:
-        """Return ``B`` and ``D`` of all that is not known: free variables, disturbances, and some faults."""
+        """Return ``B`` and ``D`` of all unknown inputs: free variables, disturbances, and some faults."""
         chosen = sorted(ignored)
         return (
             np.hstack([self.free[0], self.disturbances[0], self.faults[0][:, chosen]]),
@@ -72,7 +72,7 @@ class BalancedPlant:
         )
 
     def quotient(self, ignored: Iterable[int] = (), *, tolerance: float = BALANCED_RANK) -> Quotient:
-        """Return what is left of the plant when the disturbances and some faults are divided out."""
+        """Return the quotient of the plant by the disturbances and some faults."""
         key = frozenset(ignored), tolerance
         if key not in self._quotients:
             B, D = self.unknown(key[0])
@@ -83,7 +83,7 @@ class BalancedPlant:
 
     @cached_property
     def written(self) -> tuple[Matrix, Matrix, Matrix]:
-        """``A``, ``C`` and ``E`` of the plant as it is written, in balanced units."""
+        """``A``, ``C`` and ``E`` of the plant as given, in balanced units."""
         p, R, X = self.plant, self.units.equations[:, None], self.units.states
         E = np.eye(p.n_states) if p.E is None else R * p.E * X
         return R * p.A * X / self.units.rate, self.units.outputs[:, None] * p.C * X, E
@@ -98,12 +98,12 @@ class BalancedPlant:
 
     @cached_property
     def boundary(self) -> complex:
-        """The point on the boundary of stability at which constant signals are: 0, or 1 of a sampled plant."""
+        """The point on the boundary of stability for constant signals: 0, or 1 for a sampled plant."""
         return 1.0 if self.plant.is_discrete else 0.0
 
 
 def balanced(plant: Plant) -> BalancedPlant:
-    """Return a plant in balanced units; that of one plant is computed once, as ``plant.balanced``."""
+    """Return a plant in balanced units; computed once for a plant, as ``plant.balanced``."""
     roles = [(plant.B, plant.D), (plant.Bd, plant.Dd), (plant.Bf, plant.Df)]
     B, D = (np.hstack([role[k] for role in roles]) for k in (0, 1))
     units = scaling(plant.A, B, plant.C, D, plant.E, sampled=plant.is_discrete)
@@ -124,7 +124,7 @@ def balanced(plant: Plant) -> BalancedPlant:
 
 
 def is_singular(plant: Plant) -> bool:
-    """Tell whether ``E`` of a plant is singular."""
+    """Tell whether the matrix ``E`` of a plant is singular."""
     if plant.E is None:
         return False
     rows, columns = even_units(plant.E)
@@ -132,7 +132,7 @@ def is_singular(plant: Plant) -> bool:
 
 
 def is_inside(modes: NDArray[np.complex128], sampled: bool) -> NDArray[np.bool_]:
-    """Tell which modes of a balanced plant are stable; the boundary counts as unstable.
+    """Tell for each mode of a balanced plant whether it is stable; the boundary counts as unstable.
 
     Inside by more than rounding: of the largest of them, in units of the rate of the plant, and of the plant itself.
     """
@@ -143,7 +143,7 @@ def is_inside(modes: NDArray[np.complex128], sampled: bool) -> NDArray[np.bool_]
 
 
 def undetectable(model: BalancedPlant, outputs: list[int] | None = None) -> NDArray[np.complex128]:
-    """Return the modes, in 1/s, that no output sees, or none of some, and that are not stable."""
+    """Return the unstable modes, in 1/s, that no output sees, or none of some."""
     modes = observable_split(model.A, model.C if outputs is None else model.C[outputs])
     found = np.asarray(np.linalg.eigvals(modes.hidden.T @ model.A @ modes.hidden), dtype=complex)
     return np.asarray(model.units.rate * found[~is_inside(found, model.plant.is_discrete)], dtype=complex)

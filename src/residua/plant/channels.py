@@ -1,4 +1,4 @@
-"""What users give per channel (numbers by position or by name, chosen channels) as checked arrays."""
+"""User input per channel (numbers by position or by name, chosen channels) as checked arrays."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from residua.visible import echo
 #: The roles an input of a plant can have, with the letter behind B and D of its matrices.
 ROLES = {"control": "", "disturbance": "d", "fault": "f", "noise": "w"}
 
-#: What can be noted of a fault besides name, kind and component.
+#: Notes on a fault besides name, kind and component.
 FAULT_NOTES = ("description", "check", "unit")
 
 #: How a fault or disturbance enters: a state vector or ``(state, output)``; ``{name: value}`` for either.
@@ -40,15 +40,15 @@ class OperatingPoint:
 
 @dataclass(frozen=True)
 class Fault:
-    """What one fault is: its name, its kind and the component that it belongs to; and notes for who has to act on it.
+    """One fault: its name, its kind and its component; and notes for the operator.
 
     Attributes
     ----------
     name, kind, component : str
     description : str
-        What it is, in a sentence.
+        Description, in a sentence.
     check : str
-        What to check first when it is named.
+        First checks when it is named.
     unit : str
         Of its size: that of the numbers in its direction. Empty for a sensor or actuator fault in the unit of its
         output or input.
@@ -63,7 +63,7 @@ class Fault:
 
 
 def number(value: object, what: str) -> float:
-    """Return ``value`` as a finite float, or say what it is instead."""
+    """Return ``value`` as a finite float, or raise with the value."""
     try:
         if isinstance(value, (str, bytes)):
             raise TypeError

@@ -20,7 +20,7 @@ def plant_from_state_space(
     states: Iterable[str] | str | None = None,
     **options: Any,
 ) -> Plant:
-    """Make a plant from anything that looks like a linear state-space system.
+    """Make a plant from any object with the attributes of a linear state-space system.
 
     Whatever has the attributes ``A``, ``B``, ``C`` and ``D`` will do: python-control's ``StateSpace``,
     ``scipy.signal``'s ``StateSpace``, a residua ``StateSpace``; also a ``scipy.signal`` transfer function,
@@ -45,7 +45,7 @@ def plant_from_state_space(
     Raises
     ------
     ModelError
-        If the object is no state-space system, its time base is open and ``dt`` is not given, or ``dt``
+        If the object is not a state-space system, its time base is open and ``dt`` is not given, or ``dt``
         contradicts it.
 
     Examples
@@ -84,7 +84,7 @@ def _looks_right(system: Any) -> bool:
 
 
 def system_labels(system: Any, kind: str, count: int) -> tuple[str, ...] | None:
-    """Return python-control's ``input_labels`` or residua's ``inputs``, when they are names."""
+    """Return python-control's ``input_labels`` or residua's ``inputs``, if they are names."""
     for attribute in (f"{kind}_labels", f"{kind}s"):
         labels = getattr(system, attribute, None)
         if not isinstance(labels, (list, tuple)) or len(labels) != count:

@@ -169,7 +169,7 @@ def disturbance_from_steady_states(
     terms: Callable[[NDArray], NDArray] = quadratic_terms,
     rtol: float = DEFAULT_RTOL,
 ) -> NDArray[np.float64]:
-    r"""Estimate how linearisation errors enter, from steady states of the real plant.
+    r"""Estimate the directions of linearisation errors, from steady states of the real plant.
 
     Each steady state obeys :math:`A x^{(i)} + B u^{(i)} + E d(x^{(i)}) = 0`, so
     :math:`\hat E = (\Gamma^+ \Psi)^T` with rows :math:`d(x^{(i)})^T` in :math:`\Gamma` and

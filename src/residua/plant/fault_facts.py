@@ -1,4 +1,4 @@
-"""Facts that a plant and an input-output model share: what their faults are called, and where they are."""
+"""Names, kinds and components of faults, shared by plants and input-output models."""
 
 from __future__ import annotations
 
@@ -22,5 +22,5 @@ class FaultFacts:
 
     @property
     def fault_components(self) -> tuple[str, ...]:
-        """The component that each fault belongs to."""
+        """The component of each fault."""
         return tuple(fault.component for fault in self.fault_list)

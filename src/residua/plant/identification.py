@@ -1,4 +1,4 @@
-"""What a plant that was identified from recordings carries with it: how it came about, and what the data leave open."""
+"""Record of the identification of a plant from recordings: method, data, and open questions."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from residua.visible import echo
 
 @dataclass(frozen=True)
 class Identification:
-    """How a plant came from recordings; a plant that was given has none.
+    """Record of an identification from recordings; a plant that was given has none.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class Identification:
 def identification(
     value: Identification | None, inputs: Iterable[str], outputs: Iterable[str]
 ) -> Identification | None:
-    """Return what is known of an identification, checked against the channels of the plant."""
+    """Return the record of an identification, checked against the channels of the plant."""
     if value is None:
         return None
     if not isinstance(value, Identification):
@@ -74,7 +74,7 @@ def identification(
 
 
 def _texts(value: object, what: str) -> tuple[str, ...]:
-    """Return names as a tuple: what files take, and bring back."""
+    """Return names as a tuple, the form in files."""
     if isinstance(value, str) or not isinstance(value, Iterable) or not all(isinstance(one, str) for one in value):
         raise ModelError(f"identification: {what} must hold names of channels, got {echo(value)}")
     return tuple(value)

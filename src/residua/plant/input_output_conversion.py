@@ -1,4 +1,4 @@
-"""Input-output models from plants: one equation per output, of the smallest order."""
+"""Input-output models from plants: one equation per output, of least order."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _LOWER_ORDER = (
 def input_output_from_plant(
     plant: Plant, *, common_denominator: bool = False, rtol: float = DEFAULT_RTOL, tolerance: float = 1e-6
 ) -> InputOutputModel:
-    r"""Return one equation per output of a plant, each of the smallest order.
+    r"""Return one equation per output of a plant, each of least order.
 
     For output ``i`` the polynomial row :math:`(w, h)` of the smallest degree with
 
@@ -59,7 +59,7 @@ def input_output_from_plant(
     Raises
     ------
     ModelError
-        If an output is no proper function of the inputs, as with a plant of index 2.
+        If an output is not a proper function of the inputs, as with a plant of index 2.
     AccuracyError
         If the frequency response is missed by more than the tolerance.
 
@@ -118,7 +118,7 @@ def input_output_from_plant(
 
 
 def _size(poles: NDArray[np.complex128]) -> float:
-    """Return the size of the variable at which the first and the last coefficient of a polynomial are the same."""
+    """Return the size of the variable at which the first and the last coefficient of a polynomial are equal."""
     size = np.abs(poles)
     size = size[size > np.sqrt(np.finfo(float).eps) * max(size.max(initial=0.0), np.finfo(float).tiny)]
     return float(np.exp2(np.round(np.mean(np.log2(size))))) if size.size else 1.0
@@ -159,7 +159,7 @@ def _equation(plant: Plant, i: int, p: NDArray[np.float64], q: NDArray[np.float6
 def _missed(
     h: NDArray[np.float64], g: NDArray[np.float64], at: NDArray[np.complex128], wanted: NDArray[np.complex128]
 ) -> float:
-    """Return how far an equation is from the response of its output."""
+    """Return the distance of an equation from the response of its output."""
     z = at[:, None] ** np.arange(len(h))
     with np.errstate(divide="ignore", invalid="ignore"):
         off = np.abs((z @ g) / (z @ h)[:, None] - wanted)

@@ -1,4 +1,4 @@
-"""What users give as polynomial matrices of an input-output model, as checked values in powers of z or s."""
+"""User input of the polynomial matrices of an input-output model, as checked values in powers of z or s."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Column = Sequence[ArrayLike] | Mapping[str, ArrayLike]
 
 
 def checked_variable(variable: str | None, dt: float) -> str:
-    """Return the variable that polynomials are written in, ``"z"``, ``"1/z"`` or ``"s"``."""
+    """Return the variable of the polynomials, ``"z"``, ``"1/z"`` or ``"s"``."""
     known = ("z", "1/z") if dt else ("s",)
     if variable is None:
         return known[0]
@@ -115,13 +115,13 @@ def multiplied(P: PolynomialMatrix, powers: Sequence[int]) -> PolynomialMatrix:
 
 
 def in_other_time(P: PolynomialMatrix, factor: float, degrees: Sequence[int]) -> PolynomialMatrix:
-    """Return a matrix in ``s``, of rows of some degrees, in a unit of time in which rates are ``factor`` as large."""
+    """Return a matrix in ``s``, given its row degrees, in a unit of time in which rates are ``factor`` as large."""
     powers = factor ** (np.array(degrees) - np.arange(P.degree + 1.0)[:, None])
     return PolynomialMatrix(P.coefficients * powers[:, :, None])
 
 
 def polynomial(entry: Any, where: str) -> NDArray[np.float64]:
-    """Return the coefficients of one entry in the order in which they were given, or say what is wrong with it."""
+    """Return the coefficients of one entry in the given order, or raise with the mistake."""
     kind = "a polynomial must be a number or a list of coefficients"
     try:
         if np.iscomplexobj(entry):
@@ -139,7 +139,7 @@ def polynomial(entry: Any, where: str) -> NDArray[np.float64]:
 
 
 def _from_entries(rows: Sequence[Sequence[Any]], variable: str, name: str) -> PolynomialMatrix:
-    """Return the matrix in powers of ``z`` or ``s``, or of ``1/z`` when that is the variable."""
+    """Return the matrix in powers of ``z`` or ``s``, or of ``1/z`` if that is the variable."""
     lengths = [len(row) for row in rows]
     if len(set(lengths)) > 1:
         raise ModelError(f"the rows of {name} must have one length, got {', '.join(map(str, lengths))} entries")

@@ -1,4 +1,4 @@
-"""The input-output model: one polynomial equation per output, with faults and disturbances among the inputs."""
+"""Input-output model: one polynomial equation per output, with faults and disturbances among the inputs."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class InputOutputModel(FaultFacts, Shown):
     Raises
     ------
     ModelError
-        If a shape does not fit, ``det H`` is zero, or an output is no proper function of the inputs.
+        If a shape does not fit, ``det H`` is zero, or an output is not a proper function of the inputs.
 
     References
     ----------
@@ -172,12 +172,12 @@ class InputOutputModel(FaultFacts, Shown):
 
     @property
     def is_discrete(self) -> bool:
-        """Whether the model is sampled."""
+        """True if the model is sampled."""
         return self.dt > 0
 
     @property
     def is_diagonal(self) -> bool:
-        """Whether every equation has one output."""
+        """True if every equation has one output."""
         off = self.H.coefficients[:, ~np.eye(self.n_outputs, dtype=bool)]
         return not np.any(off)
 
@@ -253,11 +253,11 @@ class InputOutputModel(FaultFacts, Shown):
         return input_output_from_transfer_functions(system, **options)
 
     def to_plant(self, **options: float) -> Plant:
-        """Return a state-space plant of the smallest order; see :func:`residua.plant.realize_input_output`."""
+        """Return a state-space plant of least order; see :func:`residua.plant.realize_input_output`."""
         return self.realization(**options).plant
 
     def realization(self, **options: float) -> Realization:
-        """Return :meth:`to_plant` with what it left out; see :func:`residua.plant.realize_input_output`."""
+        """Return :meth:`to_plant` with the parts it removed; see :func:`residua.plant.realize_input_output`."""
         from residua.plant.input_output_realization import realize_input_output
 
         return realize_input_output(self, **options)
@@ -356,13 +356,13 @@ class InputOutputModel(FaultFacts, Shown):
         return self._with(Gd=self.Gd.select(columns=[]), disturbances=())
 
     def faults_as_disturbances(self, names: Iterable[str] | str | None = None) -> InputOutputModel:
-        """Return the model in which the named faults (all when omitted) are disturbances, after those it has."""
+        """Return the model with the named faults (all when omitted) as disturbances, after its own."""
         chosen = arrays.positions(names, self.faults, "fault")
         labels = tuple(self.faults[i] for i in chosen)
         return self.without_faults(labels)._with_disturbances(self.Gf.select(columns=chosen), labels)
 
     def __getattr__(self, name: str) -> Any:
-        """Say what to do where a plant was meant: only names that this class does not have come here."""
+        """Raise with a remedy if a plant was meant; only missing names get here."""
         from residua.plant.plant import Plant
 
         if name.startswith("_") or not (hasattr(Plant, name) or name in Plant.__dataclass_fields__):
@@ -384,7 +384,7 @@ class InputOutputModel(FaultFacts, Shown):
         return self._with(**{key: in_other_time(getattr(self, key), factor, degrees) for key in ("H", "G", "Gd", "Gf")})
 
     def _extended(self, extra: PolynomialMatrix, rtol: float) -> tuple[InputOutputModel, PolynomialMatrix]:
-        """Return the model, its equations multiplied by what new columns in ``1/z`` need, and these in ``z``."""
+        """Return the model, its equations multiplied as new columns in ``1/z`` require, and these in ``z``."""
         if self.variable == "1/z":
             delays = tuple(max(pair) for pair in zip(self.delays, row_delays(extra), strict=True))
             more = [new - old for new, old in zip(delays, self.delays, strict=True)]

@@ -1,4 +1,4 @@
-"""Input-output models as state-space plants of the smallest order."""
+"""Input-output models as state-space plants of least order."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _CONDITIONED = (
 
 @dataclass(frozen=True, eq=False)
 class Realization:
-    """A state-space plant made of input-output equations.
+    """A state-space realisation of input-output equations.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class Realization:
 def realize_input_output(
     model: InputOutputModel, *, rtol: float = DEFAULT_RTOL, tolerance: float = 1e-6
 ) -> Realization:
-    r"""Return a state-space plant of the smallest order with the transfer functions of an input-output model.
+    r"""Return a state-space plant of least order with the transfer functions of an input-output model.
 
     The equations are put into observer form, from which the part that no input, disturbance or fault reaches is removed
     by the staircase: common factors of an equation, and the second and further copies of a mode that several outputs
@@ -113,7 +113,7 @@ def realize_input_output(
 
 
 def _in_own_time(model: InputOutputModel) -> tuple[InputOutputModel, float]:
-    """Return a continuous model in the unit of time in which its powers weigh about the same, and that unit."""
+    """Return a continuous model in the unit of time that balances its powers, and that unit."""
     unit = 1.0 if model.is_discrete else unit_of_variable(model.H, model.right_side())
     return (model if unit == 1.0 else model._in_other_time(1 / unit)), unit
 
@@ -121,7 +121,7 @@ def _in_own_time(model: InputOutputModel) -> tuple[InputOutputModel, float]:
 def _smallest_part(
     model: InputOutputModel, whole: StateSpace, rtol: float, tolerance: float
 ) -> tuple[ReachablePart, float]:
-    """Return the reachable part of the smallest order that has the frequency response of the model, and its error.
+    """Return the reachable part of least order with the frequency response of the model, and its error.
 
     A staircase takes out what no input reaches. Rounding of the coefficients makes the copies of a mode differ, so that
     the inputs seem to reach them a little: singular values of the response tell these from modes.
@@ -154,13 +154,13 @@ def _smallest_part(
 
 
 def _is_clear(decided: RankDecision, tolerance: float) -> bool:
-    """Tell whether singular values of a response that do not count are small, and far below those that do."""
+    """Tell whether the negligible singular values of a response are small, and far below the others."""
     largest = float(decided.singular_values.max(initial=0.0))
     return decided.tolerance <= tolerance * largest and decided.smallest_kept >= _CLEAR * decided.tolerance
 
 
 def _margin(part: ReachablePart) -> float:
-    """Return how far above the tolerance the weakest coupling is that counts as one."""
+    """Return the smallest ratio of a coupling that counts to the tolerance."""
     return min(
         (
             decided.smallest_kept / max(decided.tolerance, np.finfo(float).tiny)
@@ -172,7 +172,7 @@ def _margin(part: ReachablePart) -> float:
 
 
 def _check_removed(removed: NDArray, uncertainty: NDArray, kept: StateSpace, dt: float, rate: float) -> None:
-    """Raise when a mode that is not stable was removed and no pole that stays is the same."""
+    """Raise if an unstable mode was removed and no remaining pole is equal to it."""
     size = spectral_norm(kept.A)
     unstable = ~dies_out(removed, uncertainty, dt, max(size, float(np.abs(removed).max(initial=0.0))))
     poles, moved = modes_with_uncertainty(kept.A)
@@ -186,7 +186,7 @@ def _check_removed(removed: NDArray, uncertainty: NDArray, kept: StateSpace, dt:
         raise ModelError(
             f"mode {modes} is in the equations but no input, disturbance or fault reaches it, and it is "
             "not stable: a plant without it would not behave like these equations; divide the common factor out of the "
-            "equations if it is none of the plant's, or add the disturbance or fault that reaches it"
+            "equations if it does not belong to the plant, or add the disturbance or fault that reaches it"
         )
 
 

@@ -1,4 +1,4 @@
-r"""Plants of least order from values of a response: singular values of divided differences tell the order.
+r"""Plants of least order from values of a response: singular values of divided differences give the order.
 
 Of :math:`G(s) = C (sI - A)^{-1} B` with values at points :math:`\mu_i` and :math:`\lambda_j` the Loewner matrix
 
@@ -37,13 +37,13 @@ _FEWEST = 10
 _ROUNDS = 4
 #: Copies, and by how many units in the last place their entries differ at most.
 _COPIES, _LAST_PLACES = 2, 4
-#: What is as many times as large as what copies differ by is no rounding.
+#: Beyond so many times the difference between copies, a value is not rounding.
 _SURELY = 4.0
 
 
 @dataclass(frozen=True, eq=False)
 class Loewner:
-    """Divided differences of a response, in even units of their rows and columns, and their singular values.
+    """Divided differences of a response, with balanced rows and columns, and their singular values.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class Loewner:
     U, singular_values, Vh : ndarray
         Of ``L`` in these units.
     rounding : float
-        What the last digits of the coefficients do to ``L`` in these units.
+        Effect of the last digits of the coefficients on ``L`` in these units.
     points : ndarray of complex
         Of the columns, and their conjugates.
     """
@@ -73,13 +73,13 @@ class Loewner:
     points: NDArray[np.complex128]
 
     def decided(self, k: int) -> RankDecision:
-        """Return the decision for an order, with what counts as rounding or as set apart by it."""
+        """Return the decision for an order, with the size of rounding and of the values that it sets apart."""
         s = self.singular_values
         below = float(s[k]) if k < len(s) else 0.0
         return RankDecision(k, s, max(below, _SURELY * self.rounding, RESIDUE * float(s.max(initial=0.0))))
 
     def system(self, k: int, whole: StateSpace) -> StateSpace:
-        """Return the system of some order with these values, in balanced units, and the feedthrough of ``whole``.
+        """Return the balanced system of given order with these values, and the feedthrough of ``whole``.
 
         Inputs that reach no state of ``whole``, and outputs that see none, do not here either.
         """
@@ -110,7 +110,7 @@ def loewner(H: PolynomialMatrix, N: PolynomialMatrix, whole: StateSpace) -> Loew
 
 
 def _copies(*matrices: NDArray[np.float64]) -> list[list[NDArray[np.float64]]]:
-    """Return matrices a few times more, each time with other last digits, which are the same in every call."""
+    """Return copies of matrices with perturbed last digits, equal in every call."""
     rng = np.random.default_rng(0)
     return [
         [M * (1 + _EPS * rng.integers(-_LAST_PLACES, _LAST_PLACES + 1, M.shape)) for M in matrices]
@@ -119,7 +119,7 @@ def _copies(*matrices: NDArray[np.float64]) -> list[list[NDArray[np.float64]]]:
 
 
 def loewner_part(found: Loewner, k: int, whole: StateSpace) -> ReachablePart:
-    """Return the system of some order with the modes of ``whole`` that are none of its.
+    """Return the system of given order without the modes of ``whole`` that are extra.
 
     They are what is left of ``whole`` beside the ``k`` directions that its inputs reach, by the states at the points.
     """
@@ -139,7 +139,7 @@ def loewner_part(found: Loewner, k: int, whole: StateSpace) -> ReachablePart:
 def _differences(
     H: PolynomialMatrix, N: PolynomialMatrix, D: NDArray, left: NDArray, right: NDArray
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return ``L``, the same of ``s G(s)``, and the values that rows and columns have, all as real numbers."""
+    """Return ``L``, the shifted ``L`` of ``s G(s)``, and the values that rows and columns have, all as real numbers."""
     mu, la = (np.concatenate([points, points.conj()]) for points in (left, right))
     G, F = (quotient(H, N, points) - D for points in (left, right))
     G, F = np.concatenate([G, G.conj()]), np.concatenate([F, F.conj()])
@@ -155,13 +155,13 @@ def _differences(
 
 
 def _rows(values: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Return what conjugate pairs of rows, one in each half, say together: real and imaginary parts."""
+    """Return the real and imaginary parts of conjugate pairs of rows, one in each half."""
     one, other = np.split(values, 2)
     return np.concatenate([one + other, -1j * (one - other)]) / np.sqrt(2)
 
 
 def _columns(values: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Return the same of columns, along the first axis."""
+    """Return the real and imaginary parts of conjugate pairs along the first axis."""
     one, other = np.split(values, 2)
     return np.concatenate([one + other, 1j * (one - other)]) / np.sqrt(2)
 
@@ -169,7 +169,7 @@ def _columns(values: NDArray[np.complex128]) -> NDArray[np.complex128]:
 def _even_units(
     L: NDArray[np.float64], rounding: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return units in which rows and columns have one size, but none of them much rounding; none for mere rounding."""
+    """Return factors that balance rows and columns without much rounding in any; zero for pure rounding."""
     units = [np.ones(count) for count in L.shape]
     for _ in range(_ROUNDS):
         for axis in (0, 1):

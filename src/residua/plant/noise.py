@@ -39,7 +39,7 @@ def covariance(
 
 
 def _check_covariance(W: NDArray[np.float64], channels: tuple[str, ...], what: str) -> None:
-    """Raise unless a matrix is symmetric and positive semidefinite, judged by its correlations: in no units."""
+    """Raise unless a matrix is symmetric and positive semidefinite, judged by its correlations, so in any units."""
     variances = np.diag(W)
     if (variances < 0).any():
         i = int(variances.argmin())
@@ -93,7 +93,7 @@ def cross_covariance(
 def joint_factors(
     W: NDArray, V: NDArray, S: NDArray, states: tuple[str, ...], outputs: tuple[str, ...]
 ) -> tuple[NDArray, NDArray]:
-    """Return ``Bw, Dw`` with ``Bw Bw' = W``, ``Dw Dw' = V`` and ``Bw Dw' = S``, or say why there are none.
+    """Return ``Bw, Dw`` with ``Bw Bw' = W``, ``Dw Dw' = V`` and ``Bw Dw' = S``, or raise with the reason.
 
     Whether ``[[W, S], [S', V]]`` is a covariance is judged by correlations, in no units.
     """
@@ -113,7 +113,7 @@ def joint_factors(
     smallest = _smallest_correlation(joint, np.concatenate(spread))
     if smallest < -1e-8:
         raise ModelError(
-            "cross: process, measurement and cross together are no covariance: the correlation matrix of "
+            "cross: process, measurement and cross together are not a covariance: the correlation matrix of "
             f"[[process, cross], [cross', measurement]] has the eigenvalue {smallest:.3g}"
         )
     L = factor(joint)

@@ -1,4 +1,4 @@
-"""State-space realisations of ``H(z) y = N(z) v``: observer form, without what no input reaches."""
+"""State-space realisations of ``H(z) y = N(z) v``: observer form, without unreachable parts."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _DIFFERENCE = 16 * float(np.finfo(float).eps)
 
 @dataclass(frozen=True, eq=False)
 class ReachablePart:
-    """What the inputs reach of a system, and the modes that they do not reach.
+    """Reachable part of a system, and its unreachable modes.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class ReachablePart:
 
 
 def unit_of_variable(H: PolynomialMatrix, N: PolynomialMatrix | None = None) -> float:
-    """Return the size of the variable, a power of two, at which the powers of a square matrix weigh about the same.
+    """Return the size of the variable, a power of two, that balances the powers of a square matrix.
 
     Of one in which no row has two powers, as of integrators, the size at which those of its right side do, if it is
     there. In another variable, a power of two times this one, it is exactly that many times as large; one if neither
@@ -58,7 +58,7 @@ def unit_of_variable(H: PolynomialMatrix, N: PolynomialMatrix | None = None) -> 
 
 
 def _size_of_variable(coefficients: NDArray[np.float64]) -> float:
-    """Return the size at which the first and the last power of polynomials, in columns, weigh the same; 0 without."""
+    """Return the size that balances the first and the last power of polynomials, in columns; 0 without."""
     parts, exponents, weights = 0.0, 0, 0
     for one in coefficients.T:
         used = np.flatnonzero(one)
@@ -75,7 +75,7 @@ def _size_of_variable(coefficients: NDArray[np.float64]) -> float:
 
 
 def check_regular(H: PolynomialMatrix, rtol: float) -> None:
-    """Raise when ``det H`` vanishes for every value of the variable."""
+    """Raise if ``det H`` vanishes for every value of the variable."""
     values = H.scaled(unit_of_variable(H)).evaluate(_POINTS)
     best = max((decide_rank(equilibrated(M), rtol=rtol) for M in values), key=lambda decided: decided.rank)
     if best.rank < H.shape[0]:
@@ -97,7 +97,7 @@ def leading_rows(P: PolynomialMatrix, degrees: tuple[int, ...]) -> NDArray[np.fl
 
 
 def check_proper(H: PolynomialMatrix, N: PolynomialMatrix, outputs: tuple[str, ...], dt: float, rtol: float) -> None:
-    """Raise when the outputs depend on later inputs (continuous time: on derivatives of inputs)."""
+    """Raise if the outputs depend on later inputs (continuous time: on derivatives of inputs)."""
     if not is_row_reduced(H, rtol):
         observer_form(H, N, outputs, dt, rtol)
         return
@@ -192,13 +192,13 @@ def _without_infinite_part(
 def _improper(output: str, dt: float, why: str) -> ModelError:
     what = "later inputs" if dt else "derivatives of inputs"
     return ModelError(
-        f"output {output!r} is no proper function of the inputs, it would depend on {what}: {why}; delay the inputs, "
+        f"output {output!r} is not a proper function of the inputs, it would depend on {what}: {why}; delay the "
         "or raise the degree of its equation"
     )
 
 
 def reachable_part(system: StateSpace) -> ReachablePart:
-    """Return the part of a system that its inputs reach, in balanced units; its transfer matrix is unchanged."""
+    """Return the reachable part of a system, in balanced units; its transfer matrix is unchanged."""
     At, Bt = np.ascontiguousarray(system.A.T), np.ascontiguousarray(system.B.T)
     form = staircase(At, Bt)  # callers compare responses, which tell more
     k = form.n_observable
@@ -217,9 +217,9 @@ def reachable_part(system: StateSpace) -> ReachablePart:
 
 
 def response_points(poles: NDArray[np.complex128], dt: float, *, count: int = 60) -> NDArray[np.complex128]:
-    """Return points on the stability boundary that span the dynamics of some poles, off the round numbers."""
+    """Return points on the stability boundary that span the dynamics of some poles, away from round numbers."""
     if dt:
-        slow = np.abs(np.log(poles[np.abs(poles) > 0.5]))  # poles at one itself are no reason to look nearer
+        slow = np.abs(np.log(poles[np.abs(poles) > 0.5]))  # poles at one itself do not need a closer look
         slow = slow[slow > 1e-12]
         low = 0.1 * float(np.min(slow, initial=1e-3)) / np.pi
         return np.exp(1j * np.pi * np.concatenate([np.geomspace(low, 0.97, count - 1), [0.37]]))
@@ -247,7 +247,7 @@ def response_error(found: NDArray[np.complex128], wanted: NDArray[np.complex128]
 
 
 def state_terms(system: StateSpace, points: NDArray[np.complex128]) -> NDArray[np.float64]:
-    """Return the sizes of what the response of a system is summed from: states seen by outputs, and feedthrough."""
+    """Return the sizes of the terms of a system's response: states seen by outputs, and feedthrough."""
     n = system.n_states
     states = system.replaced(C=np.eye(n), D=None, outputs=None) if n else None
     through = 0.0 if states is None else np.abs(system.C) @ np.abs(states.evaluate(points))
@@ -263,14 +263,14 @@ def quotient(H: PolynomialMatrix, N: PolynomialMatrix, points: NDArray[np.comple
 
 
 def polynomial_terms(H: PolynomialMatrix, N: PolynomialMatrix, points: NDArray[np.complex128]) -> NDArray[np.float64]:
-    """Return the sizes of what ``H^-1 N`` is summed from, row by row of ``H``."""
+    """Return the sizes of the terms of ``H^-1 N``, row by row of ``H``."""
     values = H.evaluate(points)
     size = np.abs(values).max(axis=2, keepdims=True)
     return np.abs(np.linalg.inv(values / size)) @ (np.abs(N.evaluate(points)) / size)
 
 
 def check_response(error: float, tolerance: float, what: str, advice: str) -> None:
-    """Raise when the error of a response is more than a tolerance."""
+    """Raise if the error of a response exceeds a tolerance."""
     if not error <= tolerance:
         raise AccuracyError(
             f"the frequency response of {what} is off by {error:.2g} > {tolerance:.2g} of itself: {advice}"

@@ -75,7 +75,7 @@ class Plant(FaultFacts, Guessed, Shown):
     units : mapping of str to str, optional
         Unit of each input, output or state, for plots and tables.
     description : str
-        What the plant is, in a sentence or two.
+        Description of the plant, in a sentence or two.
     identification : Identification, optional
         How it came from recordings; none for a plant that was given.
 
@@ -186,7 +186,7 @@ class Plant(FaultFacts, Guessed, Shown):
 
     @property
     def is_discrete(self) -> bool:
-        """Whether the plant is sampled."""
+        """True if the plant is sampled."""
         return self.dt > 0
 
     @property
@@ -225,7 +225,7 @@ class Plant(FaultFacts, Guessed, Shown):
 
     @cached_property
     def _systems(self) -> dict[tuple[str, ...], StateSpace]:
-        """The systems that were asked for: a design asks for each many times, and they keep their poles."""
+        """Systems by roles: designs request each many times, and they keep their poles."""
         return {}
 
     def _system(self, chosen: tuple[str, ...]) -> StateSpace:
@@ -289,7 +289,7 @@ class Plant(FaultFacts, Guessed, Shown):
         return load_plant(path)
 
     def to_toml(self, path: str | Path) -> Path:
-        """Write a plant file from which :meth:`from_toml` makes the same plant, to the last bit."""
+        """Write a plant file from which :meth:`from_toml` restores the same plant, to the last bit."""
         from residua.plant.plant_writer import save_plant
 
         return save_plant(self, path)
@@ -405,13 +405,13 @@ class Plant(FaultFacts, Guessed, Shown):
         return self
 
     def with_fault_notes(self, notes: Mapping[str, Mapping[str, str]]) -> Plant:
-        """Return the plant with notes on its faults, for reports: nothing that is computed depends on them.
+        """Return the plant with notes on its faults, for reports: no computation depends on them.
 
         Parameters
         ----------
         notes : mapping of str to mapping of str to str
-            Fault name to any of ``description`` (what it is), ``check`` (what to check first when it is named) and
-            ``unit`` (of its size). What is not given stays as it was.
+            Fault name to any of ``description``, ``check`` (first checks when it is named) and
+            ``unit`` (of its size). Notes that are not given stay unchanged.
 
         Raises
         ------
@@ -453,7 +453,7 @@ class Plant(FaultFacts, Guessed, Shown):
         measurement: ArrayLike | Mapping[str, float] | None = None,
         cross: ArrayLike | Mapping[tuple[str, str], float] | None = None,
     ) -> Plant:
-        r"""Return the plant with white noise, replacing what noise it had.
+        r"""Return the plant with white noise, in place of its own.
 
         .. math::
 
@@ -495,12 +495,12 @@ class Plant(FaultFacts, Guessed, Shown):
         return self._with(Bw=frozen(Bw), Dw=frozen(Dw))
 
     def with_assumed_noise(self) -> Plant:
-        """Return the plant with noise where none is known, as large as its signals suggest.
+        """Return the plant with noise assumed from the size of its signals, if it has none.
 
-        The standard deviation of a measurement is a tenth of what inputs of size one make of that output in the end,
-        and that of the noise of a state 0.3 % of what they make of it. What no control input moves is measured by
-        disturbances, then by faults; a plant that integrates, by a hundred samples. A continuous plant is taken to be
-        sampled ten times in the time constant of its mean rate.
+        The standard deviation of a measurement is a tenth of the steady effect of inputs of size one on that output,
+        and that of the noise of a state 0.3 % of their effect on it. For signals that no control input moves the
+        effects of disturbances count, then of faults; for a plant that integrates, those within a hundred samples. A
+        continuous plant is taken to be sampled ten times in the time constant of its mean rate.
 
         Returns
         -------
@@ -510,7 +510,7 @@ class Plant(FaultFacts, Guessed, Shown):
         Raises
         ------
         ModelError
-            If it has noise already, or its equations do not say what an input does in the end.
+            If it has noise already, or its equations do not determine the steady effect of an input.
 
         Examples
         --------
@@ -524,7 +524,7 @@ class Plant(FaultFacts, Guessed, Shown):
         return with_assumed_noise(self)
 
     def with_noise_input(self, Bw: ArrayLike | None = None, Dw: ArrayLike | None = None) -> Plant:
-        """Return the plant driven by white noise of unit covariance, replacing what noise it had.
+        """Return the plant driven by white noise of unit covariance, in place of its own.
 
         The same as :meth:`with_noise` by the factors of its covariances: ``process = Bw Bw'``,
         ``measurement = Dw Dw'``, ``cross = Bw Dw'``. For a continuous plant the noise has unit intensity.
@@ -573,7 +573,7 @@ class Plant(FaultFacts, Guessed, Shown):
         return self._with(operating_point=OperatingPoint(u, y))
 
     def with_identification(self, made: Identification | None) -> Plant:
-        """Return the plant with the note of how it came from recordings; without one for ``None``."""
+        """Return the plant with a record of its identification; without one for ``None``."""
         return self._with(identification=checked_identification(made, self.inputs, self.outputs))
 
     def without_disturbances(self) -> Plant:
@@ -581,7 +581,7 @@ class Plant(FaultFacts, Guessed, Shown):
         return self._with(Bd=frozen(self.Bd[:, :0]), Dd=frozen(self.Dd[:, :0]), disturbances=())
 
     def faults_as_disturbances(self, names: Iterable[str] | str | None = None) -> Plant:
-        """Return the plant in which the named faults (all when omitted) are disturbances, after those it has.
+        """Return the plant with the named faults (all when omitted) as disturbances, after its own.
 
         A residual that no disturbance of the new plant reaches is one that ignores these faults.
         """
@@ -590,7 +590,7 @@ class Plant(FaultFacts, Guessed, Shown):
         return self.without_faults(labels)._with_disturbances(self.Bf[:, chosen], self.Df[:, chosen], labels)
 
     def explicit(self) -> Plant:
-        """Return the plant with an invertible ``E`` divided out; raises when ``E`` is singular."""
+        """Return the plant with an invertible ``E`` divided out; raises if ``E`` is singular."""
         if self.E is None:
             return self
         whole = self.system().explicit()
@@ -602,7 +602,7 @@ class Plant(FaultFacts, Guessed, Shown):
         """Return the plant sampled with step ``dt``.
 
         Exact for control inputs that are held between samples. Disturbances and faults are assumed to be
-        held too; what they do between samples beyond that is not represented. Noise stays white: the
+        held too; their course between samples is not represented. Noise stays white: the
         state noise over one step has the covariance of the continuous noise, integrated; the measurement
         noise of intensity ``V`` becomes covariance ``V / dt`` (a sensor that averages over the step).
         Algebraic equations are eliminated first, exactly, which lowers the order; a plant of index 2 or more

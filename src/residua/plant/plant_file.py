@@ -86,7 +86,7 @@ def loads_plant(text: str, *, source: str = "plant") -> Plant:
     ----------
     text : str
     source : str
-        What to call the file in error messages.
+        Name of the file in error messages.
 
     Returns
     -------
@@ -180,7 +180,7 @@ def _core(root: Entry) -> Plant:
 
 
 def _identification(root: Entry) -> Identification | None:
-    """Return how the plant came from recordings, or ``None`` where nothing is said of that."""
+    """Return the record of an identification, or ``None`` without one."""
     if "identification" not in root:
         return None
     entry = root.table("identification", IDENTIFICATION_KEYS)
@@ -272,7 +272,7 @@ def _sampled(plant: Plant, root: Entry) -> Plant:
 
 
 def _with_noise(plant: Plant, entry: Entry) -> Plant:
-    """Add noise given by covariances, or by how unit white noise enters states and outputs."""
+    """Add noise given by covariances, or by the directions of unit white noise into states and outputs."""
     if not entry.data:
         return plant
     if "state" in entry or "output" in entry:
@@ -319,7 +319,7 @@ def _only(entry: Entry, key: str, excluded: tuple[str, ...]) -> None:
 
 
 def _pointing(entry: Entry, make: Callable[[], Plant]) -> Plant:
-    """Run ``make`` and let a model error point at the entry."""
+    """Run ``make``, and let a model error point at the entry."""
     try:
         return make()
     except (ModelError, np.linalg.LinAlgError) as error:

@@ -1,4 +1,4 @@
-"""Writing plant files, so that what is read back is the same plant to the last bit."""
+"""Writing plant files, which read back as the same plant to the last bit."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from residua.plant.noise import noise_factors
 from residua.plant.plant import Plant
 from residua.plant.plant_file import FORMAT, loads_plant
 
-#: What must come back bit for bit.
+#: Attributes that must be restored bit for bit.
 ARRAYS = ("A", "C", "E", "B", "D", "Bd", "Dd", "Bf", "Df", "Bw", "Dw")
 VALUES = (
     "dt",
@@ -202,7 +202,7 @@ def _fault(plant: Plant, i: int) -> list[str]:
 
 
 def _vectors(plant: Plant, state: NDArray, output: NDArray) -> list[str]:
-    """Return how a fault or disturbance enters: by name where few numbers are not zero."""
+    """Return the direction of a fault or disturbance: by name if few numbers are not zero."""
     lines = []
     for key, vector, names in (("state", state, plant.states), ("output", output, plant.outputs)):
         if not _matters(vector):
@@ -213,7 +213,7 @@ def _vectors(plant: Plant, state: NDArray, output: NDArray) -> list[str]:
 
 
 def _noise(plant: Plant) -> list[str]:
-    """Return variances where they give the same noise back, otherwise the directions themselves."""
+    """Return variances if they restore the noise, otherwise the directions themselves."""
     try:
         W, V = (_variances(M @ M.T) for M in (plant.Bw, plant.Dw))
         Bw, Dw = noise_factors(np.diag(W), np.diag(V))
@@ -238,7 +238,7 @@ def _variances(W: NDArray) -> NDArray:
 
 
 def _matters(values: NDArray | float) -> bool:
-    """Whether anything is not +0.0 (a negative zero is written, so that it comes back)."""
+    """Tell whether any value is not +0.0 (a negative zero is written, so that it is restored)."""
     return bool(np.any(values) or np.signbit(values).any())
 
 

@@ -1,4 +1,4 @@
-"""Sensor faults as actuator faults: a filter on the measurement, taken into the plant."""
+"""Sensor faults as actuator faults: a filter on the measurement, included in the plant."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def augment_sensor_filter(plant: Plant, outputs: Iterable[str | int] | str, rate
 
 
 def sensor_filter(plant: Plant, outputs: Iterable[str | int] | str, rate: ArrayLike) -> StateSpace:
-    """Return the filter that measurements pass before they reach a design for :func:`augment_sensor_filter`.
+    """Return the filter of the measurements for a design with :func:`augment_sensor_filter`.
 
     Parameters
     ----------

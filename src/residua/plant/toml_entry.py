@@ -17,7 +17,7 @@ from residua.visible import MAX_ECHO, echo, listed, shortened
 
 
 class Entry:
-    """One table of the file: its values, where it stands, and which keys it may have.
+    """One table of the file: its values, its place, and its allowed keys.
 
     Parameters
     ----------
@@ -53,25 +53,25 @@ class Entry:
         return key in self.data
 
     def table(self, key: str, keys: Sequence[str]) -> Entry:
-        """Return a table, empty when it is absent."""
+        """Return a table, empty if it is absent."""
         return Entry(self.data.get(key, {}), self.source, self.where(key), keys)
 
     def tables(self, key: str, keys: Sequence[str]) -> list[Entry]:
-        """Return an array of tables, empty when it is absent."""
+        """Return an array of tables, empty if it is absent."""
         items = self.data.get(key, [])
         if not isinstance(items, list):
             raise self.error(key, f"expected tables under [[{key}]], got {kind_of(items)}")
         return [Entry(item, self.source, f"{self.where(key)}[{i}]", keys) for i, item in enumerate(items)]
 
     def text(self, key: str, default: str | None = None) -> str:
-        """Return a string; required when there is no default."""
+        """Return a string; required without a default."""
         value = self._get(key, default)
         if not isinstance(value, str):
             raise self.error(key, f"expected text in quotes, got {kind_of(value)}")
         return value
 
     def choice(self, key: str, known: Sequence[str], default: str | None = None) -> str:
-        """Return one of some words."""
+        """Return one of several words."""
         value = self.text(key, default)
         if value not in known:
             raise self.error(key, f"expected one of {', '.join(map(repr, known))}; got {echo(value)}")
@@ -82,7 +82,7 @@ class Entry:
         return self._number(self._get(key, default), key)
 
     def texts(self, key: str, count: int | None, each: str) -> tuple[str, ...] | None:
-        """Return a list of strings (any number of them for a count of ``None``), ``None`` when it is absent."""
+        """Return a list of strings (any number of them for a count of ``None``), ``None`` if it is absent."""
         if key not in self:
             return None
         items = self.data[key]
@@ -93,7 +93,7 @@ class Entry:
         return tuple(items)
 
     def pairs(self, key: str) -> list[tuple[str, str]]:
-        """Return a list of pairs of strings, empty when it is absent."""
+        """Return a list of pairs of strings, empty if it is absent."""
         items = self.data.get(key, [])
         if not isinstance(items, list) or not all(isinstance(item, list) and len(item) == 2 for item in items):
             raise self.error(key, f'expected pairs of texts, [["...", "..."]], got {kind_of(items)}')
@@ -102,7 +102,7 @@ class Entry:
         return [(item[0], item[1]) for item in items]
 
     def by_channel(self, key: str, channels: tuple[str, ...], each: str) -> NDArray[np.float64] | None:
-        """Return one number per channel from a list or a table by name, ``None`` when it is absent."""
+        """Return one number per channel from a list or a table by name, ``None`` if it is absent."""
         if key not in self:
             return None
         value = self.data[key]
@@ -121,7 +121,7 @@ class Entry:
         return np.array([self._number(item, f"{key}[{i}]") for i, item in enumerate(value)], dtype=float)
 
     def matrix(self, key: str, rows: int | None, columns: int | None, each: str) -> NDArray[np.float64] | None:
-        """Return a matrix written as a list of rows, ``None`` when it is absent."""
+        """Return a matrix written as a list of rows, ``None`` if it is absent."""
         if key not in self:
             return None
         value = self.data[key]
@@ -158,7 +158,7 @@ class Entry:
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:
-    """Return ``" 'x' (did you mean 'y'?)"``, or the name alone when nothing is near."""
+    """Return ``" 'x' (did you mean 'y'?)"``, or the name alone without a near one."""
     lowered = {k.lower(): k for k in known}
     near = difflib.get_close_matches(name.lower(), lowered, n=1) if len(name) <= MAX_ECHO else []
     return f" {echo(name)} (did you mean {echo(lowered[near[0]])}?)" if near else f" {echo(name)}"

@@ -91,7 +91,7 @@ def input_output_from_transfer_functions(
 
 
 def _check_cancelled(denominators: Sequence[NDArray], kept: Sequence[NDArray], dt: float) -> None:
-    """Raise when a root of a denominator is not stable, and no equation that is left has the same."""
+    """Raise if a root of a denominator is unstable, and no remaining equation has an equal one."""
     left = [_roots(h) for h in kept]
     poles, moved = (np.concatenate([np.zeros(0), *parts]) for parts in (zip(*left, strict=True) if left else ((), ())))
     hidden: list[complex] = []
@@ -106,12 +106,12 @@ def _check_cancelled(denominators: Sequence[NDArray], kept: Sequence[NDArray], d
         raise ModelError(
             f"mode {describe_modes(hidden)} is in a denominator but cancels against the numerator, and it is not "
             "stable: a plant without it would not behave like these transfer functions; divide the common factor out "
-            "if it is none of the plant's, or give the equations with the disturbance or fault that reaches it"
+            "if it does not belong to the plant, or give the equations with the disturbance or fault that reaches it"
         )
 
 
 def _roots(polynomial: NDArray) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
-    """Return the roots of a polynomial, highest power first, and how far rounding may have moved each."""
+    """Return the roots of a polynomial, highest power first, and the effect of rounding on each."""
     found = np.trim_zeros(np.asarray(polynomial, dtype=float), "f")
     return modes_with_uncertainty(scipy.linalg.companion(found) if len(found) > 1 else np.zeros((0, 0)))
 
@@ -175,7 +175,7 @@ def _entries(system: Any, dt: float | None) -> tuple[list[list[Entry]], float, d
 
 
 def _depth(value: Any) -> int:
-    """Return how many brackets are around the first number."""
+    """Return the number of brackets around the first number."""
     return 0 if np.isscalar(value) or not len(value) else 1 + _depth(value[0])
 
 

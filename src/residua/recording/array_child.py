@@ -1,4 +1,4 @@
-"""Run as a program, in a process of its own: read the arrays of a .mat file with SciPy and write them to a pipe.
+"""Child process that reads the arrays of a .mat file with SciPy and writes them to a pipe.
 
 SciPy's reader is compiled code that a damaged file can end with a signal; here nothing but this process ends. It
 imports nothing of residua, so that it starts as fast as SciPy's reader is loaded. What it writes is data, in order: for
@@ -25,7 +25,7 @@ _READ = (*_NUMBERS, "char")
 
 
 def answer(path: str, limit: int, out: BinaryIO) -> None:
-    """Write the arrays of a file, or what is wrong with it."""
+    """Write the arrays of a file, or its error."""
     try:
         size = unpacked_size(path, limit)
         if size > limit:
@@ -42,7 +42,7 @@ def answer(path: str, limit: int, out: BinaryIO) -> None:
 
 
 def unpacked_size(path: str, limit: int) -> int:
-    """Return how many bytes a file holds once its compressed parts are unpacked, or a number over the limit."""
+    """Return the number of bytes of a file after unpacking, or a number over the limit."""
     total = os.path.getsize(path)
     with open(path, "rb") as file:
         head = file.read(128)
@@ -60,7 +60,7 @@ def unpacked_size(path: str, limit: int) -> int:
 
 
 def _unpacked(file: BinaryIO, count: int, limit: int) -> int:
-    """Return how many bytes a compressed part unpacks to, counted no further than a limit."""
+    """Return the number of bytes of a compressed part after unpacking, counted no further than a limit."""
     unpacker, total = zlib.decompressobj(), 0
     while count > 0 and total <= limit and not unpacker.eof:
         piece = file.read(min(count, _PIECE))
@@ -75,7 +75,7 @@ def _unpacked(file: BinaryIO, count: int, limit: int) -> int:
 
 
 def _bound_memory(size: int) -> None:
-    """Let what claims to be larger than the file be a MemoryError, where the operating system does that."""
+    """Limit memory so that a false size is a MemoryError, if the operating system supports it."""
     try:
         import resource
 
@@ -114,7 +114,7 @@ def _say(out: BinaryIO, **entries: Any) -> None:
 
 
 def _die_quietly() -> None:
-    """Leave no core file and open no window when the reader crashes."""
+    """Leave no core file and open no window on a crash of the reader."""
     try:
         import resource
 

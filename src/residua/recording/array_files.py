@@ -21,7 +21,7 @@ def table_from_arrays(
     names: Sequence[str] | None,
     source: str,
 ) -> dict[str, NDArray]:
-    """Return the named columns that a file of arrays holds.
+    """Return the named columns of a file of arrays.
 
     In this order: the matrix ``variable``; one array per channel; the matrices ``u`` and ``y``; the only
     matrix with as many columns as there are channels, inputs first.
@@ -56,7 +56,7 @@ def table_from_arrays(
 def _columns(
     M: NDArray, label: str, channels: Sequence[str], names: Sequence[str] | None, source: str
 ) -> dict[str, NDArray]:
-    """Return the columns of a matrix under their names, or by the order of the channels."""
+    """Return the columns of a matrix by their names, or by the order of the channels."""
     M = M[:, None] if M.ndim == 1 else M
     if M.ndim != 2 or not _is_numeric(M):
         raise DataError(f"{source}: {echo(label)} must be a matrix of numbers, (time, channels)")
@@ -91,7 +91,7 @@ def _is_numeric(M: NDArray) -> bool:
 
 
 def _listed(arrays: Arrays) -> str:
-    """Name the arrays with their shapes; what has no numbers is a cell array or structure."""
+    """List the arrays with their shapes; entries without numbers are cell arrays or structures."""
     return listed(
         [
             f"{name} {'(no numbers)' if M.dtype.kind == 'V' else ' x '.join(map(str, M.shape))}"

@@ -1,4 +1,4 @@
-"""A recording made of columns: inputs, outputs, and a clock that is regular, put on a grid, or not used."""
+"""A recording from columns: inputs, outputs, and a clock that is regular, put on a grid, or not used."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Times = tuple[NDArray[np.float64], str]
 
 @dataclass(frozen=True, eq=False)
 class Clock:
-    """A column of times, which is read only where it is used.
+    """A column of times, which is read only if it is used.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ def assembled(
     tally: Tally,
     first_row: int,
 ) -> Recording:
-    """Return the recording of columns.
+    """Return the recording from columns.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def assembled(
     clock : Clock or None
     options : ReadOptions
     source : str
-        What to call the recording in messages.
+        Name of the recording in messages.
     tally : Tally
         The marks of missing values.
     first_row : int
@@ -140,7 +140,7 @@ def assembled(
 def _settled(
     clock: Clock | None, options: ReadOptions, source: str, first_row: int, rows: int
 ) -> tuple[NDArray[np.float64] | None, str, float | None, Grid | None, tuple[str, ...]]:
-    """Return times, the moment that they count from, their step, the grid that they stand on, and notes.
+    """Return times, their origin, step and grid, and notes.
 
     No times where there are none, or where they are not used because of ``dt``.
     """

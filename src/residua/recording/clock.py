@@ -1,4 +1,4 @@
-"""Times of a recording as people say them: clock time where the recording has dates, hours where seconds are many."""
+"""Times of a recording for people: clock time if the recording has dates, hours if seconds are many."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _MOST = 1e10
 
 @dataclass(frozen=True)
 class Clock:
-    """What the seconds of a recording are called.
+    """Clock for the seconds of a recording.
 
     Attributes
     ----------
@@ -32,7 +32,7 @@ class Clock:
 
     @cached_property
     def moment(self) -> datetime | None:
-        """The moment that seconds count from, without its time zone; ``None`` if there is none."""
+        """Origin of the seconds, without its time zone; ``None`` if there is none."""
         try:
             return datetime.fromisoformat(self.origin.strip()[:32]).replace(tzinfo=None) if self.origin else None
         except ValueError:
@@ -40,7 +40,7 @@ class Clock:
 
     @cached_property
     def zone(self) -> str:
-        """Offset from UTC as the recording has it; empty if it has none."""
+        """Offset from UTC in the recording; empty if it has none."""
         if self.moment is None:
             return ""
         offset = datetime.fromisoformat(self.origin.strip()[:32]).strftime("%z")
@@ -67,7 +67,7 @@ class Clock:
 
 
 def length(seconds: float) -> str:
-    """Return a length of time in the units that fit it: ``45 s``, ``25 min``, ``5 h 12 min``, ``3 d 4 h``."""
+    """Return a duration in suitable units: ``45 s``, ``25 min``, ``5 h 12 min``, ``3 d 4 h``."""
     if not math.isfinite(seconds):
         return "–"
     sign, size = ("−" if seconds < 0 else ""), abs(seconds)

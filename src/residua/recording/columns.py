@@ -1,4 +1,4 @@
-"""Matching what a recording holds to what a plant needs: columns, time and step."""
+"""Matching a recording to the needs of a plant: columns, time and step."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from residua.visible import echo, listed
 
 @dataclass(frozen=True)
 class Matched:
-    """The columns that a recording is read from.
+    """Matched columns of a recording.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class Matched:
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """What a caller asked for."""
+    """Options of a caller."""
 
     plant: Plant | None
     time: str | None
@@ -73,19 +73,19 @@ class ReadOptions:
 
     @property
     def near(self) -> float:
-        """Largest irregularity of the times, as a fraction of the step."""
+        """Largest allowed irregularity of the times, as a fraction of the step."""
         if self.tolerance is not None:
             return self.tolerance
         return NEAR if self.fill_gaps else REGULAR
 
     @property
     def step(self) -> float | None:
-        """The step that the caller or the plant asks for."""
+        """Step requested by the caller or the plant."""
         return self.dt or (self.plant.dt if self.plant else 0.0) or None
 
     @property
     def gets_round_times(self) -> bool:
-        """Whether rows are simply ``dt`` apart where a time column that nobody named says otherwise, or nothing."""
+        """True if rows are taken as ``dt`` apart, whatever an unnamed time column says."""
         return self.dt is not None and self.time is None and not self.fill_gaps
 
     @property
@@ -100,23 +100,23 @@ class ReadOptions:
 
     @property
     def matrix_names(self) -> Sequence[str] | None:
-        """Names of a matrix's columns, where that is what ``columns`` gives."""
+        """Names of a matrix's columns, if given by ``columns``."""
         if self.columns is None or isinstance(self.columns, Mapping):
             return None
         return (self.columns,) if isinstance(self.columns, str) else tuple(self.columns)
 
     @property
     def renamed(self) -> Mapping[str, str]:
-        """The columns that the caller has chosen for channels."""
+        """Columns chosen by the caller for channels."""
         return self.columns if isinstance(self.columns, Mapping) else {}
 
     @property
     def takes_all(self) -> bool:
-        """Whether all columns are taken, as far as they hold numbers: nobody named any."""
+        """True if all columns with numbers are taken, since none was named."""
         return self.plant is None and not self.renamed and self.matrix_names is None
 
     def named_in(self, names: Sequence[str]) -> tuple[list[str], list[str]]:
-        """Return the columns of the inputs, and of the outputs; the name of a channel where it has none."""
+        """Return the columns of the inputs, and of the outputs; the name of a channel if it has none."""
         found = matched_names((*self.inputs, *self.outputs), names, renamed=self.renamed)
         return [found.get(name, name) for name in self.inputs], [found.get(name, name) for name in self.outputs]
 
@@ -148,7 +148,7 @@ class ReadOptions:
 
 
 def settled_step(read: float | None, options: ReadOptions, source: str, texts: Sequence[str] = ()) -> float:
-    """Return the step that times, caller and plant agree on; ``texts``: columns that may hold dates."""
+    """Return the step common to times, caller and plant; ``texts``: columns that may hold dates."""
     asked, own = options.dt, options.plant.dt if options.plant else 0.0
     known = [
         (value, what)

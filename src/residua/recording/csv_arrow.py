@@ -1,4 +1,4 @@
-"""Reading large tables of text by pyarrow, where it gives what the package's own reader gives, sooner.
+"""Reading large tables of text by pyarrow, if it gives the same values as the package's own reader, sooner.
 
 What pyarrow might read otherwise is not left to it: text that is not plain ASCII, quotation marks that do not surround
 whole cells, very long lines. A cell that it takes for no number ends the attempt: the other reader then says which
@@ -18,7 +18,7 @@ from residua.recording.missing import EMPTY, Marks, Tally
 
 #: Characters from which on pyarrow is worth the time that its import takes.
 LARGE = 4_000_000
-#: What a text may consist of: printable ASCII, tabs and line ends.
+#: Characters of a valid text: printable ASCII, tabs and line ends.
 _PLAIN = bytes([9, 10, *range(32, 127)])
 #: Within so many characters there must be a line end: the csv module of Python refuses cells of more than 131,072.
 _LINE = 65_536
@@ -27,7 +27,7 @@ _QUOTE, _LINE_END = ord('"'), ord("\n")
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """The lines with data of a table that pyarrow reads as the package does.
+    """Data lines of a table that pyarrow reads like the package.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class Body:
     decimal: str
 
     def numbers(self, places: Sequence[int], marks: Marks) -> list[NDArray[np.float64]] | None:
-        """Return columns of numbers, NaN where one is missing; ``None`` if there is anything but numbers and marks."""
+        """Return columns of numbers, NaN for missing ones; ``None`` if there is anything but numbers and marks."""
         import pyarrow
 
         table = self._table(dict.fromkeys(places, pyarrow.float64()), marks)
@@ -59,7 +59,7 @@ class Body:
             tally.add(one["values"], name, one["counts"])
 
     def texts(self, place: int) -> list[str] | None:
-        """Return one column as text; ``None`` where a cell's line of the file is not known by its number."""
+        """Return one column as text; ``None`` if the line number of a cell is unknown."""
         import pyarrow
 
         if self.content.startswith(b"\n") or b"\n\n" in self.content:
@@ -88,7 +88,7 @@ class Body:
 
 
 def served(text: str, columns: int, delimiter: str, decimal: str) -> Body | None:
-    """Return the lines of a table for pyarrow; ``None`` where it is not there, not worth it, or might read otherwise.
+    """Return the lines of a table for pyarrow; ``None`` if it is absent, not worthwhile, or might read otherwise.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def served(text: str, columns: int, delimiter: str, decimal: str) -> Body | None
 
 
 def body_of(content: bytes, columns: int, delimiter: str, decimal: str) -> Body | None:
-    """Return lines of data for pyarrow, however few; ``None`` where it is not there, or might read them otherwise."""
+    """Return lines of data for pyarrow, however few; ``None`` if it is absent, or might read them otherwise."""
     try:
         import pyarrow.csv  # noqa: F401 (whether it is there)
     except ImportError:
@@ -112,7 +112,7 @@ def body_of(content: bytes, columns: int, delimiter: str, decimal: str) -> Body 
 
 
 def same_to_both(content: bytes, columns: int, delimiter: str) -> bool:
-    """Tell whether pyarrow divides lines into the cells that Python's csv module makes of them.
+    """Tell whether pyarrow splits lines into the same cells as Python's csv module.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def same_to_both(content: bytes, columns: int, delimiter: str) -> bool:
 
 
 def _quoted_whole(letters: NDArray[np.uint8], delimiter: int) -> bool:
-    """Tell whether quotation marks surround whole cells, within a line; doubled ones inside such a cell are one.
+    """Tell whether quotation marks surround whole cells within a line, with doubled ones inside such a cell.
 
     The first mark of each pair then follows a delimiter, a line end or the mark before it (a doubled one), the second
     is followed by one of these: so both readers are inside a quoted cell between them, and nowhere else.

@@ -20,7 +20,7 @@ from residua.visible import echo
 DELIMITERS = (",", ";", "\t")
 BLANKS = " "
 _DATE = re.compile(r"\d{1,4}([/.\-])\d{1,2}\1\d{1,4}(?!\d)")
-#: How spreadsheets say what stands between the cells, in a line of its own before all others.
+#: Declaration of the separator by spreadsheets, in a first line of its own.
 _SEPARATOR = re.compile(r"sep=([,;\t])", re.IGNORECASE)
 #: Characters in which the header is looked for before all lines are.
 _BEGINNING = 1 << 16
@@ -63,7 +63,7 @@ class CsvTable:
 
     @cached_property
     def _bytes(self) -> csv_arrow.Body | None:
-        """The lines with data as pyarrow reads them; ``None`` where it does not, or not the same."""
+        """Data lines as pyarrow reads them; ``None`` if it does not, or not the same."""
         return csv_arrow.served(self.body, len(self.names), self.delimiter, self.decimal)
 
     def numbers(
@@ -103,7 +103,7 @@ class CsvTable:
         return self.body[:end] if end >= 0 else self.body
 
     def texts(self, name: str) -> tuple[list[str], Sequence[int]]:
-        """Return one column as text, with the line of the file that each cell is from."""
+        """Return one column as text, with the line number of each cell in the file."""
         cells = self._bytes.texts(self.names.index(name)) if self._bytes is not None else None
         if cells is not None:
             return cells, range(self.above + 1, self.above + 1 + len(cells))
@@ -163,7 +163,7 @@ def open_csv(content: bytes, source: str, *, decimal: str = ".") -> CsvTable:
     ----------
     content : bytes
     source : str
-        What to call the file in messages.
+        Name of the file in messages.
     decimal : {".", ","}
 
     Raises
@@ -198,7 +198,7 @@ def open_csv(content: bytes, source: str, *, decimal: str = ".") -> CsvTable:
 
 
 def _without_blank_end(text: str, start: int) -> str:
-    """Return the text from there on without the blank lines at its end."""
+    """Return the text from a place on without the blank lines at its end."""
     last = len(text)
     while last > start and text[max(start, last - _BEGINNING) : last].isspace():
         last = max(start, last - _BEGINNING)
@@ -209,7 +209,7 @@ def _without_blank_end(text: str, start: int) -> str:
 
 @dataclass(frozen=True)
 class _Head:
-    """The line that names the columns, or is the first one with data.
+    """The line that names the columns, or the first one with data.
 
     Attributes
     ----------
@@ -228,7 +228,7 @@ class _Head:
 
 
 def _head(text: str, decimal: str) -> _Head:
-    """Find the first line, by it and the one that follows: at the beginning of the text, or else in all of it."""
+    """Find the first line, by it and the following one: at the beginning of the text, or else in all of it."""
     lines = text[:_BEGINNING].split("\n")
     if len(text) > _BEGINNING:
         lines.pop()  # it may go on
@@ -247,7 +247,7 @@ def _head(text: str, decimal: str) -> _Head:
 
 
 def _first_line(lines: list[str]) -> tuple[int, str]:
-    """Return the number of the line with the names, or with the first data, and the separator that a line says."""
+    """Return the number of the line with the names, or with the first data, and a separator that a line declares."""
     above = next(i for i, line in enumerate(lines) if line.strip())
     said = _SEPARATOR.fullmatch(lines[above].strip(" "))
     if said:
@@ -262,7 +262,7 @@ def _is_comment(line: str) -> bool:
 
 
 def _separated(head: str, following: str, decimal: str) -> tuple[str, tuple[str, ...]]:
-    """Return what stands between the cells, and those of the first line.
+    """Return the separator of the cells, and those of the first line.
 
     What makes the most of them; blanks only where nothing else separates any, and as many in the line that follows. A
     decimal comma separates no numbers.
@@ -294,7 +294,7 @@ def _decoded(content: bytes, source: str) -> str:
 def _parsed(
     cells: list[str], rows: list[int], what: str, decimal: str, marks: Marks
 ) -> tuple[NDArray[np.float64], Counter[str]] | DataError:
-    """Return the numbers of a column with the cells that are none, or the error about a cell that is no mark either."""
+    """Return the numbers of a column and its other cells, or the error about a cell that is not a mark either."""
     out, others = np.full(len(cells), np.nan), Counter[str]()
     for i, cell in enumerate(cells):
         text = cell.strip()
@@ -310,14 +310,14 @@ def _parsed(
 
 
 def _as_number(text: str, decimal: str) -> str:
-    """Return a cell as Python writes numbers; with a decimal comma a point is none."""
+    """Return a cell in Python's notation for numbers; with a decimal comma a point is invalid."""
     if decimal == ".":
         return text
     return "" if "." in text else text.replace(",", ".")
 
 
 def is_text(cells: Iterable[str], marks: Marks) -> bool:
-    """Return whether no cell is a number, however it is written, and some are no mark of a missing value either."""
+    """Return whether no cell is a number in any notation, and some are not marks of a missing value either."""
     kinds = {cell.strip() for cell in cells}
     return not any(map(_is_digits, kinds)) and any(cell not in marks for cell in kinds)
 
@@ -328,7 +328,7 @@ def _is_digits(text: str) -> bool:
 
 
 def _advice(cells: list[str], place: int, decimal: str, marks: Marks) -> str:
-    """Return advice on a cell that is no number: a date, one with commas and points, a unit, a mark."""
+    """Return advice on a cell that is not a number: a date, one with commas and points, a unit, a mark."""
     text = cells[place].strip()
     if _DATE.match(text):
         return "; if these are the times, name the column by time="
@@ -341,8 +341,8 @@ def _advice(cells: list[str], place: int, decimal: str, marks: Marks) -> str:
     if "," in text and "." in text:
         return "; of a comma and a point in one number the first separates thousands: write the numbers without it"
     if decimal == ",":
-        return "; decimal=',' was asked for, and a point then is none"
-    return "; if its comma is a decimal comma, say decimal=','; if it separates thousands, write the numbers without it"
+        return "; decimal=',' was given, so a point is not a decimal mark"
+    return "; if its comma is a decimal comma, set decimal=','; if it separates thousands, write the numbers without it"
 
 
 def _is_number(text: str) -> bool:

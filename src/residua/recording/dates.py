@@ -1,4 +1,4 @@
-"""Times that are written as dates: ISO 8601, with day or month first, or in a format that the caller says."""
+"""Times written as dates: ISO 8601, with day or month first, or in a given format."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def seconds_from_text(
     dayfirst: bool | None = None,
     time_format: str | None = None,
 ) -> tuple[NDArray[np.float64], str]:
-    """Return times that are written as text as seconds since the first one, and that one as text.
+    """Return times written as text as seconds since the first one, and that one as text.
 
     Parameters
     ----------
@@ -42,9 +42,9 @@ def seconds_from_text(
     rows : sequence of int
         The line of the file that each is from.
     what : str
-        What to call the column in messages.
+        Name of the column in messages.
     dayfirst : bool, optional
-        Of dates such as 3/4/2026. When omitted, what the dates themselves leave open is an error, except for dots
+        Of dates such as 3/4/2026. When omitted, ambiguous dates are an error, except for dots
         (20.11.2026), which are written with the day first.
     time_format : str, optional
         As of :meth:`datetime.datetime.strptime`; nothing else is then tried.
@@ -62,7 +62,7 @@ def seconds_from_text(
             if all(cell[:1].isdigit() for cell in stripped):  # NumPy also takes "now", and "" for no time
                 return seconds_from_dates(np.array(stripped, dtype="datetime64[ns]"))
     except (ValueError, UserWarning, DeprecationWarning):
-        pass  # a time zone, or a cell that is no time: the slow way tells which
+        pass  # a time zone, or a cell that is not a time: the slow way finds which
     return _one_by_one(stripped, rows, what, datetime.fromisoformat, "")
 
 
@@ -77,7 +77,7 @@ def _by_format(time_format: str) -> Callable[[str], datetime]:
 def _one_by_one(
     cells: list[str], rows: Sequence[int], what: str, read: Callable[[str], datetime], how: str
 ) -> tuple[NDArray[np.float64], str]:
-    """Read cell by cell; those without a time zone are taken as one clock."""
+    """Read cell by cell; times without a zone are taken as one clock."""
     out = np.empty(len(cells))
     start, origin = None, ""
     for i, cell in enumerate(cells):
@@ -98,7 +98,7 @@ def _advice(cell: str, how: str) -> str:
     if how:
         return ""
     if _SHORT_YEAR.match(cell):
-        return "; a year of two digits can be any of its three numbers: say time_format=, such as '%d.%m.%y %H:%M'"
+        return "; a year of two digits can be any of its three numbers: set time_format=, such as '%d.%m.%y %H:%M'"
     if any(letter.isdigit() for letter in cell):
         return (
             "; known are ISO 8601 and dates of three numbers, anything else by time_format=, such as '%d-%b-%Y %H:%M'"
@@ -126,7 +126,7 @@ def _numbers(cells: list[str], rows: Sequence[int], what: str, dayfirst: bool | 
     except ValueError:
         k = next(i for i in range(len(cells)) if not _is_moment(lambda i=i: moment(i)))
         order = "day/month/year" if by_day else "month/day/year"
-        raise DataError(f"{what}, line {rows[k]}: {echo(cells[k])}, read as {order}, is no time") from None
+        raise DataError(f"{what}, line {rows[k]}: {echo(cells[k])}, read as {order}, is not a time") from None
 
 
 def _is_moment(text: Callable[[], str]) -> bool:
@@ -140,7 +140,7 @@ def _is_moment(text: Callable[[], str]) -> bool:
 def _day_first(
     first: NDArray, second: NDArray, rows: Sequence[int], what: str, cells: list[str], dayfirst: bool | None
 ) -> bool:
-    """Tell whether the day comes first: as the caller says, as numbers over 12 tell, or by the dots."""
+    """Tell whether the day comes first: as requested, by numbers over 12, or by the dots."""
     over = [np.flatnonzero(part > 12) for part in (first, second)]
     decisive = len(over[0]) > 0, len(over[1]) > 0
     if dayfirst is None:
@@ -157,7 +157,7 @@ def _day_first(
             return True  # the same day either way
         raise DataError(
             f"{what}: {echo(cells[k])} (line {rows[k]}) may be day {first[k]} of month {second[k]}, or day "
-            f"{second[k]} of month {first[k]}, and no date of this column tells: say dayfirst=True or dayfirst=False"
+            f"{second[k]} of month {first[k]}, and no date in this column decides: set dayfirst=True or dayfirst=False"
         )
     if decisive[1] if dayfirst else decisive[0]:
         k = int(over[1][0] if dayfirst else over[0][0])
@@ -169,7 +169,7 @@ def _day_first(
 
 
 def _time_of_day(match: re.Match[str]) -> str:
-    """Return the time of day of a date in ISO 8601; ``ValueError`` for one that there is not."""
+    """Return the time of day of a date in ISO 8601; ``ValueError`` for an invalid one."""
     hour, after = int(match["hour"] or 0), (match["after"] or "00").replace(",", ".")
     if match["half"]:
         if not 1 <= hour <= 12:

@@ -1,4 +1,4 @@
-"""Where the channels of recordings lie and how much they move: which of them may be in other units."""
+"""Levels and spreads of the channels of recordings, to find channels that may be in other units."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Values = NDArray[np.float64]
 
 
 def level_and_spread(values: Values) -> tuple[Values, Values]:
-    """Return mean and standard deviation of each channel without its missing values; NaN where none is left.
+    """Return mean and standard deviation of each channel without its missing values; NaN if none remains.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def units_between(channels: Sequence[str], sources: Sequence[str], mean: Values,
     Parameters
     ----------
     channels, sources : sequence of str
-        What the channels and the recordings are called.
+        Names of the channels and the recordings.
     mean, spread : ndarray, shape (recordings, channels)
         NaN where nothing is known. A channel that stands still in a recording is not compared there.
     """
@@ -80,18 +80,18 @@ def units_between(channels: Sequence[str], sources: Sequence[str], mean: Values,
         else:
             notes.append(
                 f"{channels[i]!r} may be in different units in {named(rest)} and in {named(odd)}, or the plant is at "
-                "different operating points: nothing tells which of them is right"
+                "different operating points: the data do not show which of them is right"
             )
     return notes
 
 
 def rows_apart(count: int) -> int:
-    """Return how far apart the rows are that are looked at of so many."""
+    """Return the distance between the sampled rows of a recording."""
     return -(-count // _MOST_ROWS) or 1
 
 
 def units_of(channels: Sequence[str], values: Values, mean: Values, spread: Values, reference: str) -> list[str]:
-    """Return the channels of one recording that never come near what they were, as other units would make them.
+    """Return the channels of one recording that never come near their earlier levels, as with other units.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def units_of(channels: Sequence[str], values: Values, mean: Values, spread: Valu
     values : ndarray, shape (time, channels)
         NaN or infinity where a value is missing.
     mean, spread : ndarray, shape (channels,)
-        What they were.
+        Earlier values.
     reference : str
         Where that is from, in words.
     """
@@ -133,7 +133,7 @@ def units_of(channels: Sequence[str], values: Values, mean: Values, spread: Valu
 
 
 def _times_ten(factors: Sequence[float], reference: str) -> list[str]:
-    """Say that all channels move ten times as much as they did, or a hundred times, or a tenth, as in other units."""
+    """Report that all channels move ten times as much as before, a hundred times, or a tenth, as in other units."""
     if len(factors) < _SEVERAL:
         return []
     powers = np.log10(factors)
@@ -169,14 +169,14 @@ def _figures(level: float, spread: float) -> str:
 
 
 def _far(mean: Any, spread: Any, other_mean: Any, other_spread: Any) -> Any:
-    """Return whether levels lie many spreads apart."""
+    """Tell whether levels lie many spreads apart."""
     apart = np.abs(mean - other_mean)
     levels = np.maximum(np.abs(mean), np.abs(other_mean))
     return (apart > _FAR * np.maximum(spread, other_spread)) & (apart > _OTHER_LEVEL * levels)
 
 
 def _differ(mean: Any, spread: Any, other_mean: Any, other_spread: Any) -> Any:
-    """Return whether recordings differ so much in level or spread that their units may."""
+    """Tell whether recordings differ so much in level or spread that their units may."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         ratio = spread / other_spread
         wide = (ratio > _OTHER_SPREAD) | (ratio < 1 / _OTHER_SPREAD)
@@ -185,12 +185,12 @@ def _differ(mean: Any, spread: Any, other_mean: Any, other_spread: Any) -> Any:
 
 
 def _outside(mean: Any, spread: Any, other_mean: Any, other_spread: Any) -> Any:
-    """Return whether levels lie some spreads apart."""
+    """Tell whether levels lie some spreads apart."""
     return np.abs(mean - other_mean) > _APART * np.maximum(spread, other_spread)
 
 
 def _multiple(mean: Any, spread: Any, other_mean: Any, other_spread: Any) -> Any:
-    """Return whether the first may be the second times a number: level and spread, by the same factor."""
+    """Tell whether the first may be the second times a number: level and spread, by the same factor."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         factor, levels = spread / other_spread, mean / other_mean
         same = (factor < _SAME_FACTOR * levels) & (levels < _SAME_FACTOR * factor)
@@ -199,7 +199,7 @@ def _multiple(mean: Any, spread: Any, other_mean: Any, other_spread: Any) -> Any
 
 
 def _fahrenheit(mean: Any, spread: Any, other_mean: Any, other_spread: Any, like: float = _LIKE) -> Any:
-    """Return whether the first may be degrees Fahrenheit where the second is Celsius."""
+    """Tell whether the first may be degrees Fahrenheit and the second Celsius."""
     alike = (spread < like * 1.8 * other_spread) & (like * spread > 1.8 * other_spread)
     apart = _outside(mean, spread, other_mean, other_spread)
     return alike & apart & (np.abs(mean - (1.8 * other_mean + 32.0)) < spread)

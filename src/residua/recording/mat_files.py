@@ -1,4 +1,4 @@
-"""Reading .mat files: by SciPy, in a process of its own, which a damaged file may end without ending this one."""
+"""Reading .mat files: by SciPy, in a child process, so that a damaged file cannot end this one."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ _PATIENCE, _BYTES_PER_SECOND = 60.0, 2**20
 #: Longest line between the arrays.
 _LINE = 2**16
 
-_ADVICE = "save it anew with -v7, or as CSV"
+_ADVICE = "save it again with -v7, or as CSV"
 
 
 class Stream(Protocol):
-    """What the process writes to."""
+    """Stream written by the child process."""
 
     def read(self, size: int, /) -> bytes:
         """Return that many bytes, fewer at the end."""
@@ -40,7 +40,7 @@ class Stream(Protocol):
 
 
 class _Pipe:
-    """A pipe as NumPy reads it: it must not take it for a file, which it would read past this object."""
+    """A pipe for NumPy, which must not take it for a file, since it would read past this object."""
 
     def __init__(self, stream: IO[bytes]) -> None:
         self.read, self.readline = stream.read, stream.readline
@@ -49,7 +49,7 @@ class _Pipe:
 def read_mat(path: Path) -> dict[str, NDArray]:
     """Return the arrays of a .mat file (versions 4 to 7).
 
-    Numbers and text; of what else is in the file (cells, structures) there is the name, with an array of no numbers.
+    Numbers and text; other contents (cells, structures) appear by name, with an array of no numbers.
     """
     limit = unpacked_limit()
     if getattr(sys, "frozen", False) or not sys.executable:
@@ -91,12 +91,12 @@ def read_mat(path: Path) -> dict[str, NDArray]:
 
 
 def received(stream: Stream, source: str, limit: int) -> dict[str, NDArray] | None:
-    """Return the arrays that the process has written, ``None`` if it ended before its last line.
+    """Return the arrays written by the child process, ``None`` if it ended before its last line.
 
     Raises
     ------
     FileFormatError
-        If it says what is wrong with the file.
+        If it reports an error in the file.
     """
     arrays: dict[str, NDArray] = {}
     while True:
@@ -128,7 +128,7 @@ def _refused(said: dict[str, str], source: str, limit: int) -> FileFormatError:
 
 
 def _death(status: int) -> str:
-    """Say how the process ended."""
+    """Describe the end of the process."""
     if status < 0 and -status in set(signal.Signals):
         return f"crashed ({signal.Signals(-status).name})"
     return f"ended with status {echo(status)}"

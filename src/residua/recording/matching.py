@@ -1,4 +1,4 @@
-"""Matching channels to columns by name: as they are, or without case, blanks and units where that is unique."""
+"""Matching channels to columns by name: exactly, or without case, blanks and units if that is unique."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def matched_names(
 def required_columns(
     channels: Sequence[str], columns: Sequence[str], source: str, *, advice: str = ""
 ) -> dict[str, str]:
-    """Return the column of each channel as :func:`matched_names` does, or raise where one has none.
+    """Return the column of each channel as :func:`matched_names` does, or raise if one has none.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def required_columns(
 
 
 def _candidates(channels: Sequence[str], columns: Sequence[str], taken: set[str]) -> dict[str, list[str]]:
-    """Return the columns that may be each channel: those of the same name but for case, blanks and units."""
+    """Return the candidate columns of each channel: those of the same name but for case, blanks and units."""
     free = [name for name in columns if name not in taken and name.strip() and not TIME_NAME.fullmatch(name.strip())]
     plain, bare = ([read(name) for name in free] for read in (_plain, _bare))
     out = {}
@@ -80,17 +80,17 @@ def _candidates(channels: Sequence[str], columns: Sequence[str], taken: set[str]
 
 
 def _plain(name: str) -> str:
-    """Return a name without case, with one blank for blanks, underscores and hyphens."""
+    """Return a name in lower case, with single blanks for blanks, underscores and hyphens."""
     return re.sub(r"[\s_-]+", " ", name).strip(" \"'").casefold()
 
 
 def _bare(name: str) -> str:
-    """Return the same without a unit."""
+    """Return the plain name without a unit."""
     return _plain(_UNIT.sub("", name.strip(" \"'")))
 
 
 def _unit_of(name: str) -> str:
-    """Return the unit behind the name of a column; empty where there is none."""
+    """Return the unit behind the name of a column; empty without one."""
     found = _UNIT.search(name.strip(" \"'"))
     return found["unit"].strip() if found else ""
 
@@ -128,7 +128,7 @@ def named_columns(names: Sequence[str]) -> str:
 def missing_columns(
     absent: Mapping[str, str], names: Sequence[str], source: str, *, matched: Sequence[str], advice: str = ""
 ) -> DataError:
-    """Return the error about channels without a column, with the ``columns`` that would be right or nearly so.
+    """Return the error about channels without a column, with a nearly right ``columns``.
 
     Parameters
     ----------
@@ -137,11 +137,11 @@ def missing_columns(
     names : sequence of str
         Of all columns.
     source : str
-        What to call the recording.
+        Name of the recording.
     matched : sequence of str
         Columns that other channels have.
     advice : str
-        What to do, where ``columns`` is none of the options.
+        Remedy, if there is no option ``columns``.
     """
     free = [name for name in names[:_COMPARED] if name and len(name) <= MAX_ECHO and name not in set(matched)]
     likely: dict[str, str] = {}
@@ -163,7 +163,7 @@ def missing_columns(
 
 
 def _similar(channel: str, columns: Sequence[str]) -> list[str]:
-    """Return columns that hold the name of a channel as a word, or else are written much like it; the nearest first."""
+    """Return columns that contain the name of a channel as a word, or else have a similar name; the nearest first."""
     bare, name = {column: _bare(column) for column in columns}, _plain(channel)
     holding = [column for column in columns if re.search(rf"(?<!\w){re.escape(name)}(?!\w)", bare[column])]
     near = difflib.get_close_matches(name, dict.fromkeys(bare.values()), n=3)

@@ -1,4 +1,4 @@
-"""Marks of missing values: what spreadsheets, data bases and historians write in place of a number."""
+"""Marks of missing values, as written by spreadsheets, databases and historians in place of a number."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class Marks:
 
     @cached_property
     def numbers(self) -> tuple[float, ...]:
-        """The numbers among the marks of the caller."""
+        """Numbers among the marks of the caller."""
         return tuple(dict.fromkeys(value for mark in self.more if (value := _number(mark)) is not None))
 
     @cached_property
@@ -79,7 +79,7 @@ class Marks:
 
     @cached_property
     def written(self) -> tuple[str, ...]:
-        """The marks letter by letter, for a reader that compares no other way; a cell without a value is none."""
+        """Exact spellings of the marks, for a reader that compares letter by letter; empty cells are none."""
         return (*MARKS, *(mark for mark in self.more if mark.strip().lower() in self._own))
 
     def __contains__(self, cell: str) -> bool:
@@ -87,7 +87,7 @@ class Marks:
         return text in _EMPTY or text in _MARKS or text in self._own or _CODES.fullmatch(text) is not None
 
     def numbers_removed(self, values: NDArray[np.float64], column: str, tally: Tally) -> NDArray[np.float64]:
-        """Return a column with NaN where it has a number that stands for a missing value, which are counted."""
+        """Return a column with NaN for numbers that stand for a missing value, which are counted."""
         for number in self.numbers:
             found = values == number
             if found.any():
@@ -97,7 +97,7 @@ class Marks:
 
 
 class Tally:
-    """Counts marks of missing values, by mark and column; ``shown``: other names of columns, for the note."""
+    """Counter of marks of missing values, by mark and column; ``shown``: other names of columns, for the note."""
 
     def __init__(self, shown: Mapping[str, str] | None = None) -> None:
         self.counts: dict[str, Counter[str]] = {}
@@ -111,7 +111,7 @@ class Tally:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """One note on all marks; none where there are none."""
+        """One note on all marks; empty without any."""
         if not self.counts:
             return ()
         marks = sorted(self.counts.items(), key=lambda one: -one[1].total())

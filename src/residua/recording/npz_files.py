@@ -1,4 +1,4 @@
-"""Reading .npz files: archives of NumPy arrays, no larger than they may be, and no Python objects."""
+"""Reading .npz files: archives of NumPy arrays, within a size limit, and without Python objects."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from residua.errors import FileFormatError
 from residua.recording.unpacked import too_large, unpacked_limit
 from residua.visible import echo
 
-#: What every zip archive begins with, and every single array of NumPy.
+#: First bytes of every zip archive, and of every single array of NumPy.
 _ZIP, _NPY = (b"PK\x03\x04", b"PK\x05\x06"), b"\x93NUMPY"
 
 
 def read_npz(path: Path) -> dict[str, NDArray]:
-    """Return the arrays of a .npz file; Python objects in it are refused, and so is what is not in the file."""
+    """Return the arrays of a .npz file; Python objects are refused, and sizes beyond the file."""
     limit = unpacked_limit()
     with path.open("rb") as file:
         head = file.read(len(_NPY))
@@ -27,7 +27,7 @@ def read_npz(path: Path) -> dict[str, NDArray]:
         raise FileFormatError(f"{path.name}: this is a single array (.npy); save named arrays with numpy.savez")
     if not head.startswith(_ZIP):
         raise FileFormatError(
-            f"{path.name}: it is no .npz file, or holds Python objects; only arrays of numbers are read"
+            f"{path.name}: this is not a .npz file, or it holds Python objects; only arrays of numbers are read"
         )
     try:
         with zipfile.ZipFile(path) as archive:
@@ -50,7 +50,7 @@ def _name(part: zipfile.ZipInfo) -> str:
 
 
 def _array(archive: zipfile.ZipFile, part: zipfile.ZipInfo, source: str) -> NDArray:
-    """Return one array, once its header fits what is there: NumPy makes room for what the header says."""
+    """Return one array, after a check of its header against its size: NumPy allocates by the header."""
     with archive.open(part) as member:
         shape, _, dtype = array_header(member)
         if dtype.hasobject:
@@ -64,7 +64,7 @@ def _array(archive: zipfile.ZipFile, part: zipfile.ZipInfo, source: str) -> NDAr
 
 
 def array_header(member: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype]:
-    """Return shape, whether columns come first, and type of an array."""
+    """Return shape, order (whether columns come first), and type of an array."""
     version = np.lib.format.read_magic(member)
     read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     return read(member)

@@ -98,7 +98,7 @@ def read_recording(
         How times are written, as :meth:`datetime.datetime.strptime` has it, such as ``"%d-%b-%Y %H:%M:%S"``. ISO 8601
         and dates of three numbers need none.
     decimal : {".", ","}
-        What stands before the decimals in text. A comma in a number is never guessed at.
+        Decimal mark of text. A comma in a number is never interpreted by guess.
     transpose : bool
         Time runs along the rows of the file's matrices, or of text without a header, not down.
     missing : sequence of str or float
@@ -111,13 +111,13 @@ def read_recording(
     Raises
     ------
     DataError
-        If a column is missing (the message has the ``columns`` to give), a cell is no number (with its line), times
+        If a column is missing (the message has the ``columns`` to give), a cell is not a number (with its line), times
         are missing, repeated, backwards or irregular (with the row and both steps), or stand on no grid, the step is
         not the plant's, or there are no data.
     SettingError
         If ``decimal`` or ``tolerance`` is none.
     FileFormatError
-        If there is no such file, it cannot be read, or it is not what its ending says.
+        If there is no such file, it cannot be read, or its content does not match its ending.
     MissingExtraError
         If reading Parquet needs pyarrow and it is not installed.
     """
@@ -144,7 +144,7 @@ def recording_from_frame(
     missing: Sequence[str | float] | str = (),
     source: str = "data frame",
 ) -> Recording:
-    """Make a recording of a data frame (pandas, polars and whatever else narwhals knows).
+    """Make a recording from a data frame (pandas, polars and others that narwhals knows).
 
     Parameters
     ----------
@@ -154,7 +154,7 @@ def recording_from_frame(
     time, dt, columns, tolerance, fill_gaps, dayfirst, time_format, missing
         As in :func:`read_recording`.
     source : str
-        What to call it.
+        Name of it.
 
     Returns
     -------
@@ -183,24 +183,24 @@ def recording_from_frame(
     return _from_arrays(table, options, source)
 
 
-#: What to do with a file that is no recording, by the ending of its name.
+#: Remedies for a file that is not a recording, by the ending of its name.
 _OTHERS = {
     **dict.fromkeys(
         (".xlsx", ".xls", ".xlsm", ".xlsb", ".ods"), "a spreadsheet: save the sheet as CSV (UTF-8), and give that"
     ),
-    ".json": "no recording; a monitor is saved as .json",
-    ".toml": "no recording; a plant is saved as .toml",
+    ".json": "not a recording; a monitor is saved as .json",
+    ".toml": "not a recording; a plant is saved as .toml",
 }
 
 
 def check_kind(path: Path) -> None:
-    """Raise where the ending of a name belongs to a file that is no recording."""
+    """Raise if the ending of a name belongs to a file that is not a recording."""
     if path.suffix.lower() in _OTHERS:
         raise FileFormatError(f"{path.name}: this is {_OTHERS[path.suffix.lower()]}")
 
 
 def text_of(path: Path) -> bytes:
-    """Return the text of a file, unpacked where it is packed by gzip."""
+    """Return the text of a file, unpacked if it is compressed by gzip."""
     content = read_bytes(path, "recording")
     if not content.startswith(b"\x1f\x8b"):
         return content
@@ -241,12 +241,12 @@ def _from_csv(path: Path, options: ReadOptions) -> Recording:
 
 
 def _has_numbers(table: CsvTable, clock: str, options: ReadOptions) -> bool:
-    """Whether times are numbers, by the first one and what the caller says."""
+    """True if times are numbers, by the first one and the options."""
     return options.time_format is None and reads_as_number(table, clock, options.marks)
 
 
 def _times_of(table: CsvTable, name: str, options: ReadOptions) -> Times:
-    """Return the times of a table of text in seconds, and the moment that they count from."""
+    """Return the times of a table of text in seconds, and their origin."""
     if _has_numbers(table, name, options):
         return table.numbers([name], options.marks, Tally())[name], ""
     cells, rows = table.texts(name)
@@ -255,7 +255,7 @@ def _times_of(table: CsvTable, name: str, options: ReadOptions) -> Times:
 
 
 def _from_headless(table: CsvTable, options: ReadOptions, source: str) -> Recording:
-    """Read text without a header as a matrix, whose columns the caller names."""
+    """Read text without a header as a matrix, with columns named by the caller."""
     if options.matrix_names is None and options.plant is not None:
         raise DataError(
             f"{source}: the first line must name the columns, it holds {echo(table.first_line, 60)}; of a file without "
@@ -275,7 +275,7 @@ def _from_headless(table: CsvTable, options: ReadOptions, source: str) -> Record
 
 
 def reads_as_number(table: CsvTable, name: str, marks: Marks) -> bool:
-    """Whether the first cell of a column is a number, or missing."""
+    """Tell whether the first cell of a column is a number, or missing."""
     cell = table.first(name)
     if cell in marks:
         return True
@@ -314,7 +314,7 @@ def _from_named_arrays(read: Callable[[Path], dict[str, NDArray]]) -> Callable[[
     return reader
 
 
-#: Readers of files that are no text, by the ending of the name.
+#: Readers of files that are not text, by the ending of the name.
 _READERS: dict[str, Callable[[Path, ReadOptions], Recording]] = {
     ".parquet": _from_parquet,
     ".mat": _from_named_arrays(read_mat),
@@ -323,7 +323,7 @@ _READERS: dict[str, Callable[[Path, ReadOptions], Recording]] = {
 
 
 def _from_arrays(table: dict[str, NDArray], options: ReadOptions, source: str, first_row: int = 0) -> Recording:
-    """Make a recording of named columns that are arrays already."""
+    """Make a recording from named columns that are arrays already."""
     found, tally, data = options.matched(list(table), source), Tally(), {}
     for name in dict.fromkeys(found.columns.values()):
         values = _as_numbers(table[name], name, options.marks, tally)
@@ -339,7 +339,7 @@ def _from_arrays(table: dict[str, NDArray], options: ReadOptions, source: str, f
 
 
 def _times_from(values: NDArray, options: ReadOptions, what: str, first_row: int) -> Times:
-    """Return a column of times in seconds, and the moment that they count from."""
+    """Return a column of times in seconds, and their origin."""
     if values.dtype.kind == "M":
         if np.isnat(values).any():
             raise DataError(f"{what}: the time in row {first_row + int(np.isnat(values).argmax())} is missing")
@@ -355,7 +355,7 @@ def _times_from(values: NDArray, options: ReadOptions, what: str, first_row: int
 
 
 def _as_numbers(values: NDArray, name: str, marks: Marks, tally: Tally) -> NDArray[np.float64] | str:
-    """Return a column of numbers, and count its marks of missing values; or say where it is none."""
+    """Return a column of numbers, and count its marks of missing values; or raise for one without numbers."""
     if values.dtype.kind in "fiub":
         return np.asarray(values, dtype=float)
     if values.dtype.kind not in "OUT":

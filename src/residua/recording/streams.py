@@ -1,8 +1,7 @@
 """Recordings read piece by piece: Parquet by batches of a row group, text by blocks of lines, .npz by memory map.
 
-What is read is what :func:`residua.read_recording` reads, bit for bit, or nothing: a file, or a piece of one, that is
-not plainly the same either way raises :class:`NotServedError`, and is then read by that function, which says what is
-wrong.
+The result equals that of :func:`residua.read_recording`, bit for bit: a file, or a piece of one, that might read
+otherwise raises :class:`NotServedError`, and is then read by that function, which reports any error.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ _BOM = b"\xef\xbb\xbf"
 
 
 class NotServedError(Exception):
-    """A recording is not read piece by piece; the text says why."""
+    """A recording cannot be read piece by piece; the text gives the reason."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,16 +94,16 @@ class Stream:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """The notes of the recording, as far as it is read."""
+        """The notes of the recording, as far as it was read."""
         return (*self.matched, *self.tally.notes)
 
     def pieces(self) -> Iterator[Piece]:
-        """Read the recording from its beginning.
+        """Yield the recording in pieces, from its beginning.
 
         Raises
         ------
         NotServedError
-            If a piece may not be what :func:`residua.read_recording` reads.
+            If a piece may differ from the result of :func:`residua.read_recording`.
         """
         self.tally.counts.clear()
         names = [*self.columns.values(), *([self.clock] if self.clock else [])]
@@ -238,7 +237,7 @@ def _text(path: Path, options: ReadOptions) -> Stream:
                 body = csv_arrow.body_of(lines, len(table.names), table.delimiter, options.decimal)
                 columns = None if body is None else body.numbers(places, options.marks)
                 if body is None or columns is None:
-                    raise NotServedError("a cell is no number, or a line is not as the others")
+                    raise NotServedError("a cell is not a number, or a line differs from the others")
                 for name, place, values in zip(names, places, columns, strict=True):
                     if name != stream.clock and np.isnan(values).any():
                         body.count_marks(place, options.marks, name, stream.tally)
@@ -248,7 +247,7 @@ def _text(path: Path, options: ReadOptions) -> Stream:
 
 
 def _lines(file: IO[bytes], above: int) -> Iterator[bytes]:
-    """Yield the lines below the first ones in blocks, ended by line feeds; not those that are blank at the end."""
+    """Yield the lines below the first ones in blocks, ended by line feeds, without blank lines at the end."""
     if file.read(len(_BOM)) != _BOM:
         file.seek(0)
     rest, blank, first = b"", b"", True
@@ -274,7 +273,7 @@ def _lines(file: IO[bytes], above: int) -> Iterator[bytes]:
 
 
 def _last_written(lines: bytes) -> int:
-    """Return where what is not blank ends."""
+    """Return the end of the text without trailing blanks."""
     tail = lines[-1000:]
     return len(lines) - len(tail) + len(tail.rstrip()) if tail.strip() else len(lines.rstrip())
 
@@ -310,7 +309,7 @@ def _npz(path: Path, options: ReadOptions) -> Stream:
 
 
 def _mapped(path: Path) -> dict[str, NDArray]:
-    """Return the arrays of a .npz file without reading them; their check sums are right."""
+    """Return the arrays of a .npz file as memory maps, with checked checksums."""
     out: dict[str, NDArray] = {}
     with zipfile.ZipFile(path) as archive, path.open("rb") as file:
         for part in archive.infolist():
@@ -337,7 +336,7 @@ def _mapped(path: Path) -> dict[str, NDArray]:
 
 
 def _beginning(file: IO[bytes], part: zipfile.ZipInfo) -> int:
-    """Return where the content of a member begins, behind its own header."""
+    """Return the offset of a member's content, behind its own header."""
     file.seek(part.header_offset)
     header = file.read(30)
     if header[:4] != b"PK\x03\x04":

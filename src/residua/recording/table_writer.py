@@ -18,7 +18,7 @@ _ROWS = 1 << 16
 
 
 def check_table(path: str | Path) -> None:
-    """Raise :class:`DataError` unless residuals are written under such a name."""
+    """Raise :class:`DataError` unless residuals can be written under such a name."""
     if Path(path).suffix.lower() not in (".csv", ".parquet"):
         raise DataError(f"{path}: residuals are written as .csv or .parquet, by the ending of the name")
 

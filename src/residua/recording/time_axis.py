@@ -1,4 +1,4 @@
-"""The time column of a recording: finding it, and checking that its steps are equal."""
+"""Time column of a recording: finding it, and checking that its steps are equal."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TIME_NAME = re.compile(
 
 
 def find_time(names: Iterable[str], channels: Iterable[str]) -> str | None:
-    """Return the name of the time column, ``None`` when there is none; a channel of the plant never is.
+    """Return the name of the time column, ``None`` if there is none; a channel of the plant never is.
 
     A column of dates counts where no other name is one of times.
     """
@@ -44,7 +44,7 @@ def seconds_since(dates: NDArray, first: np.datetime64) -> NDArray[np.float64]:
 
 
 def regular_step(time: NDArray[np.float64], tolerance: float, first_row: int, source: str) -> float:
-    """Return the step of the times, or say in which row they are not equally spaced.
+    """Return the step of the times, or raise with the row at which they are not equally spaced.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Rows at irregular times, put on a grid: rows that are missing become gaps."""
+"""Rows at irregular times, put on a grid: missing rows become gaps."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ STEP_TOLERANCE = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Equally spaced times, and which row stands at which of them.
+    """Equally spaced times, and the row at each of them.
 
     Attributes
     ----------
@@ -50,13 +50,13 @@ class Grid:
         return len(self.time) - len(self.rows)
 
     def filled(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return values, one row each, on the grid; NaN where there is no row."""
+        """Return values, one row each, on the grid; NaN for missing rows."""
         out = np.full((len(self.time), *values.shape[1:]), np.nan)
         out[self.places] = values[self.rows]
         return out
 
     def notes(self, values: NDArray[np.float64]) -> tuple[str, ...]:
-        """Say what was done to the rows, whose values are these; nothing where they were regular."""
+        """Describe the changes to the rows with these values; empty if they were regular."""
         out = []
         if self.inserted:
             gaps = np.diff(self.places)
@@ -80,7 +80,7 @@ class Grid:
 
 
 def put_on_grid(time: NDArray[np.float64], step: float | None, tolerance: float, first_row: int, source: str) -> Grid:
-    """Return the grid that times stand on, up to a tolerance.
+    """Return the grid of the times, within a tolerance.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ def put_on_grid(time: NDArray[np.float64], step: float | None, tolerance: float,
 
 
 def _with_rows(fit: _Fit, first_row: int, source: str) -> Grid:
-    """Return the grid with the row nearest to each point; raise where too many share one."""
+    """Return the grid with the row nearest to each point; raise if too many share one."""
     places, off, step = fit.places, fit.off, fit.step
     points, total = int(places[-1]) + 1, len(places)
     order = np.lexsort((off, places))
@@ -143,7 +143,7 @@ def _with_rows(fit: _Fit, first_row: int, source: str) -> Grid:
 
 
 def _check_size(time: NDArray[np.float64], step: float, first_row: int, source: str) -> None:
-    """Raise where the grid would have far more points than there are rows, as after a wrong date."""
+    """Raise if the grid would have far more points than there are rows, as after a wrong date."""
     points = (time[-1] - time[0]) / step
     if points > max(_POINTS, _POINTS_PER_ROW * len(time)):
         longest = int(np.diff(time).argmax())
@@ -168,7 +168,7 @@ def _check_order(time: NDArray[np.float64], first_row: int, source: str) -> None
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """Start and step of a grid, the nearest point of every time, and how far off it is, as a fraction of the step."""
+    """Start and step of a grid, the nearest point of every time, and its distance, as a fraction of the step."""
 
     start: float
     step: float
@@ -177,7 +177,7 @@ class _Fit:
 
 
 def _fitted(time: NDArray[np.float64], step: float, tolerance: float) -> _Fit:
-    """Return the grid with the step as it is, where the times stand on that; else the one of least squares.
+    """Return the grid with the given step, if the times fit it; else the one of least squares.
 
     Where they stand on neither, the one with fewer times off it.
     """
@@ -187,7 +187,7 @@ def _fitted(time: NDArray[np.float64], step: float, tolerance: float) -> _Fit:
         return simple
     steps = np.diff(time)
     counts = np.rint(steps / step)
-    short = (counts > 0) & (counts <= 3)  # the step of the rows themselves; a long gap multiplies what that is off
+    short = (counts > 0) & (counts <= 3)  # the step of the rows themselves; a long gap multiplies its error
     if short.any():
         step = float(steps[short].sum() / counts[short].sum())
     places = np.concatenate([[0.0], np.cumsum(np.rint(steps / step))])
@@ -202,7 +202,7 @@ def _fitted(time: NDArray[np.float64], step: float, tolerance: float) -> _Fit:
 
 
 def _with_start(time: NDArray[np.float64], since: NDArray[np.float64], step: float, places: NDArray) -> _Fit:
-    """Return the grid of a step whose start suits most times: the first, where they stand on that up to rounding."""
+    """Return the grid of a step whose start suits most times: the first, if they fit it up to rounding."""
     rounding = 8 * np.finfo(float).eps * (float(np.abs(time).max()) + since[-1])
     errors = since - step * places
     start = 0.0 if np.abs(errors).max() <= rounding else float(np.median(errors))
@@ -211,7 +211,7 @@ def _with_start(time: NDArray[np.float64], since: NDArray[np.float64], step: flo
 
 
 def _line(places: NDArray[np.float64], since: NDArray[np.float64]) -> tuple[float, float]:
-    """Return start and step of the grid that fits the times of these places best."""
+    """Return start and step of the grid that best fits the times of these places."""
     middle = places.mean()
     away = places - middle
     step = float(away @ since / (away @ away))

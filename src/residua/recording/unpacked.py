@@ -1,4 +1,4 @@
-"""How large what is packed in a file may become: a file of a megabyte can hold a terabyte of zeros."""
+"""Limit on the unpacked size of a compressed file: a file of a megabyte can hold a terabyte of zeros."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ VARIABLE = "RESIDUA_MAX_UNPACKED"
 
 
 def unpacked_limit() -> int:
-    """Return how many bytes the arrays of a .mat, .npz or Parquet file may have.
+    """Return the largest number of bytes for the arrays of a .mat, .npz or Parquet file.
 
     Raises
     ------
     SettingError
-        If the environment says something that is no number of bytes.
+        If the environment says something that is not a number of bytes.
     """
     text = os.environ.get(VARIABLE, "")
     if not text:

@@ -1,4 +1,4 @@
-"""The parts of a page that speak of one diagnosis or of one filter."""
+"""Parts of a page about one diagnosis or one filter."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ _MARKS = {"fault": "⚠", "none": "✓", "undecided": "?", "cannot tell": "?", "
 
 
 def summary_html(entries: Sequence[tuple[int, str, Diagnosis, tuple[str, ...] | None]]) -> str:
-    """Return the table that sums up several diagnoses: section number, heading, diagnosis, real faults."""
+    """Return the summary table of several diagnoses: section number, heading, diagnosis, real faults."""
     truth = any(actual is not None for *_, actual in entries)
     rows = []
     for k, heading, diagnosis, actual in entries:
@@ -91,12 +91,12 @@ def summary_html(entries: Sequence[tuple[int, str, Diagnosis, tuple[str, ...] | 
 
 
 def _just_these(actual: tuple[str, ...], groups: tuple[tuple[str, ...], ...]) -> bool:
-    """Tell whether every fault that was there is in a group that was named, and each of those has one that was."""
+    """Tell whether every actual fault is in a named group, and each of those contains one."""
     return all(any(f in g for g in groups) for f in actual) and all(set(g) & set(actual) for g in groups)
 
 
 def _agreement(actual: tuple[str, ...] | None, named: tuple[str, ...], alarm: bool) -> str:
-    """Return a mark that says whether the diagnosis is right, where the truth is known."""
+    """Return a mark for a right or wrong diagnosis, if the truth is known."""
     if actual is None:
         return ""
     if set(actual) & set(named) or (not actual and not alarm):
@@ -173,7 +173,7 @@ def _recording(diagnosis: Diagnosis) -> str:
 
 
 def _local(diagnosis: Diagnosis) -> str:
-    """Return the clock that the times belong to."""
+    """Return the clock of the times."""
     clock = diagnosis.clock
     if clock.moment is None:
         return ""
@@ -237,7 +237,7 @@ def _directions(diagnosis: Diagnosis) -> str:
 
 
 def _alike_text(alike: list[list[str]], total: int) -> str:
-    """Return which of many signatures look alike, in words."""
+    """Describe the signatures that look alike."""
     least = f"cosine {ALIKE:g} or more"
     if not alike:
         return f"<p>No two of the {total} groups have signatures that look alike ({least}).</p>"
@@ -317,7 +317,7 @@ def filter_html(generator: ResidualGenerator, *, number: int, several: bool, use
 
 
 def look_table(diagnosis: Diagnosis) -> str:
-    """Return what to look at where faults are named; empty without."""
+    """Return the checks for named faults, as a table; empty without."""
     main, plant = diagnosis.main_alarm, diagnosis.generator.plant
     if main is None:
         return ""

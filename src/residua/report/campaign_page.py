@@ -1,4 +1,4 @@
-"""The page of a campaign: false alarms, detections, delays and named faults, with the settings that repeat it."""
+"""Page of a campaign: false alarms, detections, delays and named faults, with the settings to repeat it."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def _table(table: FigureTable) -> str:
 
 
 def _confusion(campaign: Campaign) -> str:
-    """Return the shares as a heat map; the intervals are shown when the pointer rests on a cell."""
+    """Return the shares as a heat map; the intervals are shown on hover."""
     table = campaign.confusion()
     rows = []
     for case, row in zip(campaign.cases, table.rows, strict=True):
@@ -151,7 +151,7 @@ def _pictures(campaign: Campaign) -> str:
 
 
 def _key(names: list[str]) -> str:
-    """Return what the colours of the curves mean."""
+    """Return the legend of the curves."""
     items = "".join(
         f'<li><span class="swatch c{k % COLOURS}"></span>{escape(name)}</li>' for k, name in enumerate(names)
     )

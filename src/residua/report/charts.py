@@ -1,4 +1,4 @@
-"""What the charts of a page draw, as plain values for its script."""
+"""Data of the charts of a page, as plain values for its script."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ LOG_FROM = 20.0
 
 
 def residual_unit(diagnosis: Diagnosis, name: str) -> str:
-    """Return the unit of a residual: that of its output, when it is an output's estimation error.
+    """Return the unit of a residual: that of its output, if it is an output's estimation error.
 
     That of an estimate is that of the fault.
     """
@@ -49,20 +49,20 @@ def residual_unit(diagnosis: Diagnosis, name: str) -> str:
 
 
 def estimated_fault(diagnosis: Diagnosis, name: str) -> str:
-    """Return the fault that a residual estimates; empty for any other residual."""
+    """Return the fault estimated by a residual; empty for any other residual."""
     named = dict(zip(diagnosis.residual_names, diagnosis.generator.estimated, strict=False))
     return named.get(name, "")
 
 
 def points_per_series(diagnosis: Diagnosis) -> int:
-    """Return how many points a series of this diagnosis may have."""
+    """Return the largest number of points in a series of this diagnosis."""
     n_series = len(diagnosis.residual_names) * (1 + (diagnosis.averaged > 1)) + 1 + len(diagnosis.members)
     n_series += min(len(diagnosis.groups), SHOWN_FAULTS) + diagnosis.signals.shape[1] + len(diagnosis.compared)
     return int(np.clip(MAX_POINTS_TOTAL // n_series, 1000, MAX_POINTS))
 
 
 def chart_data(diagnosis: Diagnosis) -> dict[str, Any]:
-    """Return everything that the charts of one diagnosis need, as plain values.
+    """Return the data of all charts of one diagnosis, as plain values.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def chart_data(diagnosis: Diagnosis) -> dict[str, Any]:
 
 
 def by_interest(diagnosis: Diagnosis) -> list[int]:
-    """Return the residual numbers in the order in which they are shown.
+    """Return the residual numbers in the order of display.
 
     As they come when all are shown at once; otherwise those that went furthest out of their band first.
     """
@@ -115,7 +115,7 @@ def by_interest(diagnosis: Diagnosis) -> list[int]:
 
 
 def judged_range(diagnosis: Diagnosis, i: int) -> list[float] | None:
-    """Return the range of a residual over the samples that were judged; ``None`` when none was.
+    """Return the range of a residual over the judged samples; ``None`` without any.
 
     A filter that starts from a wrong state settles in a transient that may dwarf every fault.
     """
@@ -188,7 +188,7 @@ def _member_charts(diagnosis: Diagnosis, bins: Bins) -> list[dict[str, Any]]:
 
 
 def own_alarms(diagnosis: Diagnosis, m: int) -> NDArray[np.int64] | None:
-    """Return where a member of a dedicated bank is in alarm, as pairs (start, stop); ``None`` for any other bank.
+    """Return the alarms of a member of a dedicated bank, as pairs (start, stop); ``None`` for any other bank.
 
     There it has a fault of its own, and the alarms of the others are none of it.
     """
@@ -205,20 +205,20 @@ def _own_alarms(diagnosis: Diagnosis, m: int) -> dict[str, Any]:
 
 
 def onsets(diagnosis: Diagnosis) -> list[float]:
-    """Return when the alarms first crossed their thresholds and, where several faults are there, those of each."""
+    """Return the first threshold crossings of the alarms and, with several faults present, those of each."""
     alarms = diagnosis.alarms[:50]
     times = [a.onset for a in alarms] + [p.since for a in alarms for p in a.present[1:]]
     return sorted(float(t) for t in dict.fromkeys(times) if np.isfinite(t))
 
 
 def began_spans(diagnosis: Diagnosis) -> list[list[float]]:
-    """Return the intervals in which the alarms began, where both ends are known."""
+    """Return the intervals in which the alarms began, if both ends are known."""
     spans = [a.began for a in diagnosis.alarms[:50] if a.began is not None]
     return [[b.earliest, b.latest] for b in spans if b.earliest is not None]
 
 
 def _clock_of(diagnosis: Diagnosis) -> dict[str, Any]:
-    """Return what the seconds of the charts are called: the clock of the recording, or a unit that fits their length.
+    """Return the time axis of the charts: the clock of the recording, or a unit that fits its length.
 
     ``base``: the moment that they count from as seconds of a clock without time zones.
     """
@@ -229,14 +229,14 @@ def _clock_of(diagnosis: Diagnosis) -> dict[str, Any]:
 
 
 def plain_clock(time: NDArray[np.float64]) -> dict[str, Any]:
-    """Return what the seconds of a chart without dates are called: a unit that fits their length."""
+    """Return the time axis of a chart without dates: a unit that fits its length."""
     span = float(np.ptp(time)) if len(time) else 0.0
     unit, factor = next(((u, f) for u, f, least in _UNITS if span >= least), ("s", 1.0))
     return {"base": None, "unit": unit, "factor": factor}
 
 
 def norm_unit(diagnosis: Diagnosis, member: int | None = None) -> str:
-    """Return the unit of the norm of a member's residuals, or of all: theirs where they share one, else none."""
+    """Return the unit of the norm of a member's residuals, or of all: theirs if they share one, else none."""
     names = diagnosis.residual_names
     if member is not None:
         rows = diagnosis.tested.get(diagnosis.members[member]) or diagnosis.generator.members[member].residuals
@@ -258,7 +258,7 @@ def _peak_axis(diagnosis: Diagnosis, member: int | None = None) -> dict[str, Any
 
 
 def shows_scores(diagnosis: Diagnosis) -> bool:
-    """Tell whether the candidates' scores say something: not where several faults are there, each with its member."""
+    """Tell whether the candidates' scores are informative: not with several faults, each with its member."""
     several = any(alarm.reading is not None and alarm.reading.together for alarm in diagnosis.alarms)
     return bool(diagnosis.groups) and diagnosis.scores.size > 0 and not several
 
@@ -281,7 +281,7 @@ def _score_charts(diagnosis: Diagnosis, bins: Bins) -> list[dict[str, Any]]:
 
 
 def time_axis(time: NDArray[np.float64]) -> dict[str, Any]:
-    """Return times as start, step and count when they are even, as a list otherwise."""
+    """Return times as start, step and count if they are even, as a list otherwise."""
     n = len(time)
     if n > 2:
         step = float(time[-1] - time[0]) / (n - 1)

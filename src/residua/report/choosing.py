@@ -1,4 +1,4 @@
-"""What of many faults and signals a page shows: the ten that matter; the others are counted."""
+"""Choice among many faults and signals for a page: the ten that matter, and the number of others."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SHOWN_FAULTS = 10
 
 
 def shown_groups(diagnosis: Diagnosis) -> list[int]:
-    """Return the numbers of the groups that are shown: all in order, or of many the ten with the best scores.
+    """Return the numbers of the groups to show: all in order, or of many the ten with the best scores.
 
     They are those of the main alarm, its candidates first; without an alarm by the mean score of all judged samples.
     """
@@ -53,7 +53,7 @@ def look_alikes(labels: Sequence[str], similarity: NDArray[np.float64], least: f
 
 
 def signal_order(diagnosis: Diagnosis) -> list[int]:
-    """Return the numbers of the outputs in the order in which they are shown.
+    """Return the numbers of the outputs in the order of display.
 
     First those that left their prediction furthest in the main alarm, in units of what they did before; where nothing
     predicts them, those that changed the most. As they come without an alarm, or where nothing was judged before it.

@@ -1,4 +1,4 @@
-"""A bank on a page: the codes of the faults, what fired, and what was read."""
+"""A bank on a page: the codes of the faults, the fired members, and the reading."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ MOST_MEMBERS = 16
 
 
 def code_table(diagnosis: Diagnosis) -> str:
-    """Return members against faults, with what fired in the main alarm as last row; empty without codes."""
+    """Return members against faults, with those fired in the main alarm as last row; empty without codes."""
     codes = diagnosis.codes
     if codes is None:
         return ""
@@ -64,7 +64,7 @@ def code_table(diagnosis: Diagnosis) -> str:
 
 
 def _shown_codes(diagnosis: Diagnosis, read: set[int], total: int) -> list[int]:
-    """Return the numbers of the codes that are shown: all of few; of many those read and those that agree best."""
+    """Return the numbers of the codes to show: all of few; of many those read and those that agree best."""
     if total <= SHOWN_FAULTS:
         return list(range(total))
     if not diagnosis.alarms:
@@ -73,7 +73,7 @@ def _shown_codes(diagnosis: Diagnosis, read: set[int], total: int) -> list[int]:
 
 
 def _shown_members(diagnosis: Diagnosis, fired: NDArray[np.bool_] | None) -> list[int]:
-    """Return the numbers of the members that are shown: all of few; of many those that fired, and who nearly did."""
+    """Return the numbers of the members to show: all of few; of many those that fired, and those near it."""
     n = len(diagnosis.members)
     if n <= MOST_MEMBERS:
         return list(range(n))
@@ -92,7 +92,7 @@ def _columns_read(reading: CodeReading | None, codes: CodeTest) -> set[int]:
 
 
 def present_table(diagnosis: Diagnosis) -> str:
-    """Return the faults of the main alarm where there are several, and when their members fired; else empty."""
+    """Return the faults of the main alarm if there are several, with the times of their members; else empty."""
     if len(diagnosis.present) < 2:
         return ""
     clock = diagnosis.clock
@@ -115,7 +115,7 @@ def _cell(on: bool, differs: bool) -> str:
 
 
 def code_alarm_table(diagnosis: Diagnosis) -> str:
-    """Return the alarms of a bank, each with what fired and what was read."""
+    """Return the alarms of a bank, each with its fired members and its reading."""
     rows = []
     main = diagnosis.main_alarm
     for k, alarm in longest_alarms(diagnosis.alarms, MAX_ROWS):
@@ -143,12 +143,12 @@ def _read_as(alarm: Alarm, clock: Clock) -> str:
 
 
 def read_share(alarm: Alarm) -> str:
-    """Return in how many of an alarm's samples its pattern stood."""
+    """Return the share of an alarm's samples in which its pattern stood."""
     return "–" if alarm.read_share is None else percent(round(1000 * alarm.read_share), 1000)
 
 
 def member_order(diagnosis: Diagnosis, most: int) -> list[int]:
-    """Return the member numbers in the order in which they are shown.
+    """Return the member numbers in the order of display.
 
     As they come when there are no more than ``most``; otherwise those that went furthest over their thresholds first.
     """

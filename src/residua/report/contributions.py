@@ -1,4 +1,4 @@
-"""Which residuals carry the statistic of an alarm, and whether they left their own bands."""
+"""Contributions of residuals to the statistic of an alarm, and whether they left their own bands."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SHOWN_SHARES = 10
 
 
 def averaged_residuals(diagnosis: Diagnosis) -> NDArray[np.float64]:
-    """Return the residuals averaged over the window of the test, as it judges them; NaN where nothing is judged."""
+    """Return the residuals averaged over the window of the test; NaN without a decision."""
     out = np.where(diagnosis.decided[:, None], diagnosis.residuals, np.nan)
     n, window = len(out), diagnosis.averaged
     if window <= 1 or not n:
@@ -32,7 +32,7 @@ def averaged_residuals(diagnosis: Diagnosis) -> NDArray[np.float64]:
 
 
 def shares_of_statistic(diagnosis: Diagnosis) -> NDArray[np.float64] | None:
-    """Return which fraction of the squared statistic each residual carries over the main alarm; they add to one.
+    """Return the fraction of the squared statistic that each residual carries over the main alarm; they add to one.
 
     Whitened residuals are turned to lie as near as can be to the axes of the residuals (the symmetric square root of
     the inverse covariance), so that each of them belongs to one. ``None`` without an alarm, and where the statistic is
@@ -54,7 +54,7 @@ def shares_of_statistic(diagnosis: Diagnosis) -> NDArray[np.float64] | None:
 
 
 def inside_band(diagnosis: Diagnosis, start: int, stop: int) -> NDArray[np.float64]:
-    """Return in which fraction of the judged samples of a stretch each residual was inside its band; NaN for none."""
+    """Return for each residual the fraction of judged samples of a stretch inside its band; NaN for none."""
     rows = averaged_residuals(diagnosis)[start:stop]
     rows = rows[np.isfinite(rows).all(axis=1)]
     if not len(rows):
@@ -63,7 +63,7 @@ def inside_band(diagnosis: Diagnosis, start: int, stop: int) -> NDArray[np.float
 
 
 def contribution_html(diagnosis: Diagnosis) -> str:
-    """Return the residuals that carry the statistic of the main alarm, with what to make of one inside its band."""
+    """Return the residuals that carry the statistic of the main alarm, and explain one inside its band."""
     shares = shares_of_statistic(diagnosis)
     main = diagnosis.main_alarm
     if shares is None or main is None or len(shares) < 2:
@@ -89,7 +89,7 @@ def contribution_html(diagnosis: Diagnosis) -> str:
 
 
 def channels_by_reconstruction(diagnosis: Diagnosis) -> list[tuple[str, float]]:
-    """Return the channels whose reconstruction takes most of the residual away, with the share, over the main alarm.
+    """Return the channels whose reconstruction removes most of the residual, with the share, over the main alarm.
 
     The mean of the squared scores: the part of the squared norm of the residual, averaged over the window of the
     isolation, that the best change of that channel alone takes away. The shares do not add to one. Empty without an
@@ -102,7 +102,7 @@ def channels_by_reconstruction(diagnosis: Diagnosis) -> list[tuple[str, float]]:
     main, plant = diagnosis.main_alarm, diagnosis.generator.plant
     if main is None or plant.n_states or plant.inputs or not diagnosis.signatures:
         return []
-    channels = len(diagnosis.groups) - len(diagnosis.learnt_faults)  # what was learnt is no channel
+    channels = len(diagnosis.groups) - len(diagnosis.learnt_faults)  # learnt faults are not channels
     rows = diagnosis.scores[main.start : main.stop, :channels]
     rows = rows[np.isfinite(rows).all(axis=1)]
     if not len(rows):
@@ -130,7 +130,7 @@ def reconstruction_html(diagnosis: Diagnosis) -> str:
 
 
 def _inside_text(diagnosis: Diagnosis, i: int, share: float, inside: float) -> str:
-    """Explain how a residual can carry an alarm from inside its band, where that is so."""
+    """Explain how a residual can carry an alarm from inside its band, if it does."""
     if not inside >= 0.5:
         return ""
     how = "the whole" if inside == 1 else f"{percent(round(1000 * inside), 1000)} of the"

@@ -49,7 +49,7 @@ class Curve:
 def curves(
     lines: Sequence[Curve], *, title: str, x_label: str, y_label: str, log: bool = False, top: float | None = None
 ) -> str:
-    """Return curves over a common axis as SVG; nothing where there is no value.
+    """Return curves over a common axis as SVG; nothing without a value.
 
     Parameters
     ----------

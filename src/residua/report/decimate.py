@@ -13,7 +13,7 @@ _AT_ONCE = 1 << 18
 
 @dataclass(frozen=True, eq=False)
 class Bins:
-    """How the samples of a recording are gathered into the points of a chart.
+    """Bins of samples for the points of a chart.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class Bins:
         return time[np.minimum(at, self.n_samples - 1)] + beyond * step
 
     def extremes(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the smallest and largest finite value of each bin, in the order in which they came.
+        """Return the smallest and largest finite value of each bin, in their order in time.
 
         NaN where a bin has no finite value.
         """
@@ -51,7 +51,7 @@ class Bins:
         return np.concatenate(parts)
 
     def _of_piece(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the extremes of the bins of a piece, which is whole bins but for its end."""
+        """Return the extremes of the bins of a piece, which consists of whole bins except at its end."""
         n_bins = -(-len(values) // self.width)
         blocks = np.full(n_bins * self.width, np.nan)
         blocks[: len(values)] = np.where(np.isfinite(values), values, np.nan)
@@ -94,7 +94,7 @@ def choose_bins(n_samples: int, max_points: int) -> Bins:
 
 
 def spans(time: NDArray[np.float64], intervals: NDArray[np.int64], limit: int = 2000) -> list[list[float]]:
-    """Return sample intervals as times, joining those that a chart could not keep apart.
+    """Return sample intervals as times, joining those too close for a chart.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A diagnosis as JSON: what was found, for whoever reads it, and all that brings the diagnosis back."""
+"""A diagnosis as JSON: the findings, for any reader, and all data to restore the diagnosis."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _APART = ("generator", "isolation", "explainer")
 
 
 def found_values(diagnosis: Diagnosis) -> dict[str, Any]:
-    """Return what was found as plain values for JSON: verdict, numbers of samples, alarms and notes."""
+    """Return the findings as plain values for JSON: verdict, numbers of samples, alarms and notes."""
     words, totals = verdict(diagnosis), diagnosis.totals
     return {
         "verdict": words.kind,
@@ -50,7 +50,7 @@ def found_values(diagnosis: Diagnosis) -> dict[str, Any]:
 
 
 def document_of(diagnosis: Diagnosis, *, whole: bool) -> str:
-    """Return a diagnosis as JSON; without ``whole`` what was found alone."""
+    """Return a diagnosis as JSON; without ``whole`` only its findings."""
     head = {"format": FORMAT, "version": VERSION, "plant": diagnosis.generator.plant.name, "source": diagnosis.source}
     return dumps({**head, **found_values(diagnosis), "whole": _whole(diagnosis) if whole else None})
 
@@ -82,7 +82,7 @@ class Told(NoNames):
 
 
 def diagnosis_of(text: str | bytes) -> Diagnosis:
-    """Return the diagnosis that a text describes.
+    """Return the diagnosis of a text.
 
     Raises
     ------
@@ -102,7 +102,7 @@ def diagnosis_of(text: str | bytes) -> Diagnosis:
     if content.get("whole") is None:
         raise FileFormatError(f"{source} has what was found alone, and no series: write it by to_json(whole=True)")
     try:
-        with np.errstate(all="ignore"):  # what overflows is refused
+        with np.errstate(all="ignore"):  # overflow is refused later
             made = _diagnosis_in(content["whole"])
     except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError, MemoryError, ResiduaError) as error:
         raise FileFormatError(f"{source}: {shortened(str(error), 1000)}") from error
@@ -135,7 +135,7 @@ def _explainer_in(value: Any, generator: ResidualGenerator) -> Explainer | None:
 
 
 def _check_shapes(made: Diagnosis) -> None:
-    """Raise where series, names and alarms do not fit one another."""
+    """Raise if series, names and alarms do not fit together."""
     time, k, plant = len(made.time), made.generator.n_residuals, made.generator.plant
     members = len(made.members) if made.members else 0
     shapes = {

@@ -1,4 +1,4 @@
-"""The places of the charts on a page, and what their colours mean."""
+"""Places of the charts on a page, and the legend of their colours."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def charts_html(diagnosis: Diagnosis, charts: dict[str, Any], place: int) -> str:
-    """Return the places of the charts of a diagnosis: the test first, then what was measured, then the residuals."""
+    """Return the places of the charts of a diagnosis: the test first, then the measurements, then the residuals."""
     if not len(diagnosis.time):
         return ""
     bank = bool(diagnosis.members)
@@ -48,7 +48,7 @@ def charts_html(diagnosis: Diagnosis, charts: dict[str, Any], place: int) -> str
 
 
 def _measured(diagnosis: Diagnosis, figures: dict[str, list[str]]) -> str:
-    """Return the charts of what was measured, with what the model expected."""
+    """Return the charts of measurements, with the predictions of the model."""
     outputs, inputs = figures["output"], figures["input"]
     if not outputs:
         return ""
@@ -95,7 +95,7 @@ def _figure(k: int, chart: dict[str, Any], diagnosis: Diagnosis) -> str:
 
 
 def _limits(chart: dict[str, Any]) -> str:
-    """Return the threshold or the normal range of a chart, for those who do not see it."""
+    """Return the threshold or the normal range of a chart as text, for accessibility."""
     if chart.get("threshold") is not None:
         return f", threshold {number(chart['threshold'])}"
     if chart.get("band"):
@@ -131,7 +131,7 @@ def band_text(diagnosis: Diagnosis) -> str:
 
 
 def _notes(charts: dict[str, Any], diagnosis: Diagnosis) -> str:
-    """Return the meaning of the normal ranges, and how many score lines are not drawn."""
+    """Return the meaning of the normal ranges, and the number of score lines not drawn."""
     notes = (
         [f"Normal range of one residual: {band_text(diagnosis)}."]
         if any(chart.get("band") for chart in charts["charts"])
@@ -144,7 +144,7 @@ def _notes(charts: dict[str, Any], diagnosis: Diagnosis) -> str:
 
 
 def _key(charts: dict[str, Any], diagnosis: Diagnosis) -> str:
-    """Return what the colours mean, for those that occur, and how the samples were binned."""
+    """Return the legend of the colours in use, and the binning of samples."""
     entries = [("band", "normal range of one residual")] if any(x.get("band") for x in charts["charts"]) else []
     present = {"alarm": "alarm", "missing": "values missing", "undecided": "not judged (filter settling)"}
     entries += [(kind, text) for kind, text in present.items() if charts["spans"][kind]]

@@ -1,4 +1,4 @@
-"""The page of a live run: its frame; its script asks the server for everything else."""
+"""Page of a live run: its frame; its script requests everything else from the server."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def live_page(title: str) -> str:
     Parameters
     ----------
     title : str
-        What is watched.
+        Names of the plants.
 
     Returns
     -------

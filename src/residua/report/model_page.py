@@ -1,4 +1,4 @@
-"""The page of a model that was identified: how good it is, why this order, and what the data cannot say."""
+"""Page of an identified model: its quality, the choice of its order, and limits of the data."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ def _fit(model: IdentifiedModel) -> str:
 
 
 def _charts(model: IdentifiedModel, drawn: Prediction) -> dict[str, Any]:
-    """Return what the page's script draws: measured and predicted outputs."""
+    """Return the data for the page's script: measured and predicted outputs."""
     time = np.asarray(model.report.dt * np.arange(len(drawn.measured)), dtype=np.float64)
     bins = choose_bins(len(time), MAX_POINTS)
     missing = np.asarray(np.isnan(drawn.measured).any(axis=1))
@@ -194,7 +194,7 @@ def _curves(model: IdentifiedModel, drawn: Prediction, charts: dict[str, Any]) -
 
 
 def autocorrelation(errors: list[NDArray[np.float64]], lags: int) -> tuple[NDArray[np.float64], NDArray[np.int_]]:
-    """Return the autocorrelation of errors at lags from 1 on, shape (lags, outputs), and the pairs that each is from.
+    """Return the autocorrelation of errors at lags from 1 on, shape (lags, outputs), and the numbers of pairs.
 
     Pairs with a missing value are left out, and none is formed across two recordings.
     """

@@ -1,4 +1,4 @@
-"""Small pictures of an identified model, as SVG: something by order, the correlation of errors by lag."""
+"""Small pictures of an identified model, as SVG: values by order, the correlation of errors by lag."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def stems(
     bound: float | None = None,
     log: bool = False,
 ) -> str:
-    """Return one value for each whole number as an upright line with a dot, as SVG.
+    """Return one value for each whole number as a stem plot, as SVG.
 
     Parameters
     ----------

@@ -152,7 +152,7 @@ def render(sections: Sequence[Section], title: str, introduction: Sequence[str] 
 
 
 def _first_verdict(shown: Sequence[tuple[int, Section]]) -> str:
-    """Return the verdict of the first diagnosis that is not folded, with a link to its section."""
+    """Return the verdict of the first unfolded diagnosis, with a link to its section."""
     k, section = next(((k, s) for k, s in shown if not s.folded), shown[0])
     assert section.diagnosis is not None
     link = f'<p class="muted">Case: <a href="#s{k}">{escape(section.heading or f"Diagnosis {k}")}</a></p>'
@@ -160,7 +160,7 @@ def _first_verdict(shown: Sequence[tuple[int, Section]]) -> str:
 
 
 def _around(section: Section, content: str) -> str:
-    """Return what a section shows, with its heading; folded below heading and verdict where it is to be."""
+    """Return the content of a section with its heading; folded below heading and verdict if requested."""
     heading = f"<h2>{escape(section.heading)}</h2>" if section.heading else ""
     if not section.folded:
         return heading + content
@@ -169,7 +169,7 @@ def _around(section: Section, content: str) -> str:
 
 
 def _filters(sections: Sequence[Section]) -> list[tuple[ResidualGenerator, list[str]]]:
-    """Return each distinct generator once, with the headings of the sections that it ran in."""
+    """Return each distinct generator once, with the headings of its sections."""
     filters: list[tuple[ResidualGenerator, list[str]]] = []
     for section in sections:
         if section.diagnosis is None:
@@ -198,7 +198,7 @@ def paragraphs(text: Sequence[str] | str) -> str:
 
 
 def commands(lines: Sequence[str] | str) -> str:
-    """Return command lines, each whole on a line of its own, escaped."""
+    """Return command lines, each whole on its own line, escaped."""
     return "".join(f'<pre class="command"><code>{escape(line)}</code></pre>' for line in _names(lines))
 
 
@@ -212,7 +212,7 @@ def _version() -> str:
 
 
 def footer(complete: str = "This file is self-contained and loads nothing from the network.") -> str:
-    """Return what stands at the end of every page."""
+    """Return the footer of every page."""
     return (
         f'<footer class="muted">Made by residua {escape(_version())}. Charts: uPlot by Leon Sorokin, MIT licence '
         f"(text in the source of this page). {complete}</footer>"
@@ -226,7 +226,7 @@ def _static(name: str) -> str:
 
 @dataclass(frozen=True)
 class Kit:
-    """The scripts and styles of a kind of page, by their names in the folder ``static``, and whom it may ask.
+    """Scripts and styles of a kind of page, by their names in the folder ``static``, and the hosts it may contact.
 
     Attributes
     ----------
@@ -244,7 +244,7 @@ class Kit:
 
     @property
     def policy(self) -> str:
-        """The security policy: hashes let exactly these scripts run, even a name that slipped through could not."""
+        """Security policy: hashes let exactly these scripts run, even if a name escaped its quotes."""
         allowed = " ".join(_hash(_static(script)) for script in self.scripts)
         connect = f"connect-src {self.connect}; " if self.connect else ""
         return (
@@ -257,7 +257,7 @@ REPORT = Kit()
 
 
 def document(title: str, body: str, data: str, kit: Kit = REPORT) -> str:
-    """Return a whole page: its text, and what its script draws, as JSON."""
+    """Return a whole page: its text, and the data for its script, as JSON."""
     guard, library, *own = (f"<script>{_static(script)}</script>" for script in kit.scripts)
     licence = _static("uplot-LICENSE.txt").replace("--", "- -")
     styles = "\n".join(_static(style) for style in kit.styles)

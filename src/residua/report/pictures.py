@@ -1,4 +1,4 @@
-"""The direction picture: where the residual points for each fault, and where it was seen to point."""
+"""Direction picture: the direction of the residual for each fault, and the observed one."""
 
 from __future__ import annotations
 

@@ -93,7 +93,7 @@ def plot_diagnosis(diagnosis: Diagnosis, ax: Axes | None = None, *, figure: Figu
 
 
 def plot_structure(generator: ResidualGenerator, ax: Axes | None = None) -> Axes:
-    """Plot who fires when what fails: a dark square where a residual, or a member of a bank, answers to a fault.
+    """Plot the responses to faults: a dark square where a residual, or a member of a bank, answers to a fault.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ def plot_structure(generator: ResidualGenerator, ax: Axes | None = None) -> Axes
 
 
 def plot_directions(generator: ResidualGenerator, ax: Axes | None = None) -> Axes:
-    """Plot how alike the signatures of the faults are: the cosine of the smallest angle between every two.
+    """Plot the similarity of the signatures of faults: the cosine of the smallest angle between every two.
 
     The cosine is the largest principal one: 1 means that two signatures share a direction. Signatures and groups
     are those of a monitor with default settings (:class:`residua.decide.Directional`), with residuals whitened
@@ -182,7 +182,7 @@ def _new_figure(width: float, height: float) -> Figure:
 
 
 def _plain(text: str) -> str:
-    """Return text that matplotlib does not take for mathematics."""
+    """Return text that matplotlib does not interpret as mathematics."""
     return text.replace("$", r"\$")
 
 
@@ -234,7 +234,7 @@ def _residual(diagnosis: Diagnosis, i: int, ax: Axes) -> None:
 
 
 def _name(ax: Axes, name: str, unit: str) -> None:
-    """Name a panel on its y axis; above it where the name is longer than the axis, which would reach the next one."""
+    """Name a panel on its y axis; above it if the name is longer than the axis, and would reach the next one."""
     if len(with_unit(name, unit)) <= _AXIS_CHARACTERS:
         ax.set_ylabel(_plain(with_unit(name, unit)))
         return
@@ -271,7 +271,7 @@ def _statistic(diagnosis: Diagnosis, ax: Axes, **place: Any) -> None:
 
 
 def _scale(diagnosis: Diagnosis, ax: Axes, values: np.ndarray, limits: np.ndarray, m: int) -> None:
-    """Give a norm that goes far over its threshold a logarithmic axis, on which that is seen; all members alike."""
+    """Give a norm that far exceeds its threshold a logarithmic axis; all members alike."""
     ratio = values / limits
     if not diagnosis.horizon or not np.any(ratio > LOG_FROM):
         return

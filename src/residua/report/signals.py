@@ -1,4 +1,4 @@
-"""Charts of what was measured, and of what the model made of it."""
+"""Charts of the measurements, and of the model's predictions."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SHOWN_SIGNALS = 4
 
 
 def signal_charts(diagnosis: Diagnosis, bins: Bins) -> list[dict[str, Any]]:
-    """Return the charts of the outputs, with their predictions where there are any, and then of the inputs."""
+    """Return the charts of the outputs, with their predictions if there are any, and then of the inputs."""
     if not len(diagnosis.signals):
         return []
     plant = diagnosis.generator.plant
@@ -70,7 +70,7 @@ def signal_text(diagnosis: Diagnosis) -> str:
 
 
 def shown_text(diagnosis: Diagnosis) -> str:
-    """Return the outputs that are drawn first, where not all are."""
+    """Describe the outputs that are drawn first, if not all are."""
     order = signal_order(diagnosis)
     if len(order) <= SHOWN_SIGNALS or diagnosis.main_alarm is None:
         return ""

@@ -1,4 +1,4 @@
-"""The signatures that faults are judged by, turned so that they can be drawn, and how alike they are."""
+"""Signatures by which faults are judged, rotated for drawing, and their similarity."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Signatures:
-    """Orthonormal signature bases of groups of faults, in the space in which they are compared.
+    """Orthonormal signature bases of groups of faults, in the space of their comparison.
 
     That space is the whitened one, turned (an orthogonal matrix: angles stay) so that its axes are as near to
     the residuals' as they can be.
@@ -33,7 +33,7 @@ class Signatures:
     steady : tuple of bool
         Whether the direction of a constant fault stands in for more that the residual can do.
     whitening : ndarray, shape (residuals, residuals)
-        What residuals less their fault-free mean are multiplied with before they are compared; symmetric.
+        Matrix that multiplies residuals less their fault-free mean before they are compared; symmetric.
     whitened : bool
         Whether that does anything.
     """
@@ -56,25 +56,25 @@ class Signatures:
         return out
 
     def only(self, numbers: Sequence[int]) -> Signatures:
-        """Return some of the signatures, in the order of their numbers as handed over."""
+        """Return some of the signatures, in the order of the given numbers."""
         labels, bases, steady = zip(*((self.labels[g], self.bases[g], self.steady[g]) for g in numbers), strict=True)
         return Signatures(labels, bases, steady, self.whitening, self.whitened)
 
     def correlation(self, residual: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return ``CORR`` of a (whitened) residual vector with every signature; NaN where there is none."""
+        """Return ``CORR`` of a (whitened) residual vector with every signature; NaN without one."""
         values = [correlation(residual, B) if B.shape[1] else np.nan for B in self.bases]
         return np.minimum(np.array(values, dtype=float), 1.0)
 
 
 def judged_signatures(diagnosis: Diagnosis) -> Signatures:
-    """Return the signatures that a diagnosis was judged by; where it was by none, those of its generator."""
+    """Return the signatures by which a diagnosis was judged; without any, those of its generator."""
     if not diagnosis.signatures and (diagnosis.groups or not diagnosis.unjudged):
         return generator_signatures(diagnosis.generator, diagnosis.whitening)
     return _turned(diagnosis.generator, diagnosis.groups, diagnosis.signatures, diagnosis.whitening)
 
 
 def generator_signatures(generator: ResidualGenerator, whitening: NDArray[np.float64] | None = None) -> Signatures:
-    """Return the signatures that a monitor with default settings judges by, faults without one at the end.
+    """Return the signatures of a monitor with default settings, faults without one at the end.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def _turned(
     bases: Sequence[NDArray[np.float64]],
     whitening: NDArray[np.float64],
 ) -> Signatures:
-    """Return bases of whitened space turned towards the residuals' axes, by the polar form of the whitening."""
+    """Return bases of whitened space rotated towards the residuals' axes, by the polar form of the whitening."""
     U, s, Vt = np.linalg.svd(whitening)
     turn, root = U @ Vt, (U * s) @ U.T
     steady = tuple(

@@ -1,4 +1,4 @@
-"""The tables of a page: alarms, structure, similarity of signatures, evidence."""
+"""Tables of a page: alarms, structure, similarity of signatures, evidence."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Table:
 
 
 def visible_table(diagnosis: Diagnosis) -> str:
-    """Return the smallest constant faults that a fitted monitor sees as HTML; nothing where that is not known."""
+    """Return the smallest constant faults that a fitted monitor sees as HTML; nothing if unknown."""
     check = diagnosis.fit_check
     if check is None or not check.visible:
         return ""
@@ -84,7 +84,7 @@ def html_table(header: Sequence[str], rows: Iterable[Sequence[str]], *, caption:
 
 
 def alarm_table(diagnosis: Diagnosis) -> str:
-    """Return the table of alarms, or a sentence when there are none."""
+    """Return the table of alarms, or a sentence without any."""
     if not diagnosis.alarms:
         return '<p class="muted">No alarm was raised.</p>'
     rows = []
@@ -111,13 +111,13 @@ def alarm_table(diagnosis: Diagnosis) -> str:
 
 
 def left_out_note(diagnosis: Diagnosis) -> str:
-    """Return the paragraph below a table of alarms that says which are not in it; empty where all are."""
+    """Return the paragraph below a table of alarms about those left out; empty if all are shown."""
     text = left_out_text(diagnosis.alarms, MAX_ROWS)
     return f'<p class="muted">{escape(text.replace("...", "…"))}.</p>' if text else ""
 
 
 def alarm_times(alarm: Alarm, clock: Clock) -> list[str]:
-    """Return the cells of when an alarm began, was raised and ended."""
+    """Return the cells of the beginning, raising and end of an alarm."""
     began = alarm.began
     if began is None:
         start = "at or before it was raised"
@@ -129,7 +129,7 @@ def alarm_times(alarm: Alarm, clock: Clock) -> list[str]:
 
 
 def _weight(candidate: Candidate) -> str:
-    """Return the probability of a candidate where there is one, else its score."""
+    """Return the probability of a candidate if there is one, else its score."""
     return score(candidate.score) if candidate.probability is None else number(candidate.probability, 3)
 
 
@@ -172,7 +172,7 @@ def candidate_table(diagnosis: Diagnosis) -> str:
 
 
 def learnt_faults_html(diagnosis: Diagnosis) -> str:
-    """Return the table of the faults that were learnt from recordings, and how the main alarm lies to each."""
+    """Return the table of learnt faults, with the angle of the main alarm to each."""
     table = LearntFaults(diagnosis.learnt_faults)
     if not table:
         return ""
@@ -216,7 +216,7 @@ def structure_table(generator: ResidualGenerator) -> str:
 
 
 def _structure_in_short(faults: Sequence[str], names: Sequence[str], fires_for: NDArray[np.bool_], what: str) -> str:
-    """Return the structure of many faults, those with the same pattern in one row, in words."""
+    """Return the structure of many faults as text, those with the same pattern in one row."""
     patterns: dict[bytes, list[int]] = {}
     for j in range(len(faults)):
         patterns.setdefault(fires_for[:, j].tobytes(), []).append(j)
@@ -235,7 +235,7 @@ def _structure_in_short(faults: Sequence[str], names: Sequence[str], fires_for: 
 
 
 def _pattern_text(fires: NDArray[np.bool_], names: Sequence[str], what: str) -> str:
-    """Return a pattern in words, by what fires or by what stays silent, whichever is shorter."""
+    """Describe a pattern by the fired or by the silent ones, whichever is shorter."""
     on, off = ([name for name, one in zip(names, fires, strict=True) if bool(one) == kind] for kind in (True, False))
     if not on:
         return "none"

@@ -22,7 +22,7 @@ _ACTING = {
 
 
 def visible(value: object) -> str:
-    """Return any value as text in which control characters and escapes are shown, not sent."""
+    """Return any value as text with control characters and escapes shown, not sent."""
     return str(value).translate(_ACTING)
 
 
@@ -32,7 +32,7 @@ def escape(value: object) -> str:
 
 
 def with_unit(name: str, unit: str) -> str:
-    """Return a name followed by its unit in brackets, where it has one."""
+    """Return a name followed by its unit in brackets, if it has one."""
     return f"{name} [{unit}]" if unit else name
 
 
@@ -57,7 +57,7 @@ def rounded(values: NDArray[np.float64], relative: bool = False) -> list[float |
 
 
 def safe_json(value: Any) -> str:
-    """Return JSON that can stand inside a script element: no ``<``, ``>`` or ``&`` remains in it."""
+    """Return JSON for use inside a script element: without ``<``, ``>`` or ``&``."""
     text = json.dumps(value, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
     for character in "<>&\u2028\u2029":
         text = text.replace(character, f"\\u{ord(character):04x}")

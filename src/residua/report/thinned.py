@@ -1,4 +1,4 @@
-"""A diagnosis that can be drawn, of a recording that is larger than memory: the extremes of each bin of samples."""
+"""A diagnosis for drawing, of a recording larger than memory: the extremes of each bin of samples."""
 
 from __future__ import annotations
 

@@ -28,11 +28,11 @@ BEGAN_RULE = (
     "grows out of the noise in another way."
 )
 
-#: Fraction of the samples outside of what was learnt from which on that is the answer.
+#: Fraction of the samples outside of the learnt range from which on that is the answer.
 _MOSTLY = 0.5
 _UNLIKE = "The data differ from those of the fit: other units, or another operating point."
 
-#: What is said of an alarm by certified thresholds.
+#: Remark on an alarm by certified thresholds.
 CERTAIN = (
     "The thresholds are certified: without a fault, no plant of the uncertainty set exceeds them while the "
     "disturbances keep within their bounds."
@@ -41,13 +41,13 @@ CERTAIN = (
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a diagnosis comes to.
+    """Verdict of a diagnosis.
 
     Attributes
     ----------
     kind : {"fault", "none", "cannot tell", "outside", "undecided"}
         ``"cannot tell"``: no alarm, of a monitor that sees no fault that lasts; ``"outside"``: no alarm, on data that
-        mostly lie outside of what was learnt; ``"undecided"``: no sample was judged.
+        mostly lie outside of the learnt range; ``"undecided"``: no sample was judged.
     headline : str
     sentences : tuple of str
     confidence : str
@@ -117,13 +117,13 @@ def _verdict(diagnosis: Diagnosis) -> Verdict:
 
 
 def _outside(diagnosis: Diagnosis) -> str:
-    """Return how much of a recording lies outside of the learnt range."""
+    """Return the share of a recording outside of the learnt range."""
     share = percent(round(100 * diagnosis.outside), 100)
     return f"{share} of the samples lie outside the range that the monitor has learnt"
 
 
 def _largest(diagnosis: Diagnosis, rows: int = 1 << 18) -> float:
-    """Return the largest statistic where something was decided, NaN without a finite one; piece by piece."""
+    """Return the largest statistic with a decision, NaN without a finite one; piece by piece."""
     largest, there = -math.inf, False
     for k in range(0, len(diagnosis.time), rows):
         seen = diagnosis.statistic[k : k + rows][diagnosis.decided[k : k + rows]]
@@ -163,7 +163,7 @@ def _fault(diagnosis: Diagnosis) -> Verdict:
 
 
 def _not_apart(diagnosis: Diagnosis, main: Alarm) -> list[str]:
-    """Return a sentence about the groups, besides what is named, that this monitor does not tell apart."""
+    """Return a sentence about further groups that this monitor cannot distinguish."""
     others = [names for group, names in diagnosis.alike if group not in main.named]
     if not others:
         return []
@@ -173,7 +173,7 @@ def _not_apart(diagnosis: Diagnosis, main: Alarm) -> list[str]:
 
 
 def _sized(alarm: Alarm) -> list[str]:
-    """Tell the estimated sizes of the best candidate; of all faults where none is named, or it is not estimated."""
+    """Describe the estimated sizes of the best candidate; of all faults if none is named, or it is not estimated."""
     best = alarm.candidates[0].sizes if alarm.candidates else ()
     if len(best) > 1:
         return [f"Estimated size: {sizes_text(best)}."]
@@ -181,7 +181,7 @@ def _sized(alarm: Alarm) -> list[str]:
 
 
 def _crossed(alarm: Alarm, diagnosis: Diagnosis) -> float:
-    """Return when the statistic first went over its threshold for an alarm; matched filters have the arrival there."""
+    """Return the time at which the statistic first exceeded its threshold; with matched filters the arrival."""
     return alarm.onset if diagnosis.match is None else alarm.raised
 
 

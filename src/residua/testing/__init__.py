@@ -1,4 +1,4 @@
-"""Checks for what you add yourself: residual generators, tests and isolations."""
+"""Checks for your own residual generators, tests and isolations."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""Checks that every test and every isolation must pass, for those of your own."""
+"""Checks that every test and every isolation must pass, for your own."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _TOLERATED = 3.0
 
 
 def check_test(settings: TestSettings, *, generator: ResidualGenerator | None = None, seed: int = 0) -> None:
-    """Check what a monitor asks of a test, or raise with the first thing that does not hold.
+    """Check the requirements of a monitor on a test, or raise with the first violation.
 
     Checked, on a Kalman filter of a small plant with simulated data unless you bring a generator: it is fitted to
     fault-free data; alarms on other fault-free data are at most three times as frequent as was asked for; a large fault
@@ -48,7 +48,7 @@ def check_test(settings: TestSettings, *, generator: ResidualGenerator | None = 
     Raises
     ------
     AccuracyError
-        Says what does not hold.
+        Names the first violation.
 
     Examples
     --------
@@ -83,7 +83,7 @@ def check_isolation(
     test: TestSettings | None = None,
     seed: int = 0,
 ) -> None:
-    """Check what a monitor asks of an isolation, or raise with the first thing that does not hold.
+    """Check the requirements of a monitor on an isolation, or raise with the first violation.
 
     As :func:`check_test`; besides, there is one column of scores for each group, no score is over 1, each fault is in a
     group or never named, and an alarm has candidates that are groups.
@@ -101,7 +101,7 @@ def check_isolation(
     Raises
     ------
     AccuracyError
-        Says what does not hold.
+        Names the first violation.
 
     Examples
     --------
@@ -129,12 +129,12 @@ def check_isolation(
         raise AccuracyError(f"a score is {np.nanmax(found.scores):.3g}: the best is 1")
     for alarm in monitor.run(*_recording(generator, rng, _RUN, faulty=True)).alarms:  # pyright: ignore
         if any(candidate.faults not in isolation.groups for candidate in alarm.candidates):
-            raise AccuracyError(f"a candidate of {alarm.candidates} is no group")
+            raise AccuracyError(f"a candidate of {alarm.candidates} is not a group")
         _check_statement(isolation.statement(alarm, Clock(step=generator.dt), isolation.samples))
 
 
 def _check_statement(said: object) -> None:
-    """Raise where what is said of an alarm cannot be shown."""
+    """Raise if the statement about an alarm cannot be shown."""
     if not isinstance(said, Statement):
         raise AccuracyError(f"statement must return a residua.decide.Statement, got {type(said).__name__}")
     if not isinstance(said.headline, str) or not said.headline:
@@ -154,7 +154,7 @@ def _generator() -> ResidualGenerator:
 def _recording(
     generator: ResidualGenerator, rng: np.random.Generator, samples: int, *, faulty: bool = False
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return simulated inputs and outputs, with the first fault from the middle on where asked for."""
+    """Return simulated inputs and outputs, with the first fault from the middle on if requested."""
     plant = generator.plant
     u = rng.standard_normal((samples, len(plant.inputs)))
     f = np.zeros((samples, len(plant.faults)))
@@ -171,7 +171,7 @@ def _recording(
 
 
 def _made(make: Any) -> Any:
-    """Return what was made, or say that it could not be."""
+    """Return the result of a call, or raise if it fails."""
     try:
         return make()
     except ResiduaError as error:
@@ -184,7 +184,7 @@ def _check_frozen(made: object) -> None:
 
 
 def _check_running(monitor: Monitor, generator: ResidualGenerator, rng: np.random.Generator) -> Decisions:
-    """Check shapes, bits and files on a recording with gaps and a fault; return what was decided."""
+    """Check shapes, equality to the last bit and files on a recording with gaps and a fault; return the decisions."""
     u, y = _recording(generator, rng, _RUN, faulty=True)
     y[50:53] = np.nan
     monitor.reset()
@@ -214,7 +214,7 @@ def _check_running(monitor: Monitor, generator: ResidualGenerator, rng: np.rando
 
 
 def _check_shapes(found: Decisions, samples: int) -> None:
-    """Check what a test says of each sample."""
+    """Check the results of a test on each sample."""
     tested = found.tested
     for name, kind in (("usable", "b"), ("statistic", "f"), ("exceeded", "b"), ("alarm", "b"), ("up", "iu")):
         value = getattr(tested, name)
@@ -229,7 +229,7 @@ def _check_shapes(found: Decisions, samples: int) -> None:
 
 
 def _check_same(whole: Decisions, parts: list[Decisions], told: str, plant: int = 0) -> None:
-    """Check that parts give the same bits as the whole."""
+    """Check that parts give the same result as the whole, to the last bit."""
     for place, name in ((whole.tested, "tested"), (whole.named, "named")):
         for one in fields(place):
             value = getattr(place, one.name)

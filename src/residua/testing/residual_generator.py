@@ -1,4 +1,4 @@
-"""Checks that every residual generator must pass, for designs of your own."""
+"""Checks that every residual generator must pass, for your own designs."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def check_residual_generator(
     seed: int = 0,
     tolerance: float = 1e-7,
 ) -> None:
-    """Check what is guaranteed of a residual generator, or raise with the first thing that does not hold.
+    """Check the guarantees of a residual generator, or raise with the first violation.
 
     Checked: it is stable; it takes the signals of its plant; it does not answer to control inputs (nor to
     disturbances, where they are decoupled), in the frequency domain and, when it is sampled, by running
@@ -33,18 +33,18 @@ def check_residual_generator(
     ----------
     generator : ResidualGenerator
     decoupled : bool, optional
-        Whether disturbances are claimed to be decoupled; by default what its observer says, else ``False``.
+        Whether disturbances are claimed to be decoupled; by default as its observer states, else ``False``.
     samples : int
         Length of the simulated data.
     seed : int
     tolerance : float
-        Of leaks: relative to the terms that have to cancel. Of what of a fault's response lies outside its subspace:
-        a fraction of the response at the same frequency, beyond twice what the evidence says was left out.
+        Of leaks: relative to the terms that have to cancel. Of the part of a fault's response outside its subspace:
+        a fraction of the response at the same frequency, beyond twice the stated omission in the evidence.
 
     Raises
     ------
     AccuracyError
-        Says what does not hold, with the number.
+        Names the first violation, with the number.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Campaigns of simulated faults: how often a monitor errs, how late it is, whom it names, with confidence intervals."""
+"""Campaigns of simulated faults: error rates of a monitor, its delays and the names it gives, with intervals."""
 
 from typing import TYPE_CHECKING
 

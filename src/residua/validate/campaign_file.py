@@ -1,4 +1,4 @@
-"""The file of a campaign: the figures of its runs as arrays, and what they are of as JSON; no pickle."""
+"""File of a campaign: the figures of its runs as arrays, and their meaning as JSON; no pickle."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def read_runs(path: str | Path) -> tuple[dict[str, Any], RunFigures]:
 
 
 def digest(*values: Any) -> str:
-    """Return a text that is the same for the same settings, matrices and signals, and another one for others."""
+    """Return a digest that depends on all settings, matrices and signals."""
     sha = hashlib.sha256()
     for value in values:
         _feed(sha, value)

@@ -1,4 +1,4 @@
-"""The result of a campaign: its figures, each with its confidence interval."""
+"""Result of a campaign: its figures, each with its confidence interval."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _CHANCE = 0.1
 
 @dataclass(frozen=True)
 class CaseFacts:
-    """What one case of a campaign is: a fault of one size in one shape.
+    """One case of a campaign: a fault of one size in one shape.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class Campaign(Shown):
     groups : tuple of tuple of str
         The faults as the monitor names them, those that it cannot tell apart in one group.
     figures : RunFigures
-        What was kept of each run; times in samples.
+        Figures of each run; times in samples.
     runs, samples : int
         How many runs of each case, and how long each is.
     seed : int
@@ -85,7 +85,7 @@ class Campaign(Shown):
     settings : mapping of str to str
         How the runs were simulated and watched, and by which versions, in words.
     draws, watched : str
-        Digests of what the runs are, and of the monitor.
+        Digests of the settings of the runs, and of the monitor.
     confidence : float
         Of all intervals.
     """
@@ -154,7 +154,7 @@ class Campaign(Shown):
         return delays_of(self.dt * (end - f.onset[case]), seen, self.confidence)
 
     def table(self) -> FigureTable:
-        """Return a row for each case: how many were detected, by chance, the delay in seconds, and who was named."""
+        """Return a row for each case: the share detected, by chance, the delay in seconds, and the named faults."""
         header = (
             "fault",
             "shape",
@@ -188,10 +188,10 @@ class Campaign(Shown):
         return FigureTable(header, tuple(rows))
 
     def confusion(self) -> FigureTable:
-        """Return how often each group was named, a row for each case; shares of all runs of the case.
+        """Return the share of a case's runs in which each group was named, a row for each case.
 
-        A run counts for what its longest alarm from the onset on is put down to. ``several``: several faults at once,
-        by code; ``unknown``: an alarm that is put down to none, by likelihood where a fault that is not listed, or
+        A run counts by the attribution of its longest alarm from the onset on. ``several``: several faults at once, by
+        code; ``unknown``: an alarm attributed to none, by likelihood where a fault that is not listed, or
         none, is more probable than each that is; ``none``: no alarm.
         """
         shown = [*range(len(self.groups)), SEVERAL, UNKNOWN, NO_ALARM]
@@ -255,7 +255,7 @@ class Campaign(Shown):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What to mind before the figures are believed."""
+        """Cautions about the figures."""
         out, f = [], self.figures
         if not f.decided.any():
             out.append("no fault-free sample was judged: the runs are too short for the filter to settle")
@@ -315,7 +315,7 @@ class Campaign(Shown):
 
     @staticmethod
     def load(path: str | Path) -> Campaign:
-        """Read a campaign that :meth:`save` wrote, or that was run with ``resume=``.
+        """Read a campaign written by :meth:`save`, or run with ``resume=``.
 
         Raises
         ------
@@ -380,7 +380,7 @@ _ENTRIES = (
 
 
 def campaign_from(head: Mapping[str, Any], figures: RunFigures, where: str) -> Campaign:
-    """Return the campaign that a file's head and figures describe."""
+    """Return the campaign of a file's head and figures."""
     content = record({name: value for name, value in head.items() if name != "version"}, where, _ENTRIES)
     cases = []
     for k, one in enumerate(list_in(content["cases"], f"{where}: cases", figures.onset.shape[0])):
@@ -415,7 +415,7 @@ def campaign_from(head: Mapping[str, Any], figures: RunFigures, where: str) -> C
 
 
 def check_goes_on(made: Campaign, new: Campaign, path: str | Path) -> None:
-    """Raise unless a file's campaign is the beginning of the one that is to be run."""
+    """Raise unless a file's campaign is the beginning of the one to be run."""
     if (made.draws, made.watched) != (new.draws, new.watched) or made.figures.runs > new.runs:
         changed = [name for name, value in new.settings.items() if made.settings.get(name) != value]
         if made.watched != new.watched:

@@ -57,7 +57,7 @@ def campaign(
     resume: str | Path | None = None,
     progress: Progress | bool | None = None,
 ) -> Campaign:
-    r"""Watch simulated runs with a monitor, and return how often it errs, how late it is, and whom it names.
+    r"""Watch simulated runs with a monitor, and return its error rates, its delays, and the faults it names.
 
     Every run is simulated once without a fault, which gives the false alarms, and once for each scenario and size,
 
@@ -80,20 +80,20 @@ def campaign(
         Run ``k`` draws from children of ``numpy.random.SeedSequence(seed, spawn_key=(k,))``, so that nothing depends on
         how runs are put together, nor on the number of workers.
     noise : NoiseModel, Resampled, optional
-        What drives the plant's noise inputs: white Gaussian when omitted, :func:`coloured`, :func:`heavy_tailed`; or
+        Noise for the plant's noise inputs: white Gaussian when omitted, :func:`coloured`, :func:`heavy_tailed`; or
         :func:`resampled` residuals in their place.
     inputs : number, array_like of shape (samples, inputs), Recording or data frame, optional
         Commands, in plant units, the same in every run; of a longer one the first samples. When omitted random levels,
         held for 25 samples on the average, that move the outputs ten times as far as the noise does; with a
-        controller, nothing is added to what it does.
+        controller, nothing is added to its commands.
     disturbances : mapping of str to number, array_like or NoiseModel, optional
         By name; those that are not named are zero. A noise model is drawn by each run, with its own size.
     plants : Plant, sequence of Plant, or UncertainPlant, optional
-        What is simulated, when not the plant that the monitor is designed for. Of several run ``k`` has number ``k``
+        Simulated plant, if not the one that the monitor is designed for. Of several run ``k`` has number ``k``
         modulo their count; of an uncertain plant each run has a member of its own, drawn evenly from the box of
         parameters.
     controller : StateSpace, optional
-        From outputs to inputs, as deviations, without a direct term: what is simulated is the closed loop, in which a
+        From outputs to inputs, as deviations, without a direct term: the simulation is of the closed loop, in which a
         faulty sensor misleads the controller too. (A monitor for a plant that *is* a closed loop needs none.)
     within : float, optional
         Seconds after the onset in which a detection counts; to the end of the run when omitted.
@@ -102,7 +102,7 @@ def campaign(
     workers : int
         Processes, by ``joblib`` where more than one; within ``joblib.parallel_config(backend=...)`` those of a cluster.
     resume : str or Path, optional
-        A file that runs are saved to now and then. Where it is there already the campaign goes on from it.
+        A file to which runs are saved now and then. If it exists already the campaign continues from it.
     progress : callable, bool or None
         Told of (stage, runs done, runs in all); ``None``: a bar on terminals; ``False``: nothing.
 
@@ -134,7 +134,7 @@ def campaign(
 
     See Also
     --------
-    Scenario : what fails, how and how much.
+    Scenario : the fault, its shape and its size.
     load_scenarios : scenarios from a TOML file.
 
     Examples
@@ -199,13 +199,13 @@ def _joblib() -> Any:
 
 
 def _parts(plan: Plan, first: int, last: int) -> list[tuple[int, int]]:
-    """Return the runs that are simulated together, as pairs of the first and the one after the last."""
+    """Return the runs to simulate together, as pairs of the first and the one after the last."""
     step = plan.runs_at_once
     return [(start, min(start + step, last)) for start in range(first, last, step)]
 
 
 def _begun(new: Campaign, resume: str | Path | None) -> RunFigures | None:
-    """Return the figures of the runs that a file has already; ``None`` without one."""
+    """Return the figures of the runs already in a file; ``None`` without one."""
     if resume is None:
         return None
     check_output(resume)
@@ -228,9 +228,9 @@ def plan_of(
     controller: StateSpace | None,
     within: float | None,
 ) -> tuple[Plan, dict[str, str]]:
-    """Return what the runs depend on, and the same in words."""
+    """Return the plan of the runs, and its description."""
     if not isinstance(monitor, Monitor):
-        raise SettingError(f"a campaign is run for a Monitor, got {type(monitor).__name__}")
+        raise SettingError(f"a campaign takes a Monitor, got {type(monitor).__name__}")
     if not monitor.is_fitted:
         raise NotFittedError("this monitor has no threshold: fit it, or give its plant noise, before a campaign")
     generator, spec = monitor.generator, monitor._specification()
@@ -293,7 +293,7 @@ def _samples_within(within: float, dt: float) -> int:
 def _noise(
     noise: NoiseModel | Resampled | None, truth: Truth, spec: Any, disturbed: bool
 ) -> NoiseModel | Resampled | None:
-    """Return what is drawn for every run."""
+    """Return the noise that is drawn for every run."""
     if isinstance(noise, Resampled):
         if noise.residuals.shape[1] != len(spec.C):
             raise SettingError(
@@ -304,7 +304,7 @@ def _noise(
     if noise is not None and not isinstance(noise, NoiseModel):
         raise SettingError(f"noise must be white(), coloured(), heavy_tailed() or resampled(), got {echo(noise)}")
     if noise is not None and noise.size != 1:
-        raise SettingError("the plant says how large its noise is (with_noise): leave out the size of the noise model")
+        raise SettingError("the plant gives the size of its noise (with_noise): leave out the size of the noise model")
     if truth.noises:
         return white() if noise is None else noise
     if noise is not None or not disturbed:
@@ -318,7 +318,7 @@ def _noise(
 def _truths(
     model: Plant, plants: Any, dt: float, controller: StateSpace | None, samples: int
 ) -> tuple[tuple[Truth, ...], UncertainPlant | None, str, Plant]:
-    """Return what is simulated, an uncertain plant if there is one, both in words, and the first of the plants."""
+    """Return the plants to simulate, an uncertain plant if there is one, a description, and the first of the plants."""
     uncertain = plants if isinstance(plants, UncertainPlant) else None
     if plants is None:
         several, told = [model], "that of the monitor"
@@ -376,7 +376,7 @@ def _size(case: Any) -> float:
 
 
 def _versions() -> dict[str, str]:
-    """Return the versions that the runs depend on."""
+    """Return the versions of software on which the runs depend."""
     try:
         own = metadata.version("residua")
     except metadata.PackageNotFoundError:

@@ -87,7 +87,7 @@ def compared(
     seed: int,
     confidence: float,
 ) -> Comparison:
-    """Return the comparison of the figures of the same runs; ``right``: of both, by case, who named the fault."""
+    """Return the comparison of the figures of the same runs; ``right``: of both, by case, masks of right names."""
 
     def mean(values: NDArray[np.float64]) -> Estimate:
         return bootstrap(values, lambda drawn: drawn.mean(axis=1), seed, confidence)

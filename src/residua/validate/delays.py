@@ -1,4 +1,4 @@
-"""Delays of detection, where some runs end before the fault is seen: the product-limit estimate."""
+"""Delays of detection, with runs that end before the fault is seen: the product-limit estimate."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class Delays:
 
 
 def delays_of(delay: NDArray[np.float64], seen: NDArray[np.bool_], confidence: float = CONFIDENCE) -> Delays:
-    """Return the distribution from the delay of each run, or how long it went on undetected where not ``seen``."""
+    """Return the distribution from the delay of each run, or its undetected length if not ``seen``."""
     from scipy.special import ndtri  # slow to import, and needed only here
 
     times, first = np.unique(delay[seen], return_inverse=True)

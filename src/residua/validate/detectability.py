@@ -1,4 +1,4 @@
-"""How small a fault a monitor sees, how soon, and how near that is to the best test."""
+"""Smallest fault that a monitor sees, its delay, and the distance to the best test."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ _CONTRADICTION = 4.0
 
 @dataclass(frozen=True)
 class SmallestFault:
-    """The smallest size of a fault that is detected in time with the requested probability.
+    """Smallest size of a fault that is detected in time with the requested probability.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class SmallestFault:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Detectability(Shown):
-    """How small a fault a monitor sees; :func:`residua.decide.detectability`. Prints as a table.
+    """Smallest faults that a monitor sees; :func:`residua.decide.detectability`. Prints as a table.
 
     Attributes
     ----------
@@ -147,7 +147,7 @@ class Detectability(Shown):
             If the fault or the delay is none of these.
         """
         if fault not in self.curves:
-            raise SettingError(f"no fault {echo(fault)} here; these are: {listed(tuple(self.curves))}")
+            raise SettingError(f"no fault {echo(fault)} here; the faults are: {listed(tuple(self.curves))}")
         delays = self.delays
         column = len(delays) - 1 if within is None else _nearest(delays, within)
         sizes, shares = self.curves[fault]
@@ -211,7 +211,7 @@ def detectability(
     within : float or sequence of float, optional
         Delays in seconds: a fault that arrives with one sample is detected in time if there is an alarm on that or one
         of the next, as many as this time has steps, rounded. When omitted 1, 3, 10, 30, 100 samples, and so on up to
-        twice what the test sums.
+        twice the window of the test.
     miss_rate : float
         :math:`\beta`, the share that may be missed.
     faults : sequence of str, optional
@@ -220,9 +220,8 @@ def detectability(
         Of the fault over time: a step when omitted; :func:`residua.validate.ramp` and others that add to a signal and
         are the same in each run. Times count from its onset.
     residuals : array_like of shape (time, k), or from :func:`residua.validate.resampled`, optional
-        Fault-free ones to draw from, in blocks. When omitted, those that the noise model of the plant makes; of a
-        monitor that was fitted, such as its test takes them to be by what the fit says of mean, covariance, memory and
-        tails, if it does.
+        Fault-free ones to draw from, in blocks. When omitted, those of the noise model of the plant; for a fitted
+        monitor those of the residual model of its test (mean, covariance, memory and tails), if it has one.
     runs : int
         How many: the intervals are as wide as the inverse root of it.
     seed : int
@@ -267,7 +266,7 @@ def detectability(
     [0.4, 0.2]
     """
     if not isinstance(monitor, Monitor):
-        raise SettingError(f"detectability is that of a Monitor, got {type(monitor).__name__}")
+        raise SettingError(f"detectability takes a Monitor, got {type(monitor).__name__}")
     if not monitor.is_fitted:
         raise NotFittedError("this monitor has no threshold: fit it, or give its plant noise, first")
     check_confidence(confidence)
@@ -360,7 +359,7 @@ class _Trials:
         Parameters
         ----------
         added : ndarray, shape (samples, k)
-            What the fault does to the residual.
+            Response of the residual to the fault.
         """
         residuals = self.residuals[:, : len(added)] + added
         block = Block(residuals, np.ones(residuals.shape[:2], dtype=bool), _BEFORE)
@@ -369,7 +368,7 @@ class _Trials:
 
 
 def _trials(test: ResidualTest, noise: _Draw, runs: int, longest: int, seed: int) -> _Trials:
-    """Return runs of a test up to the moment at which a fault arrives, and what the residual is without it then."""
+    """Return runs of a test up to the arrival of a fault, with the fault-free residuals after it."""
     before = _settled(test)
     rng = np.random.default_rng(seed)
     drawn = noise(rng, runs, before + _ON * longest)
@@ -386,12 +385,12 @@ def _trials(test: ResidualTest, noise: _Draw, runs: int, longest: int, seed: int
 
 
 def _settled(test: ResidualTest) -> int:
-    """Return the samples after which a test has forgotten its start."""
+    """Return the number of samples after which a test has forgotten its start."""
     return min(max(_BEFORE, 4 * test.samples), _MOST_BEFORE)
 
 
 def _check_size(test: ResidualTest, runs: int, longest: int) -> None:
-    """Raise where the residuals of so many runs are too many numbers."""
+    """Raise if the residuals of so many runs need too much memory."""
     k, samples = len(test.center), _settled(test) + _ON * longest
     if runs * k * samples > _MOST_NUMBERS:
         most = _MOST_NUMBERS // (k * samples)
@@ -402,7 +401,7 @@ def _check_size(test: ResidualTest, runs: int, longest: int) -> None:
 
 
 def _noise(monitor: Monitor, test: ResidualTest, residuals: ArrayLike | Resampled | None) -> tuple[_Draw, str]:
-    """Return what draws fault-free residuals, and the same in words."""
+    """Return a function that draws fault-free residuals, and its description."""
     k = len(test.center)
     if residuals is not None:
         blocks = residuals if isinstance(residuals, Resampled) else _resampled(residuals)
@@ -431,7 +430,7 @@ def _noise(monitor: Monitor, test: ResidualTest, residuals: ArrayLike | Resample
 
 
 def _resampled(residuals: Any) -> Resampled:
-    """Return residuals to draw from, or raise where they are none."""
+    """Return residuals to draw from, or raise if there are none."""
     try:
         rows = np.asarray(residuals, dtype=float)
     except (TypeError, ValueError):
@@ -440,14 +439,14 @@ def _resampled(residuals: Any) -> Resampled:
         raise SettingError(f"residuals must be numbers of (time, residuals), got {echo(residuals)}")
     there = rows[np.isfinite(rows).all(axis=1)]
     if not len(there):
-        raise SettingError("residuals has no row without a missing value: give fault-free ones that were judged")
+        raise SettingError("residuals has no row without a missing value: give fault-free ones with a decision")
     if not np.ptp(there, axis=0).any():
         raise SettingError("residuals never change: give those of a fault-free recording (monitor.run(u, y).residuals)")
     return resampled(rows)
 
 
 def _from_model(generator: ResidualGenerator, center: NDArray[np.float64]) -> _Draw:
-    """Return what draws the residuals that the noise model of the plant makes, from their stationary state."""
+    """Return a function that draws residuals by the noise model of the plant, from their stationary state."""
     whole = generator.internal_form()
     form = whole.select(inputs=range(len(generator.faults) + len(generator.plant.disturbances), whole.n_inputs))
     X = state_covariance(form.A, form.B @ form.B.T)
@@ -463,7 +462,7 @@ def _from_model(generator: ResidualGenerator, center: NDArray[np.float64]) -> _D
 
 
 def _response(generator: ResidualGenerator, fault: str, course: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return what a fault of size one does to the residual over time, zero where its structure says so."""
+    """Return the response of the residual to a fault of size one over time, zero where its structure says so."""
     column = generator.faults.index(fault)
     form = generator.internal_form().select(inputs=[column])
     start = np.zeros((1, form.n_states))
@@ -475,7 +474,7 @@ def _response(generator: ResidualGenerator, fault: str, course: NDArray[np.float
 
 
 class _Search:
-    """The sizes of one fault that were tried, each with what the runs say of it."""
+    """Search over the sizes of one fault, with the results of the runs for each."""
 
     def __init__(
         self,
@@ -498,14 +497,14 @@ class _Search:
         return self.unit * 2.0 ** (exponent / _STEPS)
 
     def seen(self, exponent: int, within: int) -> int:
-        """Return how many runs are detected within a delay."""
+        """Return the number of runs detected within a delay."""
         if exponent not in self.tried:
             added = self.size(exponent) * self.response[: self.delays[-1]]
             self.tried[exponent] = self.trials.delays(added)
         return int((self.tried[exponent] < within).sum())
 
     def smallest(self, within: int) -> Estimate:
-        """Return the smallest size of which enough runs are detected within a delay, with its interval.
+        """Return the smallest size with enough runs detected within a delay, with its interval.
 
         The interval holds the sizes of which the share asked for lies within the interval of the share that is seen.
         """
@@ -518,7 +517,7 @@ class _Search:
         return Estimate(value, min(low, value), np.inf if surely is None else max(self.size_for(surely, within), value))
 
     def size_for(self, count: float, within: int) -> float:
-        """Return the smallest size of which so many runs are detected within a delay; infinite if there is none."""
+        """Return the smallest size with so many runs detected within a delay; infinite if there is none."""
         if not self.response[:within].any() or self.seen(_LARGEST * _STEPS, within) < count:
             return np.inf
         low, high = 0, 0
@@ -546,7 +545,7 @@ class _Search:
         return bootstrap(delays, lambda rows: rows.mean(axis=1), seed, self.confidence)
 
     def curve(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return sizes, growing, and the shares of the runs that are detected by each delay, to where all are."""
+        """Return ascending sizes, and the shares of the runs detected by each delay, up to all of them."""
         tried = [one for one in sorted(self.tried) if one < _LARGEST * _STEPS]
         if tried:  # those of the search lie close together: some between, and below
             for exponent in range(tried[0] - _STEPS, tried[-1] + 1, _STEPS // 2):
@@ -561,14 +560,14 @@ class _Search:
 def _white_response(
     generator: ResidualGenerator, test: ResidualTest, response: NDArray[np.float64], fitted: bool, given: bool
 ) -> NDArray[np.float64] | None:
-    """Return the response in units in which the residual is white, with variance one; ``None`` where there are none."""
+    """Return the response in units in which the residual is white, with variance one; ``None`` without such units."""
     if given or not (fitted or is_white(generator)):
         return None
     return test.in_white_units(response)
 
 
 def _asymptote(white: NDArray[np.float64] | None, size: float, mean_time: float | None) -> float:
-    """Return the delay in samples at which what the residual tells of the fault is worth the time between alarms."""
+    """Return the delay in samples at which the information on the fault matches the time between alarms."""
     if white is None or mean_time is None or not np.isfinite(size) or size == 0:
         return np.nan
     told = np.cumsum(np.sum((size * white) ** 2, axis=1)) / 2
@@ -612,7 +611,7 @@ def _unit(generator: ResidualGenerator, fault: str) -> str:
 
 
 def _delays(within: float | Iterable[float] | None, dt: float, window: int) -> tuple[int, ...]:
-    """Return the delays in samples, growing."""
+    """Return the delays in samples, in ascending order."""
     if within is None:
         counts: list[int] = [*_SAMPLES]
         while counts[-1] < 2 * window and counts[-1] < _MOST_BEFORE:
@@ -648,7 +647,7 @@ def _nearest(delays: tuple[float, ...], within: float) -> int:
 
 
 def _notes(trials: _Trials, generator: ResidualGenerator, test: ResidualTest, noise: str) -> tuple[str, ...]:
-    """Return what to mind: disturbances, false alarms that are not as designed, runs that are left out."""
+    """Return cautions: disturbances, unexpected rates of false alarms, runs left out."""
     notes = []
     if noise == _WHITE:
         notes.append("residuals are taken to be white: give residuals= of a fault-free recording where they are not")

@@ -1,4 +1,4 @@
-"""Figures as a table: to print, as columns, or as a data frame."""
+"""Figures as a table: for printing, as columns, or as a data frame."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What drives a simulated plant from outside: control inputs and disturbances, the same in every run or drawn."""
+"""External signals of a simulated plant: control inputs and disturbances, the same in every run or drawn."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _TIMES = 10.0
 def control_inputs(
     given: Any, truth: Truth, names: tuple[str, ...], samples: int, seeds: np.random.SeedSequence
 ) -> tuple[NDArray[np.float64], str]:
-    """Return what is added to the command in every run, as deviations of (samples, inputs), and what it is in words.
+    """Return the signals added to the command in every run, as deviations of (samples, inputs), and their description.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def control_inputs(
 
 
 def _excitation(truth: Truth, samples: int, seeds: np.random.SeedSequence) -> NDArray[np.float64]:
-    """Return random levels held for random times, so large that the outputs they move stand clear of the noise."""
+    """Return random levels held for random times, large enough to move the outputs clear of the noise."""
     rng = np.random.default_rng(seeds)
     m, noises = truth.inputs, truth.noises
     change = rng.random((samples, m)) < 1 / HOLD
@@ -99,7 +99,7 @@ def _excitation(truth: Truth, samples: int, seeds: np.random.SeedSequence) -> ND
 def disturbance_signals(
     given: Mapping[str, Any] | None, names: tuple[str, ...], samples: int
 ) -> tuple[NDArray[np.float64], tuple[tuple[int, NoiseModel], ...], str]:
-    """Return disturbances that are the same in every run, those that are drawn, by number, and both in words.
+    """Return disturbances that are the same in every run, the drawn ones by number, and a description of both.
 
     Parameters
     ----------

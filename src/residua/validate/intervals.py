@@ -1,4 +1,4 @@
-"""Confidence intervals of what is counted over runs: shares, rates of events, means."""
+"""Confidence intervals of figures over runs: shares, rates of events, means."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Estimate:
 
 
 def _short(value: float) -> str:
-    """Return a number with three digits, or as many as set it apart from a share of one; thousands with commas."""
+    """Return a number with three digits, or as many as distinguish it from a share of one; thousands with commas."""
     if 999.5 <= abs(value) < 1e7:
         return f"{float(f'{value:.3g}'):,.0f}".replace("-", "−")
     return next((text for text in (number(value, digits) for digits in range(3, 10)) if text != "1" or value == 1), "1")

@@ -22,7 +22,7 @@ _TIMES = 5.0
 
 @dataclass(frozen=True)
 class NoiseModel(ABC):
-    """What drives the noise inputs of a plant, or a disturbance: zero mean, standard deviation ``size``, seeded.
+    """Noise for the noise inputs of a plant, or a disturbance: zero mean, standard deviation ``size``, seeded.
 
     Attributes
     ----------
@@ -191,10 +191,10 @@ def heavy_tailed(degrees: float = 4.0, size: float = 1.0) -> NoiseModel:
 
 
 def resampled(residuals: Any, *, block: int | None = None) -> Resampled:
-    """Return a block bootstrap of fault-free residuals: the noise of runs where no noise model is to be believed.
+    """Return a block bootstrap of fault-free residuals: noise for runs without a credible noise model.
 
     A campaign then draws residuals instead of measurements: every run has blocks of the recorded residuals, one after
-    the other, and on top what the plant does without noise, faults included, through the filter of the monitor.
+    the other, plus the response of the plant without noise, faults included, through the filter of the monitor.
     Exact for additive faults in a linear loop. A stuck or weakened channel is that of the noise-free signal.
 
     Parameters
@@ -241,7 +241,7 @@ def resampled(residuals: Any, *, block: int | None = None) -> Resampled:
 
 
 def _stretches(part: Any) -> Sequence[NDArray[np.float64]]:
-    """Return the stretches of one recording's residuals that can be used."""
+    """Return the usable stretches of one recording's residuals."""
     values: ArrayLike = getattr(part, "residuals", part)
     try:
         rows = np.asarray(values, dtype=float)

@@ -27,7 +27,7 @@ from residua.validate.noise import NoiseModel, Resampled
 from residua.validate.scenario import Case, channel_of
 from residua.validate.truth import ActingFault, Truth, truth_of, with_acting_fault
 
-#: Codes of names that are no group: no alarm was raised; nobody was named; several faults at once.
+#: Codes of names that are not groups: no alarm was raised; nobody was named; several faults at once.
 NO_ALARM, UNKNOWN, SEVERAL = -1, -2, -3
 #: Numbers in the arrays of runs that are simulated together, about: bounds memory.
 _NUMBERS = 10_000_000
@@ -37,7 +37,7 @@ _NOISE, _DISTURBANCE, _MEMBER, _FAULT = range(4)
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Everything that a run depends on besides its number.
+    """Parameters of all runs, besides their numbers.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class Plan:
     within : int
         Samples after an onset in which a detection counts.
     offset : ndarray, shape (channels,)
-        Operating point of what is simulated.
+        Operating point of the simulated plant.
     """
 
     spec: Specification
@@ -80,30 +80,30 @@ class Plan:
 
     @property
     def runs_at_once(self) -> int:
-        """How many runs to simulate together."""
+        """Number of runs to simulate together."""
         spec = self.spec
         width = 4 * spec.B.shape[1] + 6 * len(spec.C) + len(spec.isolation.groups) + 2 * len(spec.members) + 8
         return max(1, min(1024, _NUMBERS // (2 * self.samples * width) + 1))
 
     @property
     def at_once(self) -> bool:
-        """Whether the whole of a run is watched at once: of matched filters."""
+        """True if the whole of a run is watched at once: for matched filters."""
         return self.spec.test.responses is not None
 
     def first_sample(self, case: Case) -> int:
-        """Return the sample at which the fault of a case may begin, from which on it is watched."""
+        """Return the sample from which a case is watched, where its fault may begin."""
         if self.at_once:
             return 0
         return case.shape.earliest_sample(self.generator.dt)
 
     def stream(self, run: int, *of: int) -> np.random.Generator:
-        """Return a generator of random numbers of a run, the same whatever else is drawn."""
+        """Return the random generator of a run, independent of all other draws."""
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(run, *of)))
 
 
 @dataclass(frozen=True, eq=False)
 class RunFigures:
-    """What is kept of each run; samples are counted from the first of a run.
+    """Figures of each run; samples are counted from the first of a run.
 
     Attributes
     ----------
@@ -135,7 +135,7 @@ class RunFigures:
 
     @property
     def runs(self) -> int:
-        """How many."""
+        """Number of runs."""
         return self.decided.shape[-1]
 
     def put(self, at: int, part: RunFigures) -> None:
@@ -149,7 +149,7 @@ class RunFigures:
 
     @classmethod
     def empty(cls, cases: int, runs: int) -> RunFigures:
-        """Return figures to be filled in."""
+        """Return figures to be filled."""
         return cls(
             **{name: np.zeros(runs, dtype=np.int32) for name in ("decided", "alarmed", "raised")},
             **{name: np.full((cases, runs), -1, dtype=np.int32) for name in ("onset", "stop", "detected", "named")},
@@ -170,7 +170,7 @@ class _Simulated:
 
 @dataclass(frozen=True, eq=False)
 class _Watched:
-    """A stretch of some runs: residuals, what the test says, of matched filters scores, and the states after it."""
+    """A stretch of some runs: residuals, results of the test, of matched filters scores, and the later states."""
 
     block: Block
     tested: Tested
@@ -180,7 +180,7 @@ class _Watched:
 
 
 class _Quiet:
-    """Some runs without a fault, watched piece by piece: a case goes on from where its fault may begin, bit for bit."""
+    """Some runs without a fault, watched piece by piece: a case continues where its fault may begin, bit for bit."""
 
     def __init__(self, plan: Plan, first: int, last: int) -> None:
         self.plan, self.runs = plan, last - first
@@ -200,11 +200,11 @@ class _Quiet:
         return None if self.made.residuals is None else self.made.residuals[:, a:b]
 
     def of(self, name: str) -> NDArray[Any]:
-        """Return what the test says of all samples."""
+        """Return a result of the test for all samples."""
         return np.concatenate([getattr(piece.tested, name) for piece in self.pieces], axis=1)
 
     def isolation_state(self, cut: int) -> Any:
-        """Return what the isolation remembers of all samples before one of the cuts."""
+        """Return the state of the isolation after all samples before one of the cuts."""
         if cut not in self.isolated:
             k = self.cuts.index(cut) - 1
             before, piece = self.isolation_state(self.cuts[k]), self.pieces[k]
@@ -230,7 +230,7 @@ def figures_of(plan: Plan, first: int, last: int) -> RunFigures:
 
 
 def quiet_statistics(plan: Plan, first: int, last: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the statistic of some runs without a fault, and where something was decided, both (runs, samples)."""
+    """Return the statistic of some runs without a fault, and the mask of decisions, both (runs, samples)."""
     quiet = _Quiet(plan, first, last)
     return quiet.of("statistic"), quiet.of("usable")
 
@@ -275,7 +275,7 @@ def watch(
     state: tuple[FilterState, Any],
     count: int,
 ) -> _Watched:
-    """Return what the test says of recorded signals (deviations), from a state after ``count`` samples on."""
+    """Return the results of the test on recorded signals (deviations), from a state after ``count`` samples on."""
     spec = plan.spec
     data = signals + plan.offset
     if plan.at_once and resampled is None:  # in parts where outputs are missing: memory
@@ -342,7 +342,7 @@ def _with_fault(
 def _names(
     plan: Plan, quiet: _Quiet, seen: _Watched, detected: NDArray[np.int32], stops: NDArray[np.int64], cut: int
 ) -> NDArray[np.int64]:
-    """Return who is named in each run: by the longest alarm from the onset on."""
+    """Return the group named in each run: by the longest alarm from the onset on."""
     out = np.full(len(detected), NO_ALARM, dtype=np.int64)
     who = np.flatnonzero(detected >= 0)
     out[who] = UNKNOWN
@@ -369,7 +369,7 @@ def _names(
 
 
 def _is_put_down(named: Named) -> bool:
-    """Tell whether the first candidate is what the alarm is put down to, not something that is not listed, or none."""
+    """Tell whether the alarm is attributed to the first candidate, not to an unlisted fault, or to none."""
     if named.reading is not None:
         return True
     first = named.candidates[0]
@@ -378,7 +378,7 @@ def _is_put_down(named: Named) -> bool:
 
 
 def _longest_alarm(alarm: NDArray[np.bool_], first: int, stop: int) -> tuple[int, int]:
-    """Return the alarm of one run that is the longest between two samples, the later of two that are equally long.
+    """Return the longest alarm of one run between two samples, the later of two of equal length.
 
     One that stood before is returned from where it was raised.
     """

@@ -1,4 +1,4 @@
-"""A scenario of a campaign: what fails, in which way, how much; and scenarios from TOML files."""
+"""Scenario of a campaign: the fault, its shape and its size; and scenarios from TOML files."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from residua.visible import echo, listed
 
 @dataclass(frozen=True)
 class Scenario:
-    """A fault with its shape in time and its size, or several sizes, each of them a case of its own.
+    """A fault with its shape in time and its size, or several sizes, each of them a separate case.
 
     Parameters
     ----------
@@ -31,8 +31,8 @@ class Scenario:
         :func:`step`, :func:`ramp`, :func:`drift`, :func:`intermittent`, :func:`oscillation`, :func:`noise_growth`,
         :func:`stuck_at` or :func:`loss_of_effectiveness`.
     size : float or sequence of float
-        In the unit of the fault: what is multiplied with its direction. Not zero. Of a loss of effectiveness the part
-        that is lost; a stuck channel has none.
+        In the unit of the fault: the factor of its direction. Not zero. Of a loss of effectiveness the lost part; a
+        stuck channel has none.
 
     Raises
     ------
@@ -89,7 +89,7 @@ class Scenario:
 
 @dataclass(frozen=True)
 class Case:
-    """One fault of one size in one shape: what is simulated for every run.
+    """One fault of one size in one shape, to be simulated for every run.
 
     Attributes
     ----------
@@ -169,7 +169,8 @@ def load_scenarios(path: str | Path) -> tuple[Scenario, ...]:
     Parameters
     ----------
     path : str or Path
-        With a table ``[[scenario]]`` for each: ``fault``, ``shape`` (a name), what that shape takes, and ``size``.
+        With a table ``[[scenario]]`` for each: ``fault``, ``shape`` (a name), the parameters of that shape, and
+        ``size``.
 
     Returns
     -------
@@ -178,7 +179,7 @@ def load_scenarios(path: str | Path) -> tuple[Scenario, ...]:
     Raises
     ------
     FileFormatError
-        If the file is no TOML, or an entry is missing, unknown or not what it may be; the message names it.
+        If the file is not TOML, or an entry is missing, unknown or invalid; the message names it.
 
     Examples
     --------

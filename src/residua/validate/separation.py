@@ -1,4 +1,4 @@
-"""How far the statistic sets runs with a fault apart from runs without: the curve over all thresholds."""
+"""Separation of runs with a fault from runs without by the statistic: the curve over all thresholds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The size of a fault over time: shapes that are added through the plant, and those that act on one channel."""
+"""Size of a fault over time: shapes that are added through the plant, and those that act on one channel."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Onset = float | tuple[float, float]
 
 @dataclass(frozen=True)
 class Shape(ABC):
-    r"""How a fault develops: :math:`f(t) = s\, g(t - t_0)` for :math:`t \ge t_0`, zero before; times in seconds.
+    r"""Course of a fault: :math:`f(t) = s\, g(t - t_0)` for :math:`t \ge t_0`, zero before; times in seconds.
 
     Attributes
     ----------
@@ -33,7 +33,7 @@ class Shape(ABC):
         Time at which the fault is gone again; ``None``: it stays.
     """
 
-    #: What it does: ``adds`` the size through the plant's fault input, ``holds`` or ``weakens`` the channel itself.
+    #: Action: ``adds`` the size through the plant's fault input, ``holds`` or ``weakens`` the channel itself.
     acts: ClassVar[str] = "adds"
     #: Whether the course differs from run to run, whatever the onset.
     drawn: ClassVar[bool] = False
@@ -52,11 +52,11 @@ class Shape(ABC):
 
     @abstractmethod
     def course(self, since: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
-        """Return the size, as a share of that of the scenario, at times in seconds since the onset."""
+        """Return the size, as a share of the scenario's size, at times in seconds since the onset."""
 
     @property
     def differs(self) -> bool:
-        """Whether the course differs from run to run."""
+        """True if the course differs from run to run."""
         return self.drawn or isinstance(self.at, tuple)
 
     @property
@@ -65,7 +65,7 @@ class Shape(ABC):
         return self.at[1] if isinstance(self.at, tuple) else self.at
 
     def earliest_sample(self, dt: float) -> int:
-        """Return the first sample that the fault can reach."""
+        """Return the first sample that the fault can affect."""
         return _sample_at(self.at[0] if isinstance(self.at, tuple) else self.at, dt)
 
     def latest_sample(self, dt: float) -> int:

@@ -1,4 +1,4 @@
-"""Probability of detection against the size of a fault, as non-destructive testing reports it: a90 and a90/95."""
+"""Probability of detection against the size of a fault, in the terms of non-destructive testing: a90 and a90/95."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _STEPS, _MOST = 100, 500.0
 
 @dataclass(frozen=True, eq=False)
 class DetectionProbability:
-    r"""How probable a detection is by the size of a fault, fitted to runs of several sizes.
+    r"""Probability of detection by the size of a fault, fitted to runs of several sizes.
 
     .. math:: P(a) = \frac{1}{1 + e^{-(\beta_0 + \beta_1 \ln a)}}
 
@@ -39,7 +39,7 @@ class DetectionProbability:
     a90_95 : float
         Size from which on the lower 95 % confidence bound of the probability is over 0.9; infinite if it never is.
     reason : str
-        Why it cannot be fitted, or what else to mind; else empty.
+        Reason for having no fit, or other cautions; else empty.
 
     References
     ----------
@@ -76,7 +76,7 @@ class DetectionProbability:
 def detection_probability(
     fault: str, shape: str, sizes: NDArray[np.float64], runs: NDArray[np.int64], detected: NDArray[np.int64]
 ) -> DetectionProbability:
-    """Return the fit to counts of detections by size, or why there is none."""
+    """Return the fit to counts of detections by size, or the reason for none."""
     order = np.argsort(np.abs(sizes), kind="stable")
     a, n, k = np.abs(sizes)[order], runs[order], detected[order]
     missing = (fault, shape, a, n, k, None, None, float("nan"), float("nan"))
@@ -113,7 +113,7 @@ def detection_probability(
 
 
 def _why_not(a: NDArray[np.float64], n: NDArray[np.int64], k: NDArray[np.int64]) -> str:
-    """Return why there is no fit; empty if there is one."""
+    """Return the reason for having no fit; empty if there is one."""
     if len(np.unique(a)) < 2:
         return "needs two sizes or more: Scenario(..., size=[...])"
     if (k == n).all():
@@ -162,7 +162,7 @@ def _fit(
 
 
 def _bound(beta: NDArray[np.float64], covariance: NDArray[np.float64], wanted: float) -> float:
-    """Return where the lower confidence bound of the linear predictor reaches a value; infinite if it never does.
+    """Return the size at which the lower confidence bound of the linear predictor reaches a value; infinite if never.
 
     ``beta0 + beta1 x - z sqrt(v00 + 2 v01 x + v11 x^2) = wanted``, the larger root.
     """

@@ -1,4 +1,4 @@
-"""What is simulated in place of the real plant: its sampled matrices, with a controller where there is one."""
+"""Simulated substitute of the real plant: its sampled matrices, with a controller if there is one."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Truth:
         return run_filter(self.A, self.B, self.C, self.D, np.zeros((len(z), len(self.A))), z)[1]
 
     def respond_to_fault(self, fault: int, course: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return what a fault of (runs, time) adds to the recorded signals."""
+        """Return the effect of a fault of (runs, time) on the recorded signals."""
         b, d = self.Bf[:, fault, None], self.Df[:, fault, None]
         return run_filter(self.A, b, self.C, d, np.zeros((len(course), len(self.A))), course[:, :, None])[1]
 
@@ -125,7 +125,7 @@ class ActingFault:
     def added(
         self, signal: NDArray[np.float64], before: NDArray[np.float64], share: NDArray[np.float64], offset: float
     ) -> NDArray[np.float64]:
-        """Return what the fault adds to a signal (deviations), given its value at the sample before the onset."""
+        """Return the effect of the fault on a signal (deviations), given its value at the sample before the onset."""
         if isinstance(self.shape, LossOfEffectiveness):
             return -self.size * share * (signal + offset)
         value = before if self.shape.value is None else self.shape.value - offset
@@ -150,7 +150,7 @@ def with_acting_fault(
     z : ndarray, shape (runs, time, columns)
         Inputs of the simulation.
     signals : ndarray, shape (runs, time, channels)
-        What is recorded without the fault.
+        Recorded signals without the fault.
     onsets : ndarray of int, shape (runs,)
     share : ndarray, shape (runs, time)
     """
@@ -176,7 +176,7 @@ def _step_by_step(
     onsets: NDArray[np.int64],
     share: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the recorded signals where the fault depends on what it changes: sample by sample, all runs at once."""
+    """Return the recorded signals if the fault depends on its own effect: sample by sample, all runs at once."""
     A, B, C, D = (np.stack([getattr(one, name) for one in truth]) for name in "ABCD")
     bf, df = (np.stack([getattr(one, name)[:, acting.fault] for one in truth]) for name in ("Bf", "Df"))
     offset, channel = float(truth[0].offset[acting.channel]), acting.channel
@@ -204,7 +204,7 @@ def _times(M: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64
 
 
 def check_same_channels(plant: Plant, model: Plant) -> None:
-    """Raise unless a plant to simulate has the channels of that which the monitor is designed for."""
+    """Raise unless a plant to simulate has the channels of the plant that the monitor is designed for."""
     for what in ("inputs", "outputs"):
         own, wanted = getattr(plant, what), getattr(model, what)
         if own != wanted:

@@ -34,7 +34,7 @@ _FULL = 4
 
 @dataclass(frozen=True, eq=False)
 class TuningCandidate:
-    """One setting of a norm test that was tried.
+    """One tested setting of a norm test.
 
     Attributes
     ----------
@@ -151,7 +151,7 @@ def tune(
     Notes
     -----
     Assumes
-        Simulated runs are what normal operation is like, and false alarms are so rare that few runs are detected by
+        Simulated runs represent normal operation, and false alarms are so rare that few runs are detected by
         chance: else candidates with many short false alarms look quick (the notes of the best one say so).
 
     The best of many candidates on one set of runs looks a little better than it is; :meth:`Campaign.compare` tells the
@@ -205,7 +205,7 @@ def _checked(monitor: Monitor, rate: float, runs: int, samples: int, seed: int, 
     check_samples(samples, "samples")
     check_whole(seed, "seed", least=0)
     if not isinstance(monitor, Monitor):
-        raise SettingError(f"what is tuned is a Monitor, got {type(monitor).__name__}")
+        raise SettingError(f"tune takes a Monitor, got {type(monitor).__name__}")
     test = monitor.test
     if not isinstance(test, NormThreshold) or type(monitor.norm_test) is not NormTest:
         raise SettingError(
@@ -227,7 +227,7 @@ def _checked(monitor: Monitor, rate: float, runs: int, samples: int, seed: int, 
 
 
 def _check_length(monitor: Monitor, samples: int, window: int) -> None:
-    """Raise where runs are too short for sums over a window to be full in most of them."""
+    """Raise if runs are too short for sums over a window to be full in most of them."""
     judged = samples - monitor.settling_samples
     if judged < _FULL * window:
         raise SettingError(
@@ -259,7 +259,7 @@ def _levels(
     seed: int,
     simulated: Mapping[str, Any],
 ) -> dict[int, NDArray[np.float64]]:
-    """Return by persistence the level below which a threshold has each fault-free sample in alarm."""
+    """Return by persistence the threshold below which each fault-free sample is in alarm."""
     names = ("noise", "inputs", "disturbances", "plants", "controller", "within")
     given = [simulated.get(name) for name in names]
     plan, _ = plan_of(_with(monitor, replace(settings, threshold=1.0)), (), samples, seed, *given)
@@ -274,7 +274,7 @@ def _levels(
 
 
 def _threshold(levels: NDArray[np.float64], rate: float) -> float:
-    """Return the threshold that a share of the samples is in alarm for."""
+    """Return the threshold for a share of the samples in alarm."""
     over = int(rate * len(levels))
     if over < 1:
         raise SettingError("too few samples were judged for this rate: more runs, or longer ones")

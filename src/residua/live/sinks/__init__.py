@@ -1,1 +1,1 @@
-"""Where events go: one file for each kind of receiver."""
+"""Sinks of events: one file for each kind of receiver."""

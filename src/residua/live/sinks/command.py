@@ -24,7 +24,7 @@ REFUSED = 65
 
 @dataclass(frozen=True)
 class Settings:
-    """Which program is run.
+    """Settings of the program.
 
     Attributes
     ----------
@@ -57,10 +57,10 @@ class Settings:
 
 
 class Command(Sink):
-    """Runs a program for each event: the event, one line of JSON, is its standard input; status 0 means delivered.
+    """Sink that runs a program for each event, one line of JSON on its standard input; status 0 means delivered.
 
-    What the program prints goes to the standard error of the run. Together with what it has started itself it is ended
-    when its time is over (on Windows only the program itself).
+    The output of the program goes to the standard error of the run. The program and its children are ended when their
+    time is over (on Windows only the program itself).
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ class Command(Sink):
         self.name = settings.name or f"command {self._program}"
 
     def deliver(self, events: Sequence[Event]) -> int:
-        """Run the program for each event, and return how many it took.
+        """Run the program for each event, and return the number delivered.
 
         Raises
         ------

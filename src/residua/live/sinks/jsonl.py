@@ -27,7 +27,7 @@ _BEGINNING = b'{"plant": "'
 
 @dataclass(frozen=True)
 class Settings:
-    """Where the file is.
+    """Settings of the file.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class Settings:
     Raises
     ------
     SettingError
-        If there is no path, its folder does not exist, or it is something else than a file.
+        If there is no path, its folder does not exist, or it is not a file.
     """
 
     path: str
@@ -53,11 +53,11 @@ class Settings:
         if not path.parent.is_dir():
             raise SettingError(f"path: the folder {path.parent} does not exist; make it first")
         if path.exists() and not path.is_file():
-            raise SettingError(f"path: {path} is no file; to hand events to a program, there is the sink 'command'")
+            raise SettingError(f"path: {path} is not a file; to pass events to a program, use the sink 'command'")
 
 
 class JsonLines(Sink):
-    """Appends events to a file, and returns when they are on the disk (fsync).
+    """Sink that appends events to a file, and returns when they are on the disk (fsync).
 
     A process that is killed, or a machine that loses power, while it writes may leave a torn line at the end. It was
     never said to be delivered, so the next call takes it away, and the event comes again whole: every line of the file
@@ -85,13 +85,13 @@ class JsonLines(Sink):
         self.name = settings.name or f"jsonl {settings.path}"
 
     def deliver(self, events: Sequence[Event]) -> int:
-        """Append events, and return how many: as many as make up about a quarter of a megabyte.
+        """Append events, and return their number: as many as make up about a quarter of a megabyte.
 
         Raises
         ------
         DeliveryError
             If the file cannot be written (the disk is full, say), another process is writing it, or it ends in
-            something that is no event.
+            something that is not an event.
         """
         lines, size = [], 0
         for event in events:
@@ -110,7 +110,7 @@ class JsonLines(Sink):
         file = os.open(self._path, os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o644)
         try:
             if not stat.S_ISREG(os.fstat(file).st_mode):
-                raise DeliveryError(f"{self._path} is no file any more")
+                raise DeliveryError(f"{self._path} is no longer a file")
             _hold(file, self._path)
             end = mend(file, self._path)
             try:
@@ -120,7 +120,7 @@ class JsonLines(Sink):
                     left = left[os.write(file, left) :]
                 os.fsync(file)
             except OSError:
-                os.ftruncate(file, end)  # what is there of it would be a torn line
+                os.ftruncate(file, end)  # a partial write would be an incomplete line
                 raise
         finally:
             os.close(file)
@@ -129,7 +129,7 @@ class JsonLines(Sink):
 
 
 def mend(file: int, path: Path) -> int:
-    """Take away what a killed process has left of a line at the end of a file; return where the file ends then.
+    """Remove the incomplete line of a killed process from the end of a file; return the new end.
 
     What a loss of power has left may be zeros as well: the file has grown, but nothing was written into it.
 
@@ -154,7 +154,8 @@ def mend(file: int, path: Path) -> int:
         return size + 1
     if torn[: len(_BEGINNING)] != _BEGINNING[: len(torn)] or (begin and b"\n" not in kept):
         raise DeliveryError(
-            f"{path} ends in {len(torn)} bytes that are no beginning of an event; it is left alone: name another file"
+            f"{path} ends in {len(torn)} bytes that are not the beginning of an event; it is left alone: name another "
+            "file"
         )
     end = begin + len(kept) - len(torn)
     os.ftruncate(file, end)
@@ -169,7 +170,7 @@ def _whole(line: bytes) -> bool:
 
 
 def _hold(file: int, path: Path) -> None:
-    """Keep other processes from writing the file while this one does: mending would take their line for a torn one."""
+    """Keep other processes from writing the file: mending would take their line for an incomplete one."""
     if sys.platform != "win32":
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -178,7 +179,7 @@ def _hold(file: int, path: Path) -> None:
 
 
 def _fsync_folder(folder: Path) -> None:
-    """Make the name of a new file safe, where the system can."""
+    """Make the name of a new file durable, if the system can."""
     if sys.platform != "win32":
         handle = os.open(folder, os.O_RDONLY)
         try:

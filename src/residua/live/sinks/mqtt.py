@@ -31,7 +31,7 @@ _LONGEST_TOPIC = 65_535
 
 @dataclass(frozen=True)
 class Settings:
-    """Which broker, and where events stand there.
+    """Settings of the broker, and of the topic of events.
 
     Attributes
     ----------
@@ -106,7 +106,7 @@ def _encoded(character: str) -> str:
 
 @dataclass(eq=False)
 class _Connection:
-    """One connection to the broker: it is left after any failure, with all that is on its way."""
+    """One connection to the broker; after any failure it is abandoned, with all messages in flight."""
 
     client: mqtt.Client
     acknowledged: set[int] = field(default_factory=set)
@@ -135,14 +135,14 @@ class _Connection:
             self.changed.notify_all()
 
     def wait(self, done: Any, seconds: float) -> bool:
-        """Wait until something is so, there is trouble, or the time is over; return whether it is so."""
+        """Wait for a condition, trouble, or the end of the time; return the condition."""
         with self.changed:
             self.changed.wait_for(lambda: done() or bool(self.trouble), seconds)
             return bool(done())
 
 
 class Mqtt(Sink):
-    """Publishes each event with quality of service 1, and takes it for delivered when the broker has acknowledged it.
+    """Sink that publishes events with quality of service 1; acknowledged by the broker means delivered.
 
     The connection is made with the first event and kept; after any failure a new one is made, and what was not
     acknowledged is published again. Messages are not retained: whoever subscribes later does not get old alarms for new
@@ -224,7 +224,7 @@ class Mqtt(Sink):
         return connection
 
     def close(self) -> None:
-        """Leave the broker."""
+        """Disconnect from the broker."""
         if self._connection is not None:
             client, self._connection = self._connection.client, None
             client.disconnect()

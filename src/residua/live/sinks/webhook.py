@@ -35,7 +35,7 @@ SHORTEST_KEY = 16
 
 @dataclass(frozen=True)
 class Settings:
-    """Where events are sent, and how they are signed.
+    """Settings of the address, and of signatures.
 
     Attributes
     ----------
@@ -97,12 +97,12 @@ class Settings:
 
 
 def checked_address(text: str, key: str) -> httpx.URL:
-    """Return an address that events may be sent to.
+    """Return an address if events may be sent to it.
 
     Raises
     ------
     SettingError
-        If it is no address, has a user or a password in it, or is neither HTTPS nor on this machine.
+        If it is not an address, has a user or a password in it, or is neither HTTPS nor on this machine.
 
     Examples
     --------
@@ -123,7 +123,7 @@ def _parsed(text: str, key: str) -> httpx.URL:
     try:
         url = httpx.URL(text)
     except (httpx.InvalidURL, TypeError):
-        raise SettingError(f"{key}: it is no address of the web") from None
+        raise SettingError(f"{key}: it is not a web address") from None
     if url.scheme not in ("http", "https") or not url.host:
         raise SettingError(f"{key}: an address begins with https:// and a host")
     if url.userinfo:
@@ -132,7 +132,7 @@ def _parsed(text: str, key: str) -> httpx.URL:
 
 
 def on_this_machine(host: str) -> bool:
-    """Whether a host is this machine by its name or number alone.
+    """Tell whether a host is this machine by its name or number alone.
 
     Examples
     --------
@@ -163,7 +163,7 @@ def signature(key: str, body: bytes, timestamp: int) -> str:
 
 
 class Webhook(Sink):
-    """Sends each event as one POST of its JSON; any answer from 200 to 299 means delivered.
+    """Sink that sends each event as one POST of its JSON; any answer from 200 to 299 means delivered.
 
     Redirects are not followed, the environment (proxies, passwords in ``.netrc``) is not looked at, and of the answer
     only the status is read. See :func:`signature` for how a receiver knows that it comes from here.
@@ -206,7 +206,7 @@ class Webhook(Sink):
         )
 
     def deliver(self, events: Sequence[Event]) -> int:
-        """Send events one after another, and return how many were taken.
+        """Send events one after another, and return the number delivered.
 
         Raises
         ------
@@ -269,7 +269,7 @@ class Webhook(Sink):
         return f"{self._where} answers with {status}: look at the address"
 
     def close(self) -> None:
-        """Close the connections, and leave what is being delivered."""
+        """Close the connections, and abandon the current delivery."""
         task = self._task
         if task is not None:
             with contextlib.suppress(RuntimeError):  # it has just ended

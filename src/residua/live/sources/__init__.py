@@ -1,1 +1,1 @@
-"""Where data come from: one file for each protocol."""
+"""Sources of data: one file for each protocol."""

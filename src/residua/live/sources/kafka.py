@@ -1,4 +1,4 @@
-"""Messages from Kafka, whose offsets are committed when what follows from them is saved."""
+"""Messages from Kafka, with offsets committed once their results are saved."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ except ImportError as error:
 
 #: Messages that are read at once, and that may wait for the run, with the bytes of them.
 _BURST, _MOST, _MOST_BYTES = 1000, 10_000, 64_000_000
-#: Kilobytes that librdkafka fetches ahead of what is read.
+#: Kilobytes that librdkafka fetches ahead of the reading.
 _AHEAD = 16_384
 #: Seconds between looks whether there is something to commit, and between commits.
 _LOOK, _COMMIT_EVERY = 0.1, 0.2
@@ -39,15 +39,15 @@ _Part = tuple[str, int]
 
 @dataclass(frozen=True)
 class Settings:
-    """Where the cluster is, and what is wanted of it.
+    """Settings of the cluster, and of its topics.
 
     Attributes
     ----------
     servers : list of str
         ``"host:port"`` of some of its brokers.
     group : str
-        The consumer group: under it the cluster keeps how far this run is. No other run may have it: each would get
-        some of the partitions only.
+        The consumer group: the name under which the cluster keeps the progress of this run. No other run may have it:
+        each would get some of the partitions only.
     topics : list of str
         Such as ``"plants"`` or ``"plants.{plant}.data"`` for whole messages, and ``"plants.{plant}.{channel}"`` for one
         channel a topic.
@@ -99,7 +99,7 @@ class Settings:
         texts(self, "servers", needed="name at least one broker, host:port")
         if any("," in one or "@" in one or not one.rpartition(":")[2].isdigit() for one in self.servers):
             raise SettingError("servers: a list of host:port is expected")
-        text(self, "group", needed="under it the cluster keeps how far this run is")
+        text(self, "group", needed="the name under which the cluster keeps the progress of this run")
         texts(self, "topics", needed="name at least one topic")
         for key in ("plant", "instance", "username", "password_file", "password_env", "name"):
             text(self, key)
@@ -108,7 +108,8 @@ class Settings:
         bare = [one for one in self.topics if "{channel}" in one and "{plant}" not in one]
         if bare and not self.plant and not self.key_is_plant:
             raise SettingError(
-                f"topics: of {bare[0]} nothing says the plant: have {{plant}} in it, or set plant or key_is_plant"
+                f"topics: topic {bare[0]} does not identify the plant: add {{plant}} to it, or set plant or "
+                "key_is_plant"
             )
         choice(self, "start", ("earliest", "latest"))
         whole(self, "session_timeout", 6, 300)
@@ -125,7 +126,7 @@ class Settings:
             raise SettingError("mechanism: with username and password_file or password_env, or none of them")
 
     def consumer(self, password: str | None) -> dict[str, Any]:
-        """Return the same as librdkafka has it."""
+        """Return the settings in the form of librdkafka."""
         out: dict[str, Any] = {
             "bootstrap.servers": ",".join(self.servers),
             "group.id": self.group,
@@ -152,7 +153,7 @@ class Settings:
 
 
 class Kafka(ThreadedSource):
-    """Reads topics as the only member of a consumer group.
+    """Source that reads topics as the only member of a consumer group.
 
     An offset is committed when the message before it is safe, for each partition by itself. Of a partition that was
     taken away nothing is committed any more: its messages that are not safe come again, here or elsewhere, and the run
@@ -186,7 +187,7 @@ class Kafka(ThreadedSource):
         self._asked = 0.0
 
     def acknowledge(self, messages: Sequence[Message]) -> None:
-        """Take note of how far each partition is safe; the thread that reads commits it soon."""
+        """Note the safe offset of each partition; the reading thread commits it soon."""
         with self._lock:
             for message in messages:
                 part, offset, assignment = message.token
@@ -194,7 +195,7 @@ class Kafka(ThreadedSource):
                     self._safe[part] = offset + 1
 
     def work(self) -> None:
-        """Read until the run ends; where librdkafka gives up, begin anew."""
+        """Read until the run ends; if librdkafka gives up, start again."""
         with self.handing_over(_MOST, _MOST_BYTES, lambda: None) as hand:
             while not (self.stopping.is_set() or hand.ended):
                 try:
@@ -238,7 +239,7 @@ class Kafka(ThreadedSource):
             consumer.close()
 
     def _hold(self, consumer: Consumer, full: bool) -> None:
-        """Pause all partitions while there is no room, and go on when there is."""
+        """Pause all partitions while there is no room, and resume when there is."""
         if full != self._paused:
             parts = consumer.assignment()
             if full:
@@ -284,10 +285,10 @@ class Kafka(ThreadedSource):
             return
         try:
             consumer.commit(offsets=offsets, asynchronous=asynchronous)
-        except KafkaException as error:  # they come again, and the run drops what it has
+        except KafkaException as error:  # they come again, and the run drops repeats
             self.say(False, f"{self._where}: offsets could not be committed: {_words(error)}")
 
-    # ------------------------------------------------------------------ what librdkafka calls, while reading
+    # ------------------------------------------------------------------ callbacks of librdkafka, while reading
 
     def _assigned(self, consumer: Consumer, parts: list[TopicPartition]) -> None:
         self._assignments += 1
@@ -321,7 +322,7 @@ class Kafka(ThreadedSource):
         self.say(True, f"connected to {self._where}, {len(self._ours):,} partitions")
 
     def _ask(self, consumer: Consumer) -> None:
-        """Ask whether a cluster that was away is back: without messages nothing else would say so."""
+        """Check whether a cluster is back: without messages there is no other sign of it."""
         if time.monotonic() - self._asked > _ASK_EVERY:
             self._asked = time.monotonic()
             try:
@@ -337,7 +338,7 @@ class Kafka(ThreadedSource):
 
 
 def _key(key: bytes | str | None) -> str:
-    """Return the plant that a key is; empty where it is none."""
+    """Return the plant of a key; empty if it is none."""
     try:
         return key.decode() if isinstance(key, bytes) else key or ""
     except UnicodeDecodeError:

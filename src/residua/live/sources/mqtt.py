@@ -1,4 +1,4 @@
-"""Messages from an MQTT broker, each acknowledged when what follows from it is saved."""
+"""Messages from an MQTT broker, each acknowledged once its results are saved."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _BURST_BYTES = 4_000_000
 _PIECE = 1 << 16
 #: Bytes of messages that may wait for the run.
 _MOST_BYTES = 64_000_000
-#: Bytes of a packet that a broker is told not to exceed: what is larger than a message may be is counted, up to here.
+#: Limit on packets given to the broker: messages over the usual limit are counted, up to this size.
 _LARGEST_PACKET = 8 * LARGEST
 #: Seconds that connecting may take, and that the last acknowledgements may take.
 _CONNECTING, _LEAVING = 5.0, 2.0
@@ -47,27 +47,27 @@ _VERSIONS = {"5": paho.MQTTv5, "3.1.1": paho.MQTTv311}
 
 @dataclass(frozen=True)
 class Settings:
-    """Where the broker is, and what is wanted of it.
+    """Settings of the broker, and of its topics.
 
     Attributes
     ----------
     client_id : str
-        By it the broker knows this run again, and keeps what comes while it is away: the same from run to run, and no
-        other's.
+        Name by which the broker recognises this run, and keeps messages while it is away: the same from run to run,
+        and unique.
     topics : list of str
         Such as ``"plants/{plant}/data"`` for whole messages (with or without ``{plant}``), and
         ``"plants/{plant}/{channel}"`` for one channel a topic; ``+`` and ``#`` as in MQTT.
     plant : str
-        The plant of topics without ``{plant}``, where messages do not say it.
+        The plant of topics without ``{plant}``, if messages do not name it.
     host : str
     port : int
         0: 1883, with TLS 8883.
     version : {"5", "3.1.1"}
         Of the protocol.
     qos : {1, 0}
-        1: a message comes until it is acknowledged, which it is when saved. 0: nothing is acknowledged, and what comes
-        while this run is away or has no room is lost. (2 would be acknowledged before it is saved, by the protocol; and
-        the run drops what comes twice. What is published with 2 arrives with 1.)
+        1: a message is repeated until it is acknowledged, once saved. 0: nothing is acknowledged, and messages that
+        arrive while this run is away or has no room are lost. (2 would be acknowledged before it is saved, by the
+        protocol; and the run drops repeats. Messages published with 2 arrive with 1.)
     username : str
     password_file, password_env : str
     tls : bool
@@ -79,7 +79,7 @@ class Settings:
     keepalive : int
         Seconds of silence after which either side asks whether the other is there.
     session_expiry : int
-        Seconds for which the broker keeps what comes while this run is away (version 5).
+        Seconds for which the broker keeps messages while this run is away (version 5).
     receive_maximum : int
         Messages that may be on their way without being acknowledged (version 5; before it the broker's settings say).
     retained : bool
@@ -113,8 +113,8 @@ class Settings:
     name: str = ""
 
     def __post_init__(self) -> None:
-        text(self, "client_id", needed="name this run: under it the broker keeps what comes while it is away")
-        text(self, "host", needed="the broker's name or number")
+        text(self, "client_id", needed="a name for this run, under which the broker keeps messages while it is away")
+        text(self, "host", needed="the broker's host name or address")
         for key in ("plant", "username", "password_file", "password_env", "name"):
             text(self, key)
         texts(self, "topics", needed="name at least one topic, such as 'plants/{plant}/data'")
@@ -143,12 +143,13 @@ class Settings:
 
 
 class Mqtt(ThreadedSource):
-    """Subscribes to topics of a broker.
+    """Source that subscribes to topics of a broker.
 
     One thread reads, acknowledges and keeps the connection alive, whatever the run is doing; another puts. With QoS 1
-    what waits is bounded by ``receive_maximum``: the broker sends no more until some are acknowledged. With QoS 0 the
-    socket is not read while there is no room, and when the connection would end of it, what comes is dropped and said.
-    Of messages so large that 64 MB of them wait no more are read; if the connection ends of it, they come again.
+    the queue is bounded by ``receive_maximum``: the broker sends no more until some are acknowledged. With QoS 0 the
+    socket is not read while there is no room, and when the connection would end, messages are dropped, which is
+    reported. Of messages so large that 64 MB of them wait no more are read; if the connection ends of it, they come
+    again.
 
     Parameters
     ----------
@@ -162,7 +163,7 @@ class Mqtt(ThreadedSource):
     Notes
     -----
     A message is acknowledged once: not on a connection that was made after it came, for there its number may be
-    another's. It then comes again, and the run drops what it has already.
+    another's. It then comes again, and the run drops the repeat.
     """
 
     kind: ClassVar[str] = "mqtt"
@@ -185,17 +186,17 @@ class Mqtt(ThreadedSource):
         self._dropped = 0
 
     def acknowledge(self, messages: Sequence[Message]) -> None:
-        """Acknowledge messages, in the thread that has the connection."""
+        """Acknowledge messages, in the thread of the connection."""
         if self._settings.qos:
             self._safe.append(messages)
             self._waker.wake()
 
     def wake(self) -> None:
-        """Make the thread look at what is new."""
+        """Wake the thread, to check for changes."""
         self._waker.wake()
 
     def stop(self) -> None:
-        """Send what was acknowledged, leave the broker, end the threads; the broker keeps what comes from now on."""
+        """Send the acknowledgements, disconnect, end the threads; the broker keeps later messages."""
         super().stop()
         self._waker.close()
 
@@ -224,17 +225,17 @@ class Mqtt(ThreadedSource):
     def _comes_again(self, message: Message) -> bool:
         return message.token is not None
 
-    # What a connection calls.
+    # Callbacks of a connection.
 
     def connected(self, resumed: bool, granted: str) -> None:
-        """Say that topics are subscribed to."""
+        """Report the subscriptions."""
         self._pauses.reset()
         kept = "" if resumed or self._generation == 1 else "; the broker has not kept the session, messages may be lost"
         lost = f"; {self._dropped:,} messages of QoS 0 dropped: the queue was full" if self._dropped else ""
         self.say(True, f"connected to {self._where}{granted}{kept}{lost}")
 
     def take(self, message: paho.MQTTMessage) -> None:
-        """Take a message that came into the burst that is being read."""
+        """Add a message to the burst in progress."""
         token = (self._generation, message.mid) if message.qos else None
         if self._dropping and token is None:
             self._dropped += 1
@@ -254,19 +255,19 @@ class Mqtt(ThreadedSource):
         self.burst_bytes += len(payload)
 
     def taken(self, now: float) -> list[Message]:
-        """Return the messages of a burst; those of the next one have come at ``now``."""
+        """Return the messages of a burst; those of the next one arrive at ``now``."""
         burst, self._burst, self._now, self.burst_bytes = self._burst, [], now, 0
         return burst
 
     def drop(self, whether: bool) -> None:
-        """Say whether messages of QoS 0 are dropped."""
+        """Report whether messages of QoS 0 are dropped."""
         if whether != self._dropping:
             self._dropping = whether
             if not whether:
                 self.connected(True, "")
 
     def safe(self) -> list[int]:
-        """Return the numbers of messages that are to be acknowledged on this connection, in order."""
+        """Return the numbers of messages to acknowledge on this connection, in order."""
         out: list[int] = []
         while self._safe:
             messages = self._safe.popleft()
@@ -275,11 +276,11 @@ class Mqtt(ThreadedSource):
 
 
 class _LostError(Exception):
-    """The connection is lost, or was refused; the text says why."""
+    """The connection is lost, or was refused; the text gives the reason."""
 
 
 class _Client(paho.Client):
-    """paho's client, reading and acknowledging many messages by one call of the system.
+    """Client of paho that reads and acknowledges many messages by one system call.
 
     By itself it makes three calls to read a message, and one to acknowledge it; at each of them another thread that
     computes may keep it waiting for five milliseconds.
@@ -312,16 +313,16 @@ class _Client(paho.Client):
         if buf[0] >> 4 == _PUBACK:
             self._acknowledgements += buf
             return len(buf)
-        if not self.flush():  # what is begun must be ended first
+        if not self.flush():  # a packet in progress must be finished first
             raise BlockingIOError
         return super()._sock_send(buf)
 
     def want_write(self) -> bool:
-        """Whether something waits to be sent."""
+        """True if there is something to send."""
         return bool(self._acknowledgements) or super().want_write()
 
     def flush(self) -> bool:
-        """Send acknowledgements; return whether all of them are.
+        """Send acknowledgements; return whether all are sent.
 
         Raises
         ------
@@ -371,7 +372,7 @@ class _Connection:
         return client
 
     def open(self) -> None:
-        """Connect; the answer comes while serving."""
+        """Connect; the answer arrives in :meth:`serve`."""
         settings, more = self._settings, {}
         if settings.version == "5":
             properties = Properties(PacketTypes.CONNECT)
@@ -441,7 +442,7 @@ class _Connection:
             raise _LostError(self._refusal or paho.error_string(result).rstrip("."))
 
     def _leave(self) -> None:
-        """Send what was acknowledged, and say good-bye."""
+        """Send the acknowledgements, and disconnect."""
         client, until = self._client, time.monotonic() + _LEAVING
         for mid in self._source.safe():
             client.ack(mid, 1)
@@ -455,12 +456,12 @@ class _Connection:
         self.abandon()
 
     def abandon(self) -> None:
-        """Close the socket without a word."""
+        """Close the socket without a message."""
         socket = self._client.socket()
         if socket is not None:
             socket.close()
 
-    # What paho calls.
+    # Callbacks of paho.
 
     def _on_connect(self, client: paho.Client, _: Any, flags: Any, reason: Any, __: Any) -> None:
         if reason.is_failure:

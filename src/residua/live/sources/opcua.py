@@ -41,7 +41,7 @@ _POLICIES = ("", "Basic256Sha256", "Aes128Sha256RsaOaep", "Aes256Sha256RsaPss")
 
 @dataclass(frozen=True)
 class Settings:
-    """Where the server is, and which node is which channel of which plant.
+    """Settings of the server, and of the node of each channel of each plant.
 
     Attributes
     ----------
@@ -55,15 +55,15 @@ class Settings:
     channels : table
         Of these, from channel to node, with ``{plant}`` in it: ``{"level": "ns=2;s={plant}.level"}``.
     interval : float
-        Seconds between what the server sends.
+        Seconds between notifications of the server.
     sampling : float
         Seconds between the server's looks at a node; 0: as fast as it can.
     queue : int
-        Values of one node that the server keeps until it sends them: at least what comes in an interval.
+        Values of one node that the server keeps until it sends them: at least those of an interval.
     username : str
     password_file, password_env : str
     policy : {"", "Basic256Sha256", "Aes128Sha256RsaOaep", "Aes256Sha256RsaPss"}
-        How what is sent is protected; empty: not at all, and a password neither.
+        Protection of messages; empty: none, not even for a password.
     mode : {"SignAndEncrypt", "Sign"}
     cert_file, key_file : str
         The certificate of this client, and its key; with a policy.
@@ -149,7 +149,7 @@ class Settings:
 
 
 class OpcUa(ThreadedSource):
-    """Subscribes to nodes of a server, and to every change of value, status or source time of them.
+    """Source that subscribes to nodes of a server, and to every change of value, status or source time of them.
 
     The time of a value is its source time, or else the server's; values without both have that of their arrival.
     While the run has no room the server is told not to send; it keeps ``queue`` values of each node.
@@ -165,7 +165,7 @@ class OpcUa(ThreadedSource):
 
     Notes
     -----
-    OPC UA knows no acknowledgement: what the server sends while the connection is away, or a run is killed, is gone.
+    OPC UA has no acknowledgement: values sent while the connection is away, or a run is killed, are lost.
     """
 
     kind: ClassVar[str] = "opcua"
@@ -180,7 +180,7 @@ class OpcUa(ThreadedSource):
         self._awake: asyncio.Event | None = None
 
     def wake(self) -> None:
-        """Make the thread look at what is new."""
+        """Wake the thread, to check for changes."""
         loop, awake = self._loop, self._awake
         if loop is not None and awake is not None and not loop.is_closed():
             loop.call_soon_threadsafe(awake.set)
@@ -269,7 +269,7 @@ class OpcUa(ThreadedSource):
         return client
 
     async def _subscribed(self, client: Client) -> tuple[Subscription, dict[int, list[tuple[str, str]]], str]:
-        """Subscribe to all nodes; return who each handle is, and what the server could not do."""
+        """Subscribe to all nodes; return the channels of each handle, and the requests that the server refused."""
         settings = self._settings
         subscription = await client.create_subscription(
             1000.0 * settings.interval,
@@ -283,7 +283,7 @@ class OpcUa(ThreadedSource):
             part = list(enumerate(nodes[first : first + _AT_ONCE], first + 1))
             ids = {handle: _resolved(node, namespaces) for handle, node in part}
             known = [(handle, node) for handle, node in part if ids[handle] is not None]
-            refused += [f"{node}: its namespace is not there" for handle, node in part if ids[handle] is None]
+            refused += [f"{node}: its namespace does not exist" for handle, node in part if ids[handle] is None]
             requests = [self._request(handle, ids[handle], not plain) for handle, _ in known]
             answers = await subscription.create_monitored_items(requests)
             if not plain and any(_is_about_filters(one) for one in answers):
@@ -305,7 +305,7 @@ class OpcUa(ThreadedSource):
         return subscription, places, said + ("; values that do not change are not sent" if plain else "")
 
     def _request(self, handle: int, node: Any, by_time: bool) -> ua.MonitoredItemCreateRequest:
-        """Return the request for a node; ``by_time``: also for a value that is the same at a later time."""
+        """Return the request for a node; ``by_time``: report equal values at later times too."""
         parameters = ua.MonitoringParameters()
         parameters.ClientHandle = ua.UInt32(handle)
         parameters.SamplingInterval = 1000.0 * self._settings.sampling
@@ -320,7 +320,7 @@ class OpcUa(ThreadedSource):
         return request
 
     def _taker(self, places: Mapping[int, list[tuple[str, str]]], hand: HandOver) -> Callable[[Any, int], None]:
-        """Return what takes values: those that come together are handed over together, in the order of their times."""
+        """Return a callback for values; those that arrive together are handed over together, in order of time."""
         burst: list[Message] = []
 
         def flush() -> None:
@@ -353,7 +353,7 @@ async def _read(
 
 
 async def _within(event: asyncio.Event, seconds: float) -> None:
-    """Wait for an event, some seconds at most; it is then as if it had not been."""
+    """Wait for an event for a limited time, and clear it."""
     try:
         await asyncio.wait_for(event.wait(), seconds)
     except TimeoutError:
@@ -365,7 +365,7 @@ async def _within(event: asyncio.Event, seconds: float) -> None:
 
 
 def _number_of(value: ua.DataValue) -> tuple[float, str]:
-    """Return the number of a value, NaN where its status is not good, and why it is refused."""
+    """Return the number of a value, NaN if its status is not good, and the reason for a refusal."""
     if value.StatusCode is not None and not value.StatusCode.is_good():
         return math.nan, ""
     content = None if value.Value is None else value.Value.Value
@@ -390,14 +390,14 @@ def _time_of(value: ua.DataValue) -> float | None:
 
 
 def _parsed(node: str) -> tuple[str, ua.NodeId]:
-    """Return the address of the namespace of a node, if it is written by that, and its id."""
+    """Return the address of the namespace of a node, if it is written with one, and its id."""
     address, rest = "", node
     if node.startswith("nsu="):
         address, _, rest = node.removeprefix("nsu=").rpartition(";")
     try:
         made = ua.NodeId.from_string(rest)
     except Exception as error:  # asyncua raises several kinds
-        raise SettingError(f"nodes: {echo(node)} is no node; 'ns=2;s=name' and 'ns=2;i=number' are") from error
+        raise SettingError(f"nodes: {echo(node)} is not a node; 'ns=2;s=name' and 'ns=2;i=number' are") from error
     return address, made
 
 

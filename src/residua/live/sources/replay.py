@@ -1,4 +1,4 @@
-"""A recording as if it came now: at a chosen speed, as one plant or as many."""
+"""A recording as live data: at a chosen speed, as one plant or as many."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _MOST_ROWS = 10_000
 
 @dataclass(frozen=True)
 class Settings:
-    """What is replayed, and how.
+    """Settings of the recordings, and of the speed.
 
     Attributes
     ----------
@@ -92,12 +92,12 @@ class Settings:
             raise SettingError("file: name the recording that is replayed, or one for each plant in files")
         for plant, path in self.files.items():
             if not Path(path).is_file():
-                raise SettingError(f"files: {path}, of {plant}, is no file")
+                raise SettingError(f"files: {path}, of {plant}, is not a file")
 
 
 @dataclass(frozen=True, eq=False)
 class _Track:
-    """Plants that replay one file by one model: their messages differ by the id alone."""
+    """Plants that replay one file by one model: their messages differ in the id alone."""
 
     path: Path
     model: Plant
@@ -106,7 +106,7 @@ class _Track:
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """Some rows of a recording: seconds as in the file, and the moment that these count from, if they are dates."""
+    """Some rows of a recording: seconds as in the file, and the origin of these, if they are dates."""
 
     times: NDArray[np.float64]
     u: NDArray[np.float64]
@@ -115,7 +115,7 @@ class _Rows:
 
 
 class Replay(ThreadedSource):
-    """Brings the rows of recordings as messages.
+    """Source that brings the rows of recordings as messages.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ class Replay(ThreadedSource):
         self._reached: Mapping[str, float] = {}
 
     def resume(self, times: Mapping[str, float]) -> None:
-        """Go on after these times, with the recording's own times; with others, no earlier than the last of them."""
+        """Continue after these times, if they are the recording's own; with others, no earlier than the last one."""
         self._reached = dict(times)
 
     def work(self) -> None:
@@ -183,14 +183,14 @@ class Replay(ThreadedSource):
         return ", ".join(dict.fromkeys(track.path.name for track in self._tracks))
 
     def _waiting(self, track: _Track, rows: _Rows) -> list[str]:
-        """Return the plants of which the store does not have all these rows."""
+        """Return the plants for which the store does not have all these rows."""
         if not self._reached:
             return list(track.plants)
         last = float(rows.times[-1]) + (rows.origin.timestamp() if rows.origin else 0.0)
         return [plant for plant in track.plants if not last <= self._reached.get(plant, -np.inf)]
 
     def _due(self, track: _Track) -> Iterator[tuple[float, _Track, _Rows]]:
-        """Return blocks of rows, with the seconds since the beginning at which the last of each is due."""
+        """Return blocks of rows, each with the time since the beginning at which its last row is due."""
         shift, rounds = 0.0, 0
         while self._settings.repeat == 0 or rounds < self._settings.repeat:
             first = last = before = None
@@ -222,14 +222,14 @@ def _tracks(settings: Settings, models: Mapping[str, Plant]) -> list[_Track]:
 
 
 class _Pace:
-    """Waits until rows are due: the first at once, the others after it, so many times as fast as they were recorded."""
+    """Waiting until rows are due: the first at once, the others at a multiple of the recorded speed."""
 
     def __init__(self, speed: float) -> None:
         self._speed = speed
         self._begin: float | None = None
 
     def wait_until(self, elapsed: float, stopping: Any) -> bool:
-        """Wait, but not while the run is ending; return whether it is."""
+        """Wait, unless the run is ending; return whether it is."""
         if not self._speed:
             return stopping.is_set()
         due, now = elapsed / self._speed, time.monotonic()
@@ -242,7 +242,7 @@ class _Pace:
 
 
 def _read(track: _Track, settings: Settings) -> Iterator[_Rows]:
-    """Read a recording: piece by piece where it is large, and where it can be."""
+    """Read a recording: piece by piece if it is large and allows it."""
     done = 0
     if track.path.stat().st_size >= _LARGE:
         try:
@@ -250,7 +250,7 @@ def _read(track: _Track, settings: Settings) -> Iterator[_Rows]:
                 done += len(rows.times)
                 yield rows
             return
-        except NotServedError:  # it is read at once, which says what is wrong if anything is
+        except NotServedError:  # it is read at once, which reports any error
             pass
     recording = read_recording(
         track.path,
@@ -286,7 +286,7 @@ def _pieces(track: _Track, settings: Settings) -> Iterator[_Rows]:
 
 
 def _moment(origin: str) -> datetime | None:
-    """Return the moment that times count from; without a zone it is taken as UTC."""
+    """Return the origin of times; without a zone it is taken as UTC."""
     if not origin:
         return None
     moment = datetime.fromisoformat(origin.strip()[:32])

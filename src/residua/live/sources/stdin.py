@@ -25,7 +25,7 @@ _PIECE = 1 << 16
 
 @dataclass(frozen=True)
 class Settings:
-    """Where lines come from.
+    """Settings of the file or pipe.
 
     Attributes
     ----------
@@ -58,11 +58,11 @@ class Settings:
 
 
 class JsonLines(ThreadedSource):
-    """One message a line. It ends with its input, unless it follows it.
+    """Source with one message a line. It ends with its input, unless it follows it.
 
     A line of more than :data:`residua.live.messages.LARGEST` bytes is refused, and never held whole; empty lines are
-    nothing. Nothing is acknowledged: what was read and not saved when a run ended is gone with a pipe; a file is read
-    from its beginning again, and rows that the store has are dropped by the run.
+    ignored. Nothing is acknowledged: lines read but not saved when a run ends are lost with a pipe; a file is read from
+    its beginning again, and rows that the store has are dropped by the run.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ class JsonLines(ThreadedSource):
         self.rereads = _is_file(settings.path)
 
     def wake(self) -> None:
-        """Make the thread look whether the run is ending."""
+        """Wake the thread, to check whether the run is ending."""
         self._waker.wake()
 
     def stop(self) -> None:
@@ -104,7 +104,7 @@ class JsonLines(ThreadedSource):
             self.say(False, f"cannot be read: {error.strerror or error}")
 
     def _pieces(self) -> Iterator[bytes]:
-        """Read what is there, wait for more; end with the input, or when the run is ending."""
+        """Read the available data, wait for more; end with the input, or when the run is ending."""
         path = self._settings.path
         # Without blocking, a pipe without a writer can be opened, and left again.
         file = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0)) if path else os.dup(sys.stdin.fileno())
@@ -130,11 +130,11 @@ class JsonLines(ThreadedSource):
             elif not self._settings.follow:
                 return
             else:
-                self.stopping.wait(0.2)  # of what is at its end, a system only says that it can be read
+                self.stopping.wait(0.2)  # at the end of a file a system only reports that it is readable
 
 
 def _is_file(path: str) -> bool:
-    """Tell whether lines come from a file, which begins at its beginning when it is read again."""
+    """Tell whether lines come from a file, which starts from its beginning when it is read again."""
     try:
         return stat.S_ISREG(os.stat(path).st_mode if path else os.fstat(sys.stdin.fileno()).st_mode)
     except (OSError, ValueError, AttributeError):  # a standard input that is none
@@ -142,7 +142,7 @@ def _is_file(path: str) -> bool:
 
 
 def split(pieces: Iterator[bytes], most: int = LARGEST) -> Iterator[bytes | None]:
-    r"""Return the lines of text that comes in pieces, ``None`` for one that is too long, which is not held.
+    r"""Return the lines of text in pieces, ``None`` for one that is too long, which is not kept.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def split(pieces: Iterator[bytes], most: int = LARGEST) -> Iterator[bytes | None
 
 
 class _Ready:
-    """Stands for a selector where a file never waits, or the system cannot tell."""
+    """Substitute for a selector if a file never waits, or the system cannot tell."""
 
     def __init__(self) -> None:
         self._keys: list[selectors.SelectorKey] = []

@@ -1,4 +1,4 @@
-"""What sources share: a thread that ends in time, what is said of it, and a bounded hand-over to the run."""
+"""Common parts of sources: a thread that ends in time, its health, and a bounded hand-over to the run."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PATIENCE = 10.0
 
 
 class ThreadedSource(Source):
-    """A source with one thread of its own, which runs :meth:`work` and leaves when :attr:`stopping` is set.
+    """A source with its own thread, which runs :meth:`work` and ends when :attr:`stopping` is set.
 
     Attributes
     ----------
@@ -51,28 +51,28 @@ class ThreadedSource(Source):
 
     @property
     def over(self) -> bool:
-        """Whether it has ended by itself: all was put, or it cannot go on, as :attr:`health` then says."""
+        """True if it has ended by itself: all was put, or it cannot continue, as :attr:`health` then says."""
         return self._over
 
     @property
     def health(self) -> Health:
-        """How it is now."""
+        """Health now."""
         return self._health
 
     def say(self, good: bool, text: str) -> None:
-        """Keep how it is for the page, and note a change in the log."""
+        """Keep the health for the page, and log a change."""
         if (good, text) != (self._health.good, self._health.text):
             logger.log(logging.INFO if good else logging.WARNING, "%s: %s", self.name, text)
         self._health = Health(good, text)
 
     @property
     def waiting(self) -> int:
-        """What came, and waits to be put, of a source that hands over."""
+        """Number of messages waiting to be put, in a source that hands over."""
         return self._hand.count if self._hand else 0
 
     @contextmanager
     def handing_over(self, most: int, most_bytes: int, freed: Callable[[], None]) -> Iterator[HandOver]:
-        """Hand over for as long as :meth:`work` lasts; parameters as of :class:`HandOver`."""
+        """Hand messages over for as long as :meth:`work` lasts; parameters as of :class:`HandOver`."""
         self._hand = HandOver(self.put, most, most_bytes, freed, f"residua {self.name}, putting")
         try:
             yield self._hand
@@ -85,14 +85,14 @@ class ThreadedSource(Source):
         """Bring messages until there are no more, or :attr:`stopping` is set; in the thread."""
 
     def wake(self) -> None:
-        """Make the thread look at :attr:`stopping` now; from any thread."""
+        """Wake the thread, to check :attr:`stopping` now; from any thread."""
 
     def _run(self) -> None:
         try:
             self.work()
         except RunStoppedError:
             return
-        except Exception as error:  # a source never raises: what is wrong is said where the others are said
+        except Exception as error:  # a source never raises: errors are reported with its health
             logger.exception("%s: it has ended", self.name)
             self.say(False, f"it has ended: {error}")
         self._over = not self.stopping.is_set()
@@ -101,7 +101,7 @@ class ThreadedSource(Source):
 class HandOver:
     """Messages on their way from a thread that must not wait (it answers a broker) to a run that may be busy.
 
-    A thread of its own puts them one after another. What waits is bounded: :attr:`full` says when to stop reading.
+    A thread of its own puts them one after another. The queue is bounded: :attr:`full` tells when to stop reading.
 
     Parameters
     ----------
@@ -129,26 +129,26 @@ class HandOver:
 
     @property
     def full(self) -> bool:
-        """Whether nothing more should be read."""
+        """True if no more should be read."""
         return self.count >= self._most or self.heavy
 
     @property
     def heavy(self) -> bool:
-        """Whether it is full of bytes, not of messages."""
+        """True if it is full of bytes, not of messages."""
         return self._came_bytes - self._gone_bytes >= self._most_bytes
 
     @property
     def count(self) -> int:
-        """How many messages wait."""
+        """Number of waiting messages."""
         return self._came - self._gone
 
     @property
     def ended(self) -> bool:
-        """Whether the run takes nothing any more."""
+        """True if the run accepts no more messages."""
         return self._ended
 
     def give(self, messages: list[Message]) -> None:
-        """Take messages in their order; never waits. From one thread, as :meth:`forget`."""
+        """Add messages in their order, without waiting. From one thread, as :meth:`forget`."""
         self._came += len(messages)
         self._came_bytes += sum(map(_size, messages))
         with self._change:
@@ -156,7 +156,7 @@ class HandOver:
             self._change.notify()
 
     def forget(self, gone: Callable[[Message], bool]) -> None:
-        """Leave out messages that come again, or that are another's now."""
+        """Drop messages that come again, or that belong to another now."""
         with self._change:
             before, self._waiting = self._waiting, deque()
             for messages in before:
@@ -167,7 +167,7 @@ class HandOver:
                     self._waiting.append(kept)
 
     def close(self) -> None:
-        """End the thread; what waits is not handed over."""
+        """End the thread; waiting messages are not handed over."""
         with self._change:
             self._ended = True
             self._change.notify()

@@ -1,4 +1,4 @@
-"""Topics with named parts, of MQTT and Kafka: what a broker is asked for, and whose a message is."""
+"""Topics with named parts, of MQTT and Kafka: subscriptions, and the plant and channel of a message."""
 
 from __future__ import annotations
 
@@ -55,11 +55,11 @@ class Topics:
             named = expression.groupindex
             if "channel" in named and not plant and "plant" not in named and not dotted:
                 raise SettingError(
-                    f"topics: of {echo(pattern)} nothing says the plant: have {{plant}} in it, or set plant"
+                    f"topics: topic {echo(pattern)} does not identify the plant: add {{plant}} to it, or set plant"
                 )
 
     def place(self, topic: str) -> tuple[str, str] | None:
-        """Return plant and channel of a topic, empty where the message says it; ``None``: it fits no pattern."""
+        """Return plant and channel of a topic, empty if the message states them; ``None`` if it fits no pattern."""
         try:
             return self._known[topic]
         except KeyError:
@@ -73,7 +73,7 @@ class Topics:
 
 
 def _pattern(pattern: str) -> tuple[str, re.Pattern[str]]:
-    """Return the filter that a broker is told, and the expression that finds the named parts."""
+    """Return the subscription for a broker, and the expression that finds the named parts."""
     levels = pattern.split("/")
     if pattern.startswith(("$", "/$")) or "\0" in pattern or len(pattern.encode()) > 65_535:
         raise SettingError(
@@ -104,7 +104,7 @@ def _check_names(pattern: str, levels: Sequence[str]) -> None:
 
 
 def _dotted(pattern: str) -> tuple[str, re.Pattern[str]]:
-    """Return what Kafka is asked for, and the expression that finds the named parts."""
+    """Return the subscription for Kafka, and the expression that finds the named parts."""
     _check_names(pattern, pattern.split("."))
     if not _KAFKA.fullmatch(_PART.sub("x", pattern)):
         raise SettingError(f"topics: {echo(pattern)}: topics of Kafka have letters, digits, dots, - and _, up to 249")

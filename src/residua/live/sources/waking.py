@@ -1,4 +1,4 @@
-"""A socket by which one thread wakes another that waits for sockets."""
+"""A socket by which one thread wakes another that waits on sockets."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import socket
 
 
 class Waker:
-    """Can be read once :meth:`wake` was called: for :mod:`selectors`."""
+    """Socket that is readable once :meth:`wake` was called: for :mod:`selectors`."""
 
     def __init__(self) -> None:
         self._read, self._write = socket.socketpair()
@@ -16,7 +16,7 @@ class Waker:
         self._woken = False
 
     def fileno(self) -> int:
-        """Return what a selector waits for."""
+        """Return the file descriptor for a selector."""
         return self._read.fileno()
 
     def wake(self) -> None:
@@ -27,7 +27,7 @@ class Waker:
                 self._write.send(b"\0")
 
     def clear(self) -> None:
-        """Sleep again; in the thread that was woken, before it looks at what it was woken for."""
+        """Reset; in the thread that was woken, before it checks for changes."""
         with contextlib.suppress(OSError):  # nothing was there
             self._read.recv(4096)
         self._woken = False
