@@ -14,7 +14,7 @@ from residua.errors import DataError, SettingError
 from residua.identify.information import Identifiability, identifiability, sandwich_covariance
 from residua.identify.nonlinear_model import NonlinearModel, model_errors
 from residua.identify.parameter_search import Found, Parameter, PlantAt, Task, parameters_of, search
-from residua.identify.prediction import LaggedSums, ljung_box
+from residua.identify.prediction import ljung_box
 from residua.identify.prediction_errors import predictor
 from residua.identify.segments import Gathered, gather
 from residua.plant import Plant
@@ -268,8 +268,6 @@ def grey_box(
     first = call.plant({p.name: p.start for p in known})
     step = dt if dt is not None or not first.is_discrete else first.dt
     everything = gather(recordings, y, inputs=first.inputs, outputs=first.outputs, dt=step)
-    if not (isinstance(held_out, (int, float)) and 0 <= held_out < 1):
-        raise SettingError(f"held_out must be a fraction from 0 to below 1, got {echo(held_out)}")
     fitted, rest = everything.divided(held_out)
     task = Task(
         call,
@@ -430,11 +428,11 @@ def _checks(
 def _whiteness(errors: list[Matrix]) -> NDArray[np.float64]:
     """Return the probability of the correlation over time in each column if it was white."""
     samples = sum(map(len, errors))
-    sums = LaggedSums(max(min(_LAGS, int(_LAG_SHARE * samples)), 1), errors[0].shape[1])
-    for e in errors:
-        sums.add(e)
-    power = sums.products[0]
-    return ljung_box(sums.products[1:] / np.where(power > 0, power, 1.0), sums.pairs[1:], samples)
+    lags = range(max(min(_LAGS, int(_LAG_SHARE * samples)), 1) + 1)
+    products = np.array([sum((e[lag:] * e[: max(len(e) - lag, 0)]).sum(axis=0) for e in errors) for lag in lags])
+    pairs = np.array([sum(max(len(e) - lag, 0) for e in errors) for lag in lags])
+    power = np.where(products[0] > 0, products[0], 1.0)
+    return ljung_box(products[1:] / power, pairs[1:], samples)
 
 
 def _remarks(

@@ -23,6 +23,8 @@ _ROWS_PER_COLUMN = 24
 _WELL_CONDITIONED = 1e-5
 #: How far from orthonormal the first factorisation may leave the columns, for the second one to be exact to rounding.
 _NEARLY_ORTHOGONAL = 0.1
+#: A prediction error below this part of an output's standard deviation counts as none.
+NOISE_FREE = 1e-7
 #: Parts of the data whose factors are kept, for the spread of estimates between them.
 PARTS = 16
 
@@ -84,33 +86,20 @@ class HankelFactor:
             yield replace(self, R=_triangle(np.vstack(rest)), parts=(), windows=windows)
 
 
-@dataclass(frozen=True, eq=False)
-class Regression:
-    """A least-squares fit among columns of the factor.
+def regress(targets: NDArray, regressors: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the least-squares fit of columns by others, in units that make the regressors equally large.
 
-    Attributes
-    ----------
+    Returns
+    -------
     coefficients : ndarray, shape (targets, regressors)
+        The smallest ones where the regressors determine one another.
     residual : ndarray, shape (rows of the factor, targets)
         Its products are those of the residual of the data.
-    rank : int
-        Of the regressors; the coefficients are the smallest ones where it is not full.
     """
-
-    coefficients: NDArray[np.float64]
-    residual: NDArray[np.float64]
-    rank: int
-
-
-def regress(targets: NDArray, regressors: NDArray) -> Regression:
-    """Return the least-squares fit of columns by others, in units that make the regressors equally large."""
-    k = regressors.shape[1]
-    if not k:
-        return Regression(np.zeros((targets.shape[1], 0)), targets, 0)
     size = np.linalg.norm(regressors, axis=0)
     size = np.where(size > 0, size, 1.0)
-    solution, _, rank, _ = np.linalg.lstsq(regressors / size, targets, rcond=RANK)
-    return Regression((solution / size[:, None]).T, targets - regressors / size @ solution, int(rank))
+    solution = np.linalg.lstsq(regressors / size, targets, rcond=RANK)[0]
+    return (solution / size[:, None]).T, targets - regressors / size @ solution
 
 
 def count_windows(gathered: Gathered, length: int) -> int:
@@ -140,9 +129,8 @@ def hankel_factor(
     reference, units = facts.mean, facts.units
     size = max(_ROWS_PER_COLUMN * columns, 512)
     parts, done = [], 0
-    pieces = _pieces(gathered.segments, length, borders, size)
     current: NDArray | None = None
-    for segment, start, stop, ends in pieces:
+    for segment, start, stop, ends in _pieces(gathered.segments, length, borders, size):
         Z = (segment.rows(start, stop + length - 1) - reference) / units
         block = _hankel_rows(Z, stop - start, length, current)
         current = _triangle(block)
@@ -222,16 +210,6 @@ def _triangle(block: NDArray) -> NDArray[np.float64]:
                 return np.linalg.cholesky(products).T @ first
         except np.linalg.LinAlgError:  # not positive definite to rounding
             pass
-    return _reflected(block)
-
-
-def _reflected(block: NDArray) -> NDArray[np.float64]:
-    """Return the triangular factor by Householder's reflections."""
-    geqrf, query = get_lapack_funcs(("geqrf", "geqrf_lwork"), (block,))
-    work, _ = query(*block.shape)
-    factor, _, _, _ = geqrf(np.asfortranarray(block), lwork=int(work), overwrite_a=True)
-    n = block.shape[1]
-    R = np.zeros((n, n))
-    rows = min(n, len(block))
-    R[:rows] = np.triu(factor[:rows])
+    R = np.zeros((block.shape[1], block.shape[1]))
+    R[: min(block.shape)] = np.linalg.qr(block, mode="r")
     return R

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import DataError, SettingError
-from residua.identify.model_report import IdentificationReport
+from residua.identify.fit_report import IdentificationReport
 from residua.identify.realisation import Innovations, one_step_predictor
 from residua.identify.segments import gather
 from residua.linear.subspaces.rank import range_basis
@@ -159,19 +159,7 @@ class IdentifiedModel:
         >>> float(np.nanstd(seen.error).round(1))
         0.1
         """
-        plant = self.plant
-        gathered = gather(recordings, y, inputs=plant.inputs, outputs=plant.outputs)
-        if gathered.timed and abs(gathered.dt - plant.dt) > REGULAR * plant.dt:
-            raise DataError(f"the model has a step of {plant.dt:g} s, the recordings have {gathered.dt:g} s")
-        point, m = np.array([*plant.operating_point.inputs, *plant.operating_point.outputs]), len(plant.inputs)
-        shapes = [(rows, plant.n_outputs) for rows in gathered.samples]
-        measured, predicted = ([np.full(shape, np.nan) for shape in shapes] for _ in range(2))
-        for segment in gathered.segments:
-            Z = segment.rows(0, len(segment))
-            rows = slice(segment.start, segment.stop)
-            measured[segment.recording][rows] = Z[:, m:]
-            predicted[segment.recording][rows] = self._predicted(Z - point) + point[m:]
-        return tuple(map(Prediction, gathered.sources, measured, predicted))
+        return one_step_predictions(self.plant, recordings, y, self._predicted)
 
     def _predicted(self, Z: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the predictions for inputs and outputs without gaps, all in deviations."""
@@ -215,6 +203,24 @@ class IdentifiedModel:
 
     def __repr__(self) -> str:
         return f"IdentifiedModel(order {self.report.order} by {self.report.method}, {self.plant!r})"
+
+
+def one_step_predictions(
+    plant: Plant, recordings: Any, y: ArrayLike | None, predict: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+) -> tuple[Prediction, ...]:
+    """Return the predictions of recordings by a function of each stretch without gaps, in deviations from the point."""
+    gathered = gather(recordings, y, inputs=plant.inputs, outputs=plant.outputs)
+    if gathered.timed and abs(gathered.dt - plant.dt) > REGULAR * plant.dt:
+        raise DataError(f"the model has a step of {plant.dt:g} s, the recordings have {gathered.dt:g} s")
+    point, m = np.array([*plant.operating_point.inputs, *plant.operating_point.outputs]), len(plant.inputs)
+    shapes = [(rows, plant.n_outputs) for rows in gathered.samples]
+    measured, predicted = ([np.full(shape, np.nan) for shape in shapes] for _ in range(2))
+    for segment in gathered.segments:
+        Z = segment.rows(0, len(segment))
+        rows = slice(segment.start, segment.stop)
+        measured[segment.recording][rows] = Z[:, m:]
+        predicted[segment.recording][rows] = predict(Z - point) + point[m:]
+    return tuple(map(Prediction, gathered.sources, measured, predicted))
 
 
 def with_faults_of(nominal: Plant, plant: Plant | None) -> Plant:

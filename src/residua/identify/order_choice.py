@@ -1,4 +1,4 @@
-"""The order of a model: by singular values, an information criterion and the error on held-out data."""
+"""The rows of the past and the order of a model, by information criteria and the error on held-out data."""
 
 from __future__ import annotations
 
@@ -9,18 +9,97 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import DataError
-from residua.identify.hankel_factor import HankelFactor
-from residua.identify.horizon import log_determinant
-from residua.identify.prediction import ErrorSums, predictions
+from residua.identify.channel_facts import ChannelFacts
+from residua.identify.hankel_factor import NOISE_FREE, HankelFactor, count_windows, hankel_factor
+from residua.identify.prediction import predictions
 from residua.identify.realisation import Innovations, realise
 from residua.identify.segments import Gathered
-from residua.identify.state_map import StateMap
+from residua.identify.subspace_methods import StateMap
 from residua.progress import Progress
+from residua.words import counted
 
+#: Rows from which the past is chosen: that choice need not be exact.
+_ROWS_FOR_PAST = 100_000
+#: Columns of the Hankel matrix of the longest past that is tried, and rows for each of its columns.
+_MOST_COLUMNS, _LEAST_ROWS = 400, 4
+#: The longest past that is tried.
+_LONGEST = 60
 #: Rows on which orders are compared, of those that the model is from and of those held out.
 _ROWS = 50_000
 #: Orders below one that is asked for that it is compared with, where it is larger than those that are compared anyway.
 _BELOW = 3
+
+
+def choose_past(gathered: Gathered, facts: ChannelFacts, *, feedthrough: bool) -> int:
+    """Return the rows of the past that predict the outputs best by Akaike's criterion, corrected for few samples.
+
+    Raises
+    ------
+    DataError
+        If the data are too few for a single row of the past.
+    """
+    data = gathered.shortened(_ROWS_FOR_PAST)
+    n = len(gathered.channels)
+    most = min(_LONGEST, _MOST_COLUMNS // n)
+    while most > 1 and count_windows(data, most + 1) < _LEAST_ROWS * (1 + n * (most + 1)):
+        most -= 1
+    windows = count_windows(data, most + 1)
+    if windows < 2 * (1 + 2 * n):
+        rows = max((len(one) for one in data.segments), default=0)
+        raise DataError(
+            f"too few data for a model of {n} channels: the longest segment without a missing value has {rows} rows, "
+            f"{2 * (1 + 2 * n) + 1} in a row are the least; take fewer channels, or a longer recording"
+        )
+    factor = hankel_factor(data, most + 1, facts)
+    newest_first = [column for time in reversed(range(most)) for column in factor.signals([time])]
+    fixed = [0, *(factor.inputs(most) if feedthrough else [])]
+    T = np.asarray(np.linalg.qr(factor.R[:, [*fixed, *newest_first, *factor.outputs(most)]], mode="r"))
+    outputs = len(gathered.outputs)
+
+    def akaike(past: int) -> float:
+        regressors = len(fixed) + past * n
+        left = windows - regressors - outputs - 1
+        if left <= 0:
+            return np.inf
+        return windows * log_determinant(T[regressors:, -outputs:], windows) + 2 * outputs * regressors * windows / left
+
+    return min(range(1, most + 1), key=akaike)
+
+
+def past_of_order(gathered: Gathered, order: int, least: int) -> int:
+    """Return the rows of the past, ``least`` or more, in which so many states show, and one more for their shift.
+
+    Where the data are too few for the one more, and the least will do without it, it is the least.
+
+    Raises
+    ------
+    DataError
+        If the data have fewer than four windows for each column of that Hankel matrix.
+    """
+    n, p = len(gathered.channels), len(gathered.outputs)
+
+    def enough(past: int) -> int:
+        return _LEAST_ROWS * (1 + n * (past + 1))
+
+    past = max(-(-order // p) + 1, least)
+    windows = count_windows(gathered, past + 1)
+    if windows >= enough(past):
+        return past
+    if order <= least * p:
+        return least
+    smaller = ((k, -(-k // p) + 1) for k in range(order - 1, least * p, -1))
+    largest = next((k for k, rows in smaller if count_windows(gathered, rows + 1) >= enough(rows)), least * p)
+    raise DataError(
+        f"too few data for a model of order {order}: it needs {past} rows of the past of "
+        f"{counted(n, 'channel')}, and there are {windows} such windows where {enough(past)} are the "
+        f"least; the data are enough for order {largest}; choose a smaller order, or give the past yourself"
+    )
+
+
+def log_determinant(residual: NDArray, samples: int) -> float:
+    """Return the logarithm of the determinant of a covariance, from columns whose products over ``samples`` it is."""
+    s = np.linalg.svd(residual, compute_uv=False) / np.sqrt(samples)
+    return 2 * float(np.log(np.maximum(s, NOISE_FREE)).sum())
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,11 +155,19 @@ def choose_order(
     seen, unseen = fitted.shortened(_ROWS, enough), held_out.shortened(_ROWS, enough)
     values, errors = np.full(len(orders), np.inf), np.full(len(orders), np.nan)
     for k, order in enumerate(orders):
-        model = _model(factor, states, order, feedthrough)
-        if model is not None:
-            values[k] = criterion(model, seen, factor, feedthrough=feedthrough)
-            errors[k] = _error(model, unseen, factor)
-        progress("orders", k + 1, len(orders))
+        progress("orders", k, len(orders))
+        try:
+            model = realise(factor, states, order, feedthrough=feedthrough)
+        except DataError:  # no stable predictor has its covariances
+            continue
+        values[k] = criterion(model, seen, factor, feedthrough=feedthrough)
+        pieces = list(predictions(model, unseen, factor.reference, factor.units))
+        if pieces:
+            y, predicted = (np.vstack([piece[i] for piece in pieces]) for i in (1, 2))
+            spread = np.sum((y - y.mean(axis=0)) ** 2, axis=0)
+            share = np.sum((y - predicted) ** 2, axis=0) / np.where(spread > 0, spread, 1.0)
+            errors[k] = np.exp(np.log(np.maximum(share, np.finfo(float).tiny)).mean() / 2)
+    progress("orders", len(orders), len(orders))
     values -= values.min()
     if wanted != "auto":
         return OrderChoice(int(wanted), "as asked for", orders, values, errors)
@@ -94,14 +181,6 @@ def choose_order(
     return OrderChoice(best, reason, orders, values, errors)
 
 
-def _model(factor: HankelFactor, states: StateMap, order: int, feedthrough: bool) -> Innovations | None:
-    """Return the model of an order; ``None`` where no stable predictor has its covariances."""
-    try:
-        return realise(factor, states, order, feedthrough=feedthrough)
-    except DataError:
-        return None
-
-
 def criterion(model: Innovations, fitted: Gathered, factor: HankelFactor, *, feedthrough: bool) -> float:
     r"""Return Schwarz's criterion of a model, by the errors of its own predictor on rows that it is from.
 
@@ -111,20 +190,10 @@ def criterion(model: Innovations, fitted: Gathered, factor: HankelFactor, *, fee
     row would not do: the leading combination of the past alone says nearly all of the next row of a slow output, and
     nothing of the row after.
     """
-    rows, m, p = 0, factor.n_inputs, factor.n_outputs
-    root = np.zeros((0, p))
-    for _, y, predicted in predictions(model, fitted, factor.reference, factor.units):
-        rows += len(y)
-        root = np.asarray(np.linalg.qr(np.vstack([root, y - predicted]), mode="r"))
+    errors = np.vstack(
+        [y - predicted for _, y, predicted in predictions(model, fitted, factor.reference, factor.units)]
+    )
+    (rows, p), m = errors.shape, factor.n_inputs
     parameters = model.order * (2 * p + m) + (p * m if feedthrough else 0)
+    root = np.asarray(np.linalg.qr(errors, mode="r"))
     return rows * log_determinant(root, rows) + parameters * float(np.log(rows))
-
-
-def _error(model: Innovations, held_out: Gathered, factor: HankelFactor) -> float:
-    """Return the prediction error of a model on the held-out part."""
-    sums = ErrorSums(factor.n_outputs)
-    for _, y, predicted in predictions(model, held_out, factor.reference, factor.units):
-        sums.add(y, y - predicted)
-    if not sums.rows:
-        return np.nan
-    return float(np.exp(np.log(np.maximum(sums.share, np.finfo(float).tiny)).mean() / 2))

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import AccuracyError, DataError, DesignError
-from residua.identify.hankel_factor import HankelFactor, regress
-from residua.identify.horizon import NOISE_FREE
-from residua.identify.state_map import StateMap
+from residua.identify.hankel_factor import NOISE_FREE, HankelFactor, regress
+from residua.identify.subspace_methods import StateMap, state_map
 from residua.linear import StateSpace
 from residua.linear.poles.riccati import filter_riccati
 from residua.linear.poles.spectrum import spectral_radius
@@ -66,10 +64,6 @@ class Innovations:
         left = float(np.abs(M @ x - self.state_constant).max(initial=0.0))
         return np.asarray(x, dtype=float), self.C @ x + self.output_constant, left
 
-    def predictor(self) -> StateSpace:
-        """Return what predicts the outputs from inputs and outputs, one row ahead, in deviations from rest."""
-        return one_step_predictor(self.A, self.B, self.C, self.D, self.K, dt=1.0)
-
 
 def one_step_predictor(A: Matrix, B: Matrix, C: Matrix, D: Matrix, K: Matrix, *, dt: float) -> StateSpace:
     r"""Return the filter from inputs and outputs to the outputs predicted one row ahead, of a model with a gain.
@@ -90,38 +84,40 @@ def realise(factor: HankelFactor, states: StateMap, order: int, *, feedthrough: 
     DataError
         If no stable predictor has these covariances.
     """
-    m, p, windows = factor.n_inputs, factor.n_outputs, factor.windows
-    one, x0, u, y, x1 = _signals(factor, states, order)
-    A, C = _from_shift(states, order, p)
-    target = y if C is None else y - x0 @ C.T
-    fit = regress(target, np.hstack([one, *([u] if feedthrough else []), *([x0] if C is None else [])]))
-    c_y, e = fit.coefficients[:, 0], fit.residual
-    D = fit.coefficients[:, 1 : 1 + m] if feedthrough else np.zeros((p, m))
-    C = fit.coefficients[:, fit.coefficients.shape[1] - order :] if C is None else C
-    e = np.where(np.linalg.norm(e, axis=0) > NOISE_FREE * np.sqrt(windows), e, 0.0)
-    target = x1 if A is None else x1 - x0 @ A.T
-    step = regress(target, np.hstack([one, u, *([x0] if A is None else []), e]))
-    c_x, B, K = step.coefficients[:, 0], step.coefficients[:, 1 : 1 + m], step.coefficients[:, -p:]
-    A = step.coefficients[:, 1 + m : 1 + m + order] if A is None else A
-    samples = max(windows - order - 1 - (m if feedthrough else 0), 1)
-    V, W = e.T @ e / samples, step.residual.T @ step.residual / samples
-    K, note = _stable_gain(A, C, K, W, V)
-    return Innovations(A, B, C, D, K, c_x, c_y, V, states.T[:order], states.past, note)
+    R, now, m, p = factor.R, states.past, factor.n_inputs, factor.n_outputs
+    T, one, u, y = states.T[:order], R[:, [0]], R[:, factor.inputs(now)], R[:, factor.outputs(now)]
+    x0, x1 = R[:, factor.signals(range(now))] @ T.T, R[:, factor.signals(range(1, now + 1))] @ T.T
+    A = C = None
+    if states.observability is not None:
+        G = states.observability[:, :order]
+        A, C = np.asarray(np.linalg.lstsq(G[:-p], G[p:], rcond=None)[0], dtype=float), G[:p]
+    given = np.hstack([one, *([u] if feedthrough else []), *([x0] if C is None else [])])
+    fit, e = regress(y if C is None else y - x0 @ C.T, given)
+    D = fit[:, 1 : 1 + m] if feedthrough else np.zeros((p, m))
+    C = fit[:, fit.shape[1] - order :] if C is None else C
+    e = np.where(np.linalg.norm(e, axis=0) > NOISE_FREE * np.sqrt(factor.windows), e, 0.0)
+    step, left = regress(x1 if A is None else x1 - x0 @ A.T, np.hstack([one, u, *([x0] if A is None else []), e]))
+    B, K = step[:, 1 : 1 + m], step[:, -p:]
+    A = step[:, 1 + m : 1 + m + order] if A is None else A
+    samples = max(factor.windows - order - 1 - (m if feedthrough else 0), 1)
+    V = e.T @ e / samples
+    K, note = _stable_gain(A, C, K, left.T @ left / samples, V)
+    return Innovations(A, B, C, D, K, step[:, 0], fit[:, 0], V, T, now, note)
 
 
 def resampled(
-    factor: HankelFactor, states: StateMap, order: int, find: Callable[[HankelFactor], StateMap], *, feedthrough: bool
+    factor: HankelFactor, states: StateMap, order: int, method: str, *, feedthrough: bool
 ) -> list[Innovations]:
     """Return the models of the data without each of their parts in turn, in the coordinates of the whole.
 
-    Their spread is that of the estimate (the jackknife), however the noise is correlated within a part. ``find`` looks
-    for the states again each time: with those of the whole the spread would be too small. A part without which there
+    Their spread is that of the estimate (the jackknife), however the noise is correlated within a part. The states are
+    looked for again each time: with those of the whole the spread would be too small. A part without which there
     is no stable model of this order has none: the list is then shorter than the parts.
     """
     models = []
     now = factor.R[:, factor.signals(range(states.past))]
     for one in factor.without_each_part():
-        own = find(one)
+        own = state_map(method, one, states.past, feedthrough=feedthrough)
         if len(own.T) < order:
             continue
         try:
@@ -129,40 +125,20 @@ def resampled(
         except DataError:  # no stable predictor: counted by who asks
             continue
         # the same states in other coordinates: S takes their own to those of the whole, for the rows of all data
-        S = regress(now @ states.T[:order].T, now @ own.T[:order].T).coefficients
-        models.append(_in_coordinates(model, S))
+        S = regress(now @ states.T[:order].T, now @ own.T[:order].T)[0]
+        back = np.linalg.pinv(S)
+        models.append(
+            replace(
+                model,
+                A=S @ model.A @ back,
+                B=S @ model.B,
+                C=model.C @ back,
+                K=S @ model.K,
+                state_constant=S @ model.state_constant,
+                states=S @ model.states,
+            )
+        )
     return models
-
-
-def _in_coordinates(model: Innovations, S: Matrix) -> Innovations:
-    """Return a model with the states ``S x``."""
-    back = np.linalg.pinv(S)
-    return replace(
-        model,
-        A=S @ model.A @ back,
-        B=S @ model.B,
-        C=model.C @ back,
-        K=S @ model.K,
-        state_constant=S @ model.state_constant,
-        states=S @ model.states,
-    )
-
-
-def _signals(factor: HankelFactor, states: StateMap, order: int) -> tuple[Matrix, ...]:
-    """Return a constant, the states, the inputs, the outputs and the next states, as columns."""
-    R, T, now = factor.R, states.T[:order], states.past
-    x0 = R[:, factor.signals(range(now))] @ T.T
-    x1 = R[:, factor.signals(range(1, now + 1))] @ T.T
-    return R[:, [0]], x0, R[:, factor.inputs(now)], R[:, factor.outputs(now)], x1
-
-
-def _from_shift(states: StateMap, order: int, outputs: int) -> tuple[Matrix | None, Matrix | None]:
-    """Return ``A`` and ``C`` from the shift of the observability matrix, for a method that has one."""
-    if states.observability is None:
-        return None, None
-    G = states.observability[:, :order]
-    A, _, _, _ = np.linalg.lstsq(G[:-outputs], G[outputs:], rcond=None)
-    return np.asarray(A, dtype=float), G[:outputs]
 
 
 def _stable_gain(A: Matrix, C: Matrix, K: Matrix, W: Matrix, V: Matrix) -> tuple[Matrix, str]:
@@ -172,7 +148,9 @@ def _stable_gain(A: Matrix, C: Matrix, K: Matrix, W: Matrix, V: Matrix) -> tuple
         return K, ""
     n, cross = len(A), K @ V
     joint = np.block([[K @ cross.T + W, cross], [cross.T, V]]) + NOISE_FREE**2 * np.eye(n + len(V))
-    joint = _without_negative(joint)
+    size = np.sqrt(np.diag(joint))
+    values, vectors = np.linalg.eigh(joint / np.outer(size, size))  # rounding leaves some of them negative
+    joint = np.outer(size, size) * ((vectors * np.maximum(values, 0.0)) @ vectors.T)
     try:
         solution = filter_riccati(A, C, joint[:n, :n], joint[n:, n:], joint[:n, n:], dt=1.0)
     except (DesignError, AccuracyError) as error:
@@ -184,10 +162,3 @@ def _stable_gain(A: Matrix, C: Matrix, K: Matrix, W: Matrix, V: Matrix) -> tuple
         "Riccati equation for the same covariances"
     )
     return np.asarray(solution.gain), note
-
-
-def _without_negative(joint: Matrix) -> Matrix:
-    """Return a covariance without the negative eigenvalues that rounding left in its correlations."""
-    size = np.sqrt(np.diag(joint))
-    values, vectors = np.linalg.eigh(joint / np.outer(size, size))
-    return np.outer(size, size) * ((vectors * np.maximum(values, 0.0)) @ vectors.T)

@@ -13,7 +13,7 @@ from residua.arrays import runs
 from residua.design import kalman_filter
 from residua.design.core.brought import for_monitor
 from residua.errors import AccuracyError, DataError, DesignError, ModelError, SettingError
-from residua.identify.arx_model import ArxModel
+from residua.identify.arx import ArxModel
 from residua.identify.channel_facts import channel_facts
 from residua.identify.identified_model import IdentifiedModel
 from residua.identify.lagged_rows import KNOWN

@@ -145,13 +145,25 @@ class Gathered:
         ]
 
     def divided(self, held_out: float) -> tuple[Gathered, Gathered]:
-        """Return the first part of each recording, and its last, which is the fraction ``held_out`` of its rows."""
+        """Return the first part of each recording, and its last, which is the fraction ``held_out`` of its rows.
+
+        Raises
+        ------
+        SettingError
+            If that is no fraction from 0 to below 1.
+        DataError
+            If the first part is empty.
+        """
+        if not (isinstance(held_out, (int, float, np.integer, np.floating)) and 0 <= held_out < 1):
+            raise SettingError(f"held_out must be a fraction from 0 to below 1, got {echo(held_out)}")
         first, last = [], []
         for segment in self.segments:
             border = int(np.ceil((1 - held_out) * self.samples[segment.recording])) - segment.start
             border = min(max(border, 0), len(segment))
             first += [segment.cut(0, border)] if border else []
             last += [segment.cut(border, len(segment))] if border < len(segment) else []
+        if not first:
+            raise DataError("nothing is left to identify from: hold out less")
         return self.with_segments(first), self.with_segments(last)
 
     def shortened(self, rows: int, least: int = 1) -> Gathered:
