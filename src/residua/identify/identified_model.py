@@ -347,3 +347,16 @@ def with_input_delays(plant: Plant, delays: Mapping[str, int]) -> Plant:
     if not plant.Bw.shape[1]:
         return made
     return made.with_noise_input(np.vstack([plant.Bw, np.zeros((total, plant.Bw.shape[1]))]), plant.Dw)
+
+
+def with_channel_faults(plant: Plant, *, sensors: bool, actuators: bool) -> Plant:
+    """Return the plant with a fault of every output, of every input that has an effect, or both."""
+    plant = plant.with_sensor_faults() if sensors else plant
+    idle = idle_inputs(plant)
+    effective = [name for name in plant.inputs if name not in idle]
+    return plant.with_actuator_faults(effective) if actuators and effective else plant
+
+
+def idle_inputs(plant: Plant) -> list[str]:
+    """Return the inputs that do nothing in the model."""
+    return [name for name, b, d in zip(plant.inputs, plant.B.T, plant.D.T, strict=True) if not (b.any() or d.any())]

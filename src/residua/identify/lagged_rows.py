@@ -149,3 +149,9 @@ def few_rows(count: int, columns: int) -> tuple[str, ...]:
         f"{counted(count, 'row')} for {columns} columns: the covariance is known badly, and the thresholds of a "
         f"monitor have to come from other rows than these ({KNOWN * columns} would do)",
     )
+
+
+def with_signs(directions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return directions, one a column, with their largest entries positive."""
+    largest = directions[np.abs(directions).argmax(axis=0), np.arange(directions.shape[1])]
+    return directions * np.where(largest < 0, -1.0, 1.0)

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from residua.arrays import runs
+from residua.decide.alarm import Alarm
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator
 from residua.errors import DataError, SettingError
-from residua.identify.channel_facts import channel_facts
-from residua.identify.channel_filter import channel_generator
-from residua.identify.drift_treatment import KEEP, Treated, treated, untreated
-from residua.identify.hankel_factor import count_windows
-from residua.identify.lagged_rows import LaggedRows, channels_in, enough_windows, few_rows, lagged_of
-from residua.identify.parity_memory import Alarms, ParityMemory, checked_forgetting, without_alarms
-from residua.identify.segments import Names, checked_count, gather
+from residua.identify.channel_facts import ChannelFacts, channel_facts
+from residua.identify.channel_filter import KEEP, Treated, channel_generator, treated, untreated
+from residua.identify.hankel_factor import HankelFactor, count_windows, discounted_factor
+from residua.identify.lagged_rows import LaggedRows, Standard, channels_in, enough_windows, few_rows, lagged_of
+from residua.identify.segments import Gathered, Names, checked_count, gather
 from residua.linear.subspaces.rank import RankDecision, null_basis
 from residua.progress import Progress, progress_of
 from residua.recording.time_axis import REGULAR
@@ -32,6 +32,8 @@ _CHANCE = 10.0
 #: A gap of the correlations below this factor is no clear one.
 _CLEAR = 2.0
 _METHOD = "parity relations from data"
+#: The alarms of one recording: for each row whether one stands, or the alarms of a diagnosis.
+Alarms = ArrayLike | Sequence[Alarm] | None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -148,7 +150,12 @@ class DataParity:
         0.8
         0.6
         """
-        memory, weight = self.memory, checked_forgetting(forgetting)
+        memory = self.memory
+        number = isinstance(forgetting, (int, float, np.integer, np.floating)) and not isinstance(forgetting, bool)
+        if not number or not 0 < forgetting <= 1:
+            raise SettingError(
+                f"forgetting must be above 0 and at most 1 (nothing is forgotten), got {echo(forgetting)}"
+            )
         other = [name for name, way in self.drifts.items() if way != KEEP]
         if other:
             raise SettingError(
@@ -166,7 +173,7 @@ class DataParity:
             return replace(self, generator=replace(self.generator, evidence=evidence))
         facts = channel_facts(gathered)
         facts.check_size()
-        after = memory.updated(gathered, weight)
+        after = memory.updated(gathered, float(forgetting))
         units = after.standard(facts)
         kept = replace(untreated(gathered, units), ways=self.drifts)
         made = _parity(after, kept, after.lagged(units), self.relations, notes)
@@ -306,6 +313,191 @@ def parity_from_data(
         close()
 
 
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """The sum of weights, and of their squares: with all of them one, the number of what is weighted."""
+
+    total: float
+    squares: float
+
+    @property
+    def effective(self) -> float:
+        """As many equal weights would know a mean as well."""
+        return self.total**2 / self.squares
+
+    def and_new(self, count: int, forgetting: float) -> Weights:
+        """Return the weights after so many new ones, the last of which is one."""
+        new = forgetting ** np.arange(count)
+        old = forgetting**count
+        return Weights(old * self.total + float(new.sum()), old**2 * self.squares + float((new**2).sum()))
+
+
+@dataclass(frozen=True, eq=False)
+class ParityMemory:
+    r"""The factor of all windows so far, each with the weight that forgetting leaves it, and the channels' moments.
+
+    .. math:: R^T R = \sum_k \lambda^{K - k} h_k h_k^T
+
+    Attributes
+    ----------
+    hankel : HankelFactor
+        ``R``, with the units and the reference of the first recordings.
+    windows, rows : Weights
+    mean, scatter : ndarray, shape (channels,)
+        Weighted mean of each channel, and the sum of weighted squares about it.
+    inputs, outputs : tuple of str
+    dt : float
+    poles : tuple of complex or None
+        Of the residuals.
+    """
+
+    hankel: HankelFactor
+    windows: Weights
+    rows: Weights
+    mean: NDArray[np.float64]
+    scatter: NDArray[np.float64]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    dt: float
+    poles: tuple[complex, ...] | None
+
+    @classmethod
+    def of(
+        cls, hankel: HankelFactor, gathered: Gathered, units: Standard, poles: Sequence[complex] | None
+    ) -> ParityMemory:
+        """Return what is remembered of the first recordings."""
+        count, rows = float(hankel.windows), float(gathered.n_samples)
+        return cls(
+            replace(hankel, parts=()),
+            Weights(count, count),
+            Weights(rows, rows),
+            units.mean,
+            units.facts.deviation**2 * rows,
+            gathered.inputs,
+            gathered.outputs,
+            gathered.dt,
+            None if poles is None else tuple(complex(one) for one in np.atleast_1d(np.asarray(poles, dtype=complex))),
+        )
+
+    def standard(self, facts: ChannelFacts) -> Standard:
+        """Return mean and standard deviation of each channel over all that is remembered.
+
+        Raises
+        ------
+        DataError
+            If a channel no longer changes.
+        """
+        known = self.rows.effective
+        spread = np.sqrt(self.scatter / self.rows.total * known / (known - 1))
+        channels = self.inputs + self.outputs
+        still = [
+            name
+            for name, one, mean in zip(channels, spread, self.mean, strict=True)
+            if one <= DATA_ROUNDING * abs(mean)
+        ]
+        if still:
+            raise DataError(
+                f"{listed(still)} no longer {'changes' if len(still) == 1 else 'change'} in what is remembered: take a "
+                "forgetting nearer to 1, or a recording in which they move"
+            )
+        return Standard(facts, self.mean, spread)
+
+    def lagged(self, units: Standard) -> LaggedRows:
+        """Return the lagged rows, as many of them as the weights are worth."""
+        known = self.windows.effective
+        made = lagged_of(self.hankel, units, round(known))
+        return replace(made, factor=made.factor * np.sqrt(known / self.windows.total))
+
+    def updated(self, gathered: Gathered, forgetting: float) -> ParityMemory:
+        """Return the memory after new rows: each window takes ``forgetting`` of the weight of those before it.
+
+        Raises
+        ------
+        DataError
+            If what is remembered is worth fewer windows than the relations have columns.
+        """
+        length = self.hankel.length
+        new = count_windows(gathered, length)
+        windows = self.windows.and_new(new, forgetting)
+        columns = length * self.hankel.n_channels
+        if windows.effective <= columns + 1:
+            raise DataError(
+                f"with forgetting={forgetting:g} {counted(round(windows.effective), 'window')} are remembered, and "
+                f"relations over {length} rows of {self.hankel.n_channels} channels need more than {columns + 1}: take "
+                f"at least {1 - 2 / (columns + 3):.6g}, or {1 - 2 / (10 * columns):.6g} to know them well"
+            )
+        hankel = discounted_factor(self.hankel, gathered, forgetting)
+        mean, scatter, rows = self.mean, self.scatter, self.rows
+        for _, block in gathered.blocks():
+            count = len(block)
+            weights = forgetting ** np.arange(count - 1, -1, -1)
+            share = weights / weights.sum()
+            there = mean + share @ (block - mean)
+            left = forgetting**count
+            after = rows.and_new(count, forgetting)
+            apart = (there - mean) ** 2 * (left * rows.total) * weights.sum() / after.total
+            scatter = left * scatter + weights @ (block - there) ** 2 + apart
+            mean = mean + (there - mean) * (weights.sum() / after.total)
+            rows = after
+        return replace(self, hankel=hankel, windows=windows, rows=rows, mean=mean, scatter=scatter)
+
+
+def without_alarms(gathered: Gathered, alarms: Alarms | Sequence[Alarms]) -> tuple[Gathered, int]:
+    """Return recordings cut where an alarm stands, as where a value is missing, and how many rows that leaves out.
+
+    Parameters
+    ----------
+    gathered : Gathered
+    alarms : array_like of bool, sequence of Alarm, or a sequence of these
+        One for each recording where there are several.
+
+    Raises
+    ------
+    SettingError
+        If there is not one for each recording, or not a value for each row.
+    """
+    if alarms is None:
+        return gathered, 0
+    several = len(gathered.samples) > 1
+    each: list[Any] = list(alarms) if several and isinstance(alarms, Iterable) else [alarms]
+    if len(each) != len(gathered.samples):
+        raise SettingError(
+            f"alarms must have one entry for each of {counted(len(gathered.samples), 'recording')}, got {len(each)}"
+        )
+    standing = [np.zeros(rows, dtype=bool) for rows in gathered.samples]
+    for one, rows in zip(each, standing, strict=True):
+        if one is None:
+            continue
+        if isinstance(one, Sequence) and all(isinstance(alarm, Alarm) for alarm in one):
+            for alarm in one:
+                rows[_first_row(alarm, gathered.dt) : alarm.stop] = True
+            continue
+        given = np.asarray(one)
+        if given.dtype != bool or given.shape != rows.shape:
+            raise SettingError(
+                f"alarms must be {len(rows)} booleans, one for each row of the recording, or the alarms of a "
+                f"diagnosis; got values of type {given.dtype} in the shape {given.shape}"
+            )
+        rows[:] = given
+    segments = []
+    for segment in gathered.segments:
+        quiet = ~standing[segment.recording][segment.start : segment.stop]
+        segments += [segment.cut(start, stop) for start, stop in runs(quiet).tolist()]
+    kept = gathered.with_segments(segments)
+    return kept, gathered.n_samples - kept.n_samples
+
+
+def _first_row(alarm: Alarm, dt: float) -> int:
+    """Return the earliest row at which the cause of an alarm may have begun; the first one where that is not known."""
+    if alarm.began is None:
+        since = alarm.onset
+    elif alarm.began.earliest is None:
+        return 0
+    else:
+        since = min(alarm.began.earliest, alarm.onset)
+    return max(alarm.start - int(np.ceil((alarm.raised - since) / dt)), 0)
+
+
 def _parity(
     memory: ParityMemory,
     channels: Treated,
@@ -321,7 +513,15 @@ def _parity(
     correlations, directions, chance = _correlations(stacked, s, m, memory.inputs)
     most = (q - m) * (s + 1)
     supported = min(most, int(np.count_nonzero(correlations <= chance)))
-    k = _count(relations, supported, most, correlations, chance, s)
+    k = supported if relations is None else checked_count(relations, "relations", 1)
+    if not k:
+        raise DataError(
+            f"past and inputs foretell every combination of {s + 1} samples better than by chance (smallest "
+            f"correlation {correlations[-1]:.3g}, by chance {chance:.3g}): no relation of order {s} holds; raise "
+            "order, name inputs that are missing, or ask for those that hold best, relations=..."
+        )
+    if k > most:
+        raise SettingError(f"relations of order {s} are {most} at most, got {k}")
     basis = np.linalg.qr(directions[:, ::-1][:, :k])[0]
     basis *= np.sign(basis[np.abs(basis).argmax(axis=0), np.arange(k)])
     vectors = basis.T.reshape(k, s + 1, q)
@@ -361,8 +561,14 @@ def _correlations(
     outputs = stacked.columns(window, range(m, q))
     R = stacked.rearranged([*known, *outputs]) / np.sqrt(stacked.count)
     n, n_past = len(known), (s + 1) * q
-    if m:
-        _check_excitation(R[:n, n_past:n], inputs, s)
+    still, decision = null_basis(R[:n, n_past:n], rtol=DATA_ROUNDING, scale=1.0)
+    if m and still.size:  # a relation may be one of inputs alone
+        raise DataError(
+            f"{s + 1} samples of {listed(channels_in(still, inputs, DATA_ROUNDING))} determine one another (smallest "
+            f"singular value {decision.singular_values[-1]:.2g} of their spread): the recording does not excite the "
+            "plant enough for relations of this order; record with inputs that move more freely, lower order, or "
+            "leave an input out"
+        )
     ours = R[:, n_past:]  # inputs of the window, then its outputs
     T = np.linalg.qr(np.vstack([ours, DATA_ROUNDING * np.eye(ours.shape[1])]), mode="r")
     inverse = np.linalg.inv(T)
@@ -374,38 +580,6 @@ def _correlations(
     order = [place[column] for column in stacked.columns(window)]
     limit = _CHANCE * n / (_CHANCE * n + stacked.count - n)
     return correlations, combinations[order], float(np.sqrt(limit))
-
-
-def _check_excitation(factor: NDArray[np.float64], inputs: tuple[str, ...], s: int) -> None:
-    """Raise where samples of the inputs determine one another: then a relation may be one of inputs alone."""
-    still, decision = null_basis(factor, rtol=DATA_ROUNDING, scale=1.0)
-    if not still.size:
-        return
-    names = channels_in(still, inputs, DATA_ROUNDING)
-    smallest = decision.singular_values[-1]
-    raise DataError(
-        f"{s + 1} samples of {listed(names)} determine one another (smallest singular value {smallest:.2g} of their "
-        "spread): the recording does not excite the plant enough for relations of this order; record with inputs that "
-        "move more freely, lower order, or leave an input out"
-    )
-
-
-def _count(
-    relations: int | None, supported: int, most: int, correlations: NDArray[np.float64], chance: float, s: int
-) -> int:
-    """Return how many relations are used."""
-    if relations is None:
-        if supported:
-            return supported
-        raise DataError(
-            f"past and inputs foretell every combination of {s + 1} samples better than by chance (smallest "
-            f"correlation {correlations[-1]:.3g}, by chance {chance:.3g}): no relation of order {s} holds; raise "
-            "order, name inputs that are missing, or ask for those that hold best, relations=..."
-        )
-    k = checked_count(relations, "relations", 1)
-    if k > most:
-        raise SettingError(f"relations of order {s} are {most} at most, got {k}")
-    return k
 
 
 def _about_the_gap(

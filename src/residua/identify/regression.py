@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator
 from residua.errors import SettingError
-from residua.identify.channel_filter import channel_generator
-from residua.identify.drift_treatment import untreated
+from residua.identify.channel_filter import channel_generator, untreated
 from residua.identify.lagged_rows import channels_in, few_rows, lagged_rows, standard
 from residua.identify.segments import Names, checked_count, gather
 from residua.linear.subspaces.rank import null_basis, range_basis
@@ -144,26 +143,22 @@ def regression(
     weights = np.zeros((lags + 1, q - m, q))
     weights[0, :, m:] = np.diag(size)
     weights[:, :, :m] = -theta.reshape(lags + 1, m, q - m).transpose(0, 2, 1) * size[:, None]
+    still, _ = null_basis(X, rtol=DATA_ROUNDING)
+    shared = ()
+    if still.size:
+        names = listed(channels_in(still, gathered.inputs, DATA_ROUNDING))
+        shared = (
+            f"{counted(still.shape[1], 'combination')} of {names} never moved: they determine one another, and share "
+            "their coefficients",
+        )
     evidence = Evidence(
         _METHOD,
         ranks={"inputs": decision},
         conditions={"least part explained": float(explained.min())},
-        notes=(*few_rows(stacked.count, len(known) + 1), *units.facts.repeated_outputs(), *_shared(X, gathered.inputs)),
+        notes=(*few_rows(stacked.count, len(known) + 1), *units.facts.repeated_outputs(), *shared),
         references=("Draper and Smith (1998)",),
     )
     groups = dict.fromkeys(gathered.outputs, 1)
     generator = channel_generator(untreated(gathered, units, units.facts.notes(gathered)), weights, groups, evidence)
     coefficients = -weights[:, :, :m] / units.spread[:m]
     return Regression(generator, lags, coefficients, explained, units.mean, stacked.count)
-
-
-def _shared(factor: NDArray[np.float64], inputs: tuple[str, ...]) -> tuple[str, ...]:
-    """Return a note where inputs determine one another."""
-    still, _ = null_basis(factor, rtol=DATA_ROUNDING)
-    if not still.size:
-        return ()
-    names = channels_in(still, inputs, DATA_ROUNDING)
-    return (
-        f"{counted(still.shape[1], 'combination')} of {listed(names)} never moved: they determine one another, and "
-        "share their coefficients",
-    )
