@@ -16,7 +16,7 @@ from residua.identify.channel_facts import ChannelFacts
 from residua.identify.fit_report import SteadyGain
 from residua.identify.hankel_factor import NOISE_FREE, HankelFactor, count_windows, discounted_factor
 from residua.identify.identified_model import plant_of, with_input_delays
-from residua.identify.realisation import Innovations
+from residua.identify.prediction import Innovations
 from residua.identify.segments import Gathered
 from residua.linear import PolynomialMatrix
 from residua.linear.subspaces.rank import range_basis

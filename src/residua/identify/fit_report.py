@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from residua.design.core.evidence import format_pole
 from residua.identify.channel_facts import ChannelFacts
 from residua.identify.hankel_factor import HankelFactor, regress
-from residua.identify.prediction import CHANCE, ErrorFacts, error_facts, rows_to_forget
-from residua.identify.realisation import Innovations
+from residua.identify.prediction import CHANCE, ErrorFacts, Innovations, error_facts, rows_to_forget
 from residua.identify.segments import Gathered
 from residua.linear.poles.spectrum import spectral_radius
 from residua.plant import Identification

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import DataError, SettingError
 from residua.identify.fit_report import IdentificationReport
-from residua.identify.realisation import Innovations, one_step_predictor
+from residua.identify.prediction import Innovations, one_step_predictor
 from residua.identify.segments import gather
 from residua.linear.subspaces.rank import range_basis
 from residua.plant import OperatingPoint, Perturbation, Plant, UncertainPlant

@@ -115,15 +115,22 @@ def jacobian(
     z = np.array(point, dtype=float)
     f = checked(function, rows)
     look = first_look(f, z, columns, sizes)
-    picked = [_best_column(f, z, j, candidates, look) for j, candidates in enumerate(look.candidates)]
-    chosen = np.array([column.size for column in picked])
-    matrix = np.column_stack([np.zeros((len(rows), 0)), *(column.slope for column in picked)])
-    error = np.column_stack([np.zeros((len(rows), 0)), *(column.error for column in picked)])
-    terms = np.maximum(look.terms, (np.abs(matrix) * chosen).sum(axis=1))
-    _refuse_kinks(picked, rows, columns, z)
-    matrix, error, exact, reason = _complex_or_not(function, z, chosen, matrix, error, terms)
-    out = Jacobian(matrix, error, chosen, terms, exact, (*look.notes, *reason))
-    relative = error * chosen / np.maximum(terms, TINY)[:, None]
+    columns_of = [_extrapolated(f, z, look, j) for j in range(len(z))]
+    size = look.sizes
+    matrix = np.column_stack([np.zeros((len(rows), 0)), *(column.slope for column in columns_of)])
+    error = np.column_stack([np.zeros((len(rows), 0)), *(column.error for column in columns_of)])
+    terms = np.maximum(look.terms, (np.abs(matrix) * size).sum(axis=1))
+    _refuse_kinks(columns_of, rows, columns, z)
+    exact, why = False, "its complex derivative is another one (abs, sign or real parts do that)"
+    try:
+        by_complex = _by_complex_step(function, z, size, matrix.shape)
+        off = np.abs(by_complex - matrix)
+        allowed = _CLEAR * error + IDENTITY * terms[:, None] / size
+        exact = bool(np.isfinite(by_complex).all() and np.all(off <= allowed))
+        matrix, error = (by_complex, off) if exact else (matrix, error)
+    except Exception as problem:  # whatever a user's function raises when it meets a complex number
+        why = f"it takes no complex numbers ({type(problem).__name__})"
+    relative = error * size / np.maximum(terms, TINY)[:, None]
     if relative.max(initial=0.0) > _ACCEPTED:
         i, j = np.unravel_index(int(relative.argmax()), relative.shape)
         raise AccuracyError(
@@ -131,12 +138,10 @@ def jacobian(
             f"{number(error[i, j], 2)}, {number(relative[i, j], 2)} of the terms of its row (limit {_ACCEPTED:g}): the "
             f"function is noisy or nearly not smooth there; give sizes={{{columns[j]!r}: ...}}, its usual change"
         )
-    nothing = np.abs(matrix) * chosen <= RESIDUE * terms[:, None]
+    nothing = np.abs(matrix) * size <= RESIDUE * terms[:, None]
     matrix = np.where(nothing if exact else nothing | (np.abs(matrix) <= error), 0.0, matrix)
-    return Jacobian(matrix, error, out.sizes, out.terms, exact, out.notes)
-
-
-# --------------------------------------------------------------- the function
+    notes = look.notes if exact else (*look.notes, f"the derivative is by differences: {why}")
+    return Jacobian(matrix, error, size, terms, exact, notes)
 
 
 def checked(function: Function, rows: tuple[str, ...]) -> Callable[[Vector], Vector]:
@@ -167,8 +172,6 @@ class FirstLook:
     value, terms : ndarray, shape (rows,)
     slopes : ndarray, shape (rows, columns)
     sizes : ndarray, shape (columns,)
-    candidates : list of tuple of float
-        The sizes that each variable may have.
     notes : tuple of str
     """
 
@@ -176,7 +179,6 @@ class FirstLook:
     terms: Vector
     slopes: Matrix
     sizes: Vector
-    candidates: list[tuple[float, ...]]
     notes: tuple[str, ...]
 
 
@@ -187,29 +189,6 @@ def first_look(
     value = f(z)
     if not np.isfinite(value).all():
         raise ModelError(f"the function gives {echo(value.tolist())} at {echo(z.tolist())}: no finite numbers")
-    given = _given_sizes(sizes, columns)
-    slopes = np.zeros((len(value), len(z)))
-    known = np.where(given > 0, given, np.abs(z))
-    for j in np.flatnonzero(known):
-        slopes[:, j] = _rough_slope(f, z, value, int(j), known[j])
-    terms = np.maximum((np.abs(slopes) * known).sum(axis=1), np.abs(value))
-    candidates, notes = [], []
-    for j, own in enumerate(known):
-        little = bool((np.abs(slopes[:, j]) * own <= _NEGLIGIBLE * terms).all())
-        if given[j] > 0 or not little:
-            candidates.append((float(own),))
-            continue
-        effect = _size_of_effect(f, z, j, terms)
-        if not effect and not own:
-            notes.append(columns[j])
-        candidates.append(tuple(dict.fromkeys((effect, own) if effect and own else (effect or own or 1.0,))))
-        known[j] = candidates[-1][0]
-        slopes[:, j] = _rough_slope(f, z, value, j, known[j])
-    said = (f"no size is known of {some(notes)}: steps are fractions of 1; sizes={{name: size}} tells it",)
-    return FirstLook(value, terms, slopes, known, candidates, said if notes else ())
-
-
-def _given_sizes(sizes: Mapping[str, float] | None, columns: tuple[str, ...]) -> Vector:
     given = np.zeros(len(columns))
     for name, size in (sizes or {}).items():
         if name not in columns:
@@ -217,7 +196,20 @@ def _given_sizes(sizes: Mapping[str, float] | None, columns: tuple[str, ...]) ->
         if not (isinstance(size, (int, float, np.number)) and np.isfinite(size) and size > 0):
             raise ModelError(f"sizes[{name!r}] must be a positive number, got {echo(size)}")
         given[columns.index(name)] = float(size)
-    return given
+    slopes = np.zeros((len(value), len(z)))
+    known = np.where(given > 0, given, np.abs(z))
+    for j in np.flatnonzero(known):
+        slopes[:, j] = _rough_slope(f, z, value, int(j), known[j])
+    terms = np.maximum((np.abs(slopes) * known).sum(axis=1), np.abs(value))
+    sizeless = []
+    for j in np.flatnonzero((given == 0) & (np.abs(slopes) * known <= _NEGLIGIBLE * terms[:, None]).all(axis=0)):
+        effect = _size_of_effect(f, z, int(j), terms)
+        if not effect and not known[j]:
+            sizeless.append(columns[j])
+        known[j] = effect or known[j] or 1.0
+        slopes[:, j] = _rough_slope(f, z, value, int(j), known[j])
+    said = (f"no size is known of {some(sizeless)}: steps are fractions of 1; sizes={{name: size}} tells it",)
+    return FirstLook(value, terms, slopes, known, said if sizeless else ())
 
 
 def _moved(z: Vector, j: int, step: float) -> Vector:
@@ -254,14 +246,10 @@ def _size_of_effect(f: Callable[[Vector], Vector], z: Vector, j: int, terms: Vec
     return size if share > 0 or not np.isfinite(share) else 0.0
 
 
-# ---------------------------------------------------------------- differences
-
-
 @dataclass(frozen=True, eq=False)
 class _Column:
     """Slopes over one variable: extrapolated, their errors, and rows whose one-sided slopes disagree."""
 
-    size: float
     slope: Vector
     error: Vector
     kinks: NDArray[np.bool_]
@@ -270,18 +258,9 @@ class _Column:
     outside: bool
 
 
-def _best_column(
-    f: Callable[[Vector], Vector], z: Vector, j: int, candidates: tuple[float, ...], look: FirstLook
-) -> _Column:
-    """Return the column by the size that gives the smallest error; one with a kink only where every size does."""
-    made = [_extrapolated(f, z, look, j, size) for size in candidates]
-    terms = np.maximum(look.terms, TINY)
-    return min(made, key=lambda c: (c.kinks.any() or c.outside, float((c.error * c.size / terms).max(initial=0.0))))
-
-
-def _extrapolated(f: Callable[[Vector], Vector], z: Vector, look: FirstLook, j: int, size: float) -> _Column:
+def _extrapolated(f: Callable[[Vector], Vector], z: Vector, look: FirstLook, j: int) -> _Column:
     """Extrapolate central differences to a step of zero, and compare the slopes to both sides."""
-    value, steps = look.value, size * 2.0**-_POWERS
+    value, steps = look.value, look.sizes[j] * 2.0**-_POWERS
     up, down = (np.array([f(_moved(z, j, sign * h)) for h in steps]) for sign in (1, -1))
     # what was added is a little different from the step
     width_up, width_down = (z[j] + steps) - z[j], z[j] - (z[j] - steps)
@@ -297,7 +276,7 @@ def _extrapolated(f: Callable[[Vector], Vector], z: Vector, look: FirstLook, j: 
     last, before = spread[-1], spread[-1 - _KINK_STEPS]
     kinks = (last > _KINK * before) & (last > _CLEAR * noise[-1])
     outside = not (np.isfinite(up[-1]).all() and np.isfinite(down[-1]).all())
-    return _Column(size, slope, error, kinks, ahead[-1], behind[-1], outside)
+    return _Column(slope, error, kinks, ahead[-1], behind[-1], outside)
 
 
 def _romberg(central: Matrix, noise: Matrix) -> tuple[Vector, Vector]:
@@ -338,26 +317,6 @@ def _refuse_kinks(picked: list[_Column], rows: tuple[str, ...], columns: tuple[s
             "root of zero (or from a function with numerical noise): linearise at a point beside it, or use a "
             "smooth form"
         )
-
-
-# --------------------------------------------------------------- complex step
-
-
-def _complex_or_not(
-    function: Function, z: Vector, sizes: Vector, matrix: Matrix, error: Matrix, terms: Vector
-) -> tuple[Matrix, Matrix, bool, tuple[str, ...]]:
-    """Return the derivative by complex step where it agrees with that by differences, or the latter and why."""
-    try:
-        exact = _by_complex_step(function, z, sizes, matrix.shape)
-    except Exception as problem:  # whatever a user's function raises when it meets a complex number
-        why = f"it takes no complex numbers ({type(problem).__name__})"
-        return matrix, error, False, (f"the derivative is by differences: {why}",)
-    off = np.abs(exact - matrix)
-    allowed = _CLEAR * error + IDENTITY * terms[:, None] / sizes
-    if not (np.isfinite(exact).all() and np.all(off <= allowed)):
-        why = "its complex derivative is another one (abs, sign or real parts do that)"
-        return matrix, error, False, (f"the derivative is by differences: {why}",)
-    return exact, off, True, ()
 
 
 def _by_complex_step(function: Function, z: Vector, sizes: Vector, shape: tuple[int, int]) -> Matrix:

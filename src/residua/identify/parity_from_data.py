@@ -15,9 +15,20 @@ from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator
 from residua.errors import DataError, SettingError
 from residua.identify.channel_facts import ChannelFacts, channel_facts
-from residua.identify.channel_filter import KEEP, Treated, channel_generator, treated, untreated
+from residua.identify.channel_filter import (
+    KEEP,
+    LaggedRows,
+    Standard,
+    Treated,
+    channel_generator,
+    channels_in,
+    enough_windows,
+    few_rows,
+    lagged_of,
+    treated,
+    untreated,
+)
 from residua.identify.hankel_factor import HankelFactor, count_windows, discounted_factor
-from residua.identify.lagged_rows import LaggedRows, Standard, channels_in, enough_windows, few_rows, lagged_of
 from residua.identify.segments import Gathered, Names, checked_count, gather
 from residua.linear.subspaces.rank import RankDecision, null_basis
 from residua.progress import Progress, progress_of

@@ -1,4 +1,4 @@
-"""One-step predictions of a model on data, and what their errors say: fit, whiteness, feedback."""
+"""Models in innovation form, their one-step predictions of data, and the errors: fit, whiteness, feedback."""
 
 from __future__ import annotations
 
@@ -8,16 +8,71 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.identify.realisation import Innovations, one_step_predictor
 from residua.identify.segments import BLOCK, Gathered
 from residua.linear import StateSpace
 from residua.linear.poles.spectrum import spectral_radius
-from residua.tolerances import TINY
+from residua.tolerances import IDENTITY, TINY
 
+Matrix = NDArray[np.float64]
 #: Rows by which errors are compared with themselves and with inputs.
 LAGS = 20
 #: Correlations that chance gives once in so many data sets count as real, all lags and channels together.
 CHANCE = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Innovations:
+    r"""A model in innovation form, in units of the factor.
+
+    .. math:: x_{k+1} = A x_k + B u_k + K e_k + c_x, \qquad y_k = C x_k + D u_k + c_y + e_k
+
+    Attributes
+    ----------
+    A, B, C, D, K : ndarray
+    state_constant, output_constant : ndarray
+    covariance : ndarray
+        Of the innovations.
+    states : ndarray, shape (n, past rows x channels)
+        What takes the past to the states.
+    past : int
+    note : str
+        The repair of the gain, if it needed one.
+    """
+
+    A: Matrix
+    B: Matrix
+    C: Matrix
+    D: Matrix
+    K: Matrix
+    state_constant: Matrix
+    output_constant: Matrix
+    covariance: Matrix
+    states: Matrix
+    past: int
+    note: str = ""
+
+    @property
+    def order(self) -> int:
+        """Number of states."""
+        return len(self.A)
+
+    def at_rest(self) -> tuple[Matrix, Matrix, float]:
+        """Return states and outputs at rest for inputs of zero, and what of the constants no rest balances."""
+        n = self.order
+        if not n:
+            return np.zeros(0), self.output_constant, 0.0
+        M = np.eye(n) - self.A
+        x, _, _, _ = np.linalg.lstsq(M, self.state_constant, rcond=IDENTITY)
+        left = float(np.abs(M @ x - self.state_constant).max(initial=0.0))
+        return np.asarray(x, dtype=float), self.C @ x + self.output_constant, left
+
+
+def one_step_predictor(A: Matrix, B: Matrix, C: Matrix, D: Matrix, K: Matrix, *, dt: float) -> StateSpace:
+    r"""Return the filter from inputs and outputs to the outputs predicted one row ahead, of a model with a gain.
+
+    .. math:: x_{k+1} = (A - K C) x_k + (B - K D) u_k + K y_k, \qquad \hat y_k = C x_k + D u_k
+    """
+    return StateSpace(A - K @ C, np.hstack([B - K @ D, K]), C, np.hstack([D, np.zeros((len(C), len(C)))]), dt=dt)
 
 
 @dataclass(frozen=True, eq=False)

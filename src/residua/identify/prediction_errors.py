@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import DataError, ModelError
-from residua.identify.realisation import one_step_predictor
+from residua.identify.prediction import one_step_predictor
 from residua.linear.poles.riccati import filter_riccati
 from residua.linear.poles.spectrum import spectral_radius
 from residua.linear.subspaces.rank import range_basis

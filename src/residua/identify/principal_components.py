@@ -13,8 +13,16 @@ from residua.decide.norm_threshold import NormThreshold
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator
 from residua.errors import DataError, SettingError
-from residua.identify.channel_filter import channel_generator, names_of_groups, treated
-from residua.identify.lagged_rows import KNOWN, channels_in, few_rows, lagged_rows, with_signs
+from residua.identify.channel_filter import (
+    KNOWN,
+    channel_generator,
+    channels_in,
+    few_rows,
+    lagged_rows,
+    names_of_groups,
+    treated,
+    with_signs,
+)
 from residua.identify.segments import Names, checked_count, gather
 from residua.linear.subspaces.rank import RankDecision
 from residua.tolerances import RANK

@@ -15,8 +15,8 @@ from residua.design.core.brought import for_monitor
 from residua.errors import AccuracyError, DataError, DesignError, ModelError, SettingError
 from residua.identify.arx import ArxModel
 from residua.identify.channel_facts import channel_facts
+from residua.identify.channel_filter import KNOWN
 from residua.identify.identified_model import IdentifiedModel
-from residua.identify.lagged_rows import KNOWN
 from residua.identify.principal_components import principal_components
 from residua.identify.segments import Gathered, Names, Segment, checked_count, gather
 from residua.shown import Shown

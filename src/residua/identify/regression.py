@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator
 from residua.errors import SettingError
-from residua.identify.channel_filter import channel_generator, untreated
-from residua.identify.lagged_rows import channels_in, few_rows, lagged_rows, standard
+from residua.identify.channel_filter import channel_generator, channels_in, few_rows, lagged_rows, standard, untreated
 from residua.identify.segments import Names, checked_count, gather
 from residua.linear.subspaces.rank import null_basis, range_basis
 from residua.tolerances import DATA_ROUNDING
