@@ -155,7 +155,8 @@ class GreyBox(Shown):
         outputs = [["output", "prediction fit", "simulation fit", "whiteness p", "std. of errors"]]
         for i, name in enumerate(self.plant.outputs):
             spread = float(np.sqrt(self.innovation_covariance[i, i]))
-            shares = [_percent(part[name]) for part in (self.fit, self.simulation_fit)]
+            fits = self.fit[name], self.simulation_fit[name]
+            shares = [f"{100 * one:.1f} %" if np.isfinite(one) else number(one) for one in fits]
             outputs.append([name, *shares, number(self.whiteness[name], 2), number(spread, 3)])
         where = f"{self.held_out} held-out samples" if self.held_out else "the fitted samples: nothing was held out"
         head = (
@@ -269,35 +270,19 @@ def grey_box(
     step = dt if dt is not None or not first.is_discrete else first.dt
     everything = gather(recordings, y, inputs=first.inputs, outputs=first.outputs, dt=step)
     fitted, rest = everything.divided(held_out)
-    task = Task(
-        call,
-        known,
-        fitted.data(),
-        everything.dt,
-        _offset_columns(offsets, first),
-        _prior_numbers(priors, known),
-    )
+    if not isinstance(starts, (int, np.integer)) or starts < 1:
+        raise SettingError(f"starts must be a positive whole number, got {echo(starts)}")
+    channels = first.inputs + first.outputs
+    named = (first.outputs if offsets else ()) if isinstance(offsets, bool) else offsets
+    unknown = tuple(positions(named, channels, "offsets: channel"))
+    task = Task(call, known, fitted.data(), everything.dt, unknown, _prior_numbers(priors, known))
     _check_data(task, first, everything)
     tell, close = progress_of(progress)
     try:
-        found = search(task, 1 if started else _count(starts), tell)
+        found = search(task, 1 if started else int(starts), tell)
         return _outcome(task, found, rest.data(), everything.notes)
     finally:
         close()
-
-
-def _count(starts: int) -> int:
-    if not isinstance(starts, (int, np.integer)) or starts < 1:
-        raise SettingError(f"starts must be a positive whole number, got {echo(starts)}")
-    return int(starts)
-
-
-def _offset_columns(offsets: bool | Iterable[str], plant: Plant) -> tuple[int, ...]:
-    """Return the columns of ``[u, y]`` with an unknown offset."""
-    channels = plant.inputs + plant.outputs
-    if isinstance(offsets, bool):
-        return tuple(range(len(plant.inputs), len(channels))) if offsets else ()
-    return tuple(positions(offsets, channels, "offsets: channel"))
 
 
 def _prior_numbers(priors: Mapping[str, Sequence[float]] | None, known: tuple[Parameter, ...]) -> Matrix:
@@ -344,12 +329,25 @@ def _outcome(task: Task, found: Found, held_out: list[Matrix], notes: tuple[str,
     S = task.sensitivities(found.z, found.weights)
     facts = identifiability(S, names, task.widths)
     rows = task.prior_rows(found.z)[1]
-    notes += found.notes + _unknown_combinations(facts, S, rows, task.widths)
-    errors = task.left(found.z, found.weights)
+    both = identifiability([*S, rows[:, None, :]], names, task.widths) if len(rows) else facts
+    if facts.unknown and both.unknown:
+        nothing = "; ".join(both.sentence(i) for i in both.unknown)
+        raise DataError(
+            f"{nothing}. Fix a parameter of the combination, give a prior "
+            "(priors={name: (mean, standard deviation)}), or a recording in which the inputs move more"
+        )
+    notes += (*found.notes, *(f"{facts.sentence(i)}; the priors do" for i in facts.unknown))
+    errors = task.errors(found.z).left(found.weights)
     sandwich, plain, lags = sandwich_covariance(S, errors, rows.T @ rows)
     scale = np.outer(task.widths, task.widths)
-    values = task.values(found.z)
-    function = _with_noise(task, found)
+    values, covariance = task.values(found.z), found.covariance
+
+    def function(values: Mapping[str, float]) -> Plant:
+        """Return the plant, with measurement noise where it has no noise."""
+        plant = task.plant_at.plant(values)
+        noise = covariance if plant.is_discrete else covariance * task.dt
+        return plant if plant.noises else plant.with_noise(measurement=noise)
+
     plant = function(values)
     checked = held_out if sum(map(len, held_out)) > _LAGS else task.data
     prediction, simulation, whiteness = _checks(task, plant, checked, found)
@@ -363,7 +361,7 @@ def _outcome(task: Task, found: Found, held_out: list[Matrix], notes: tuple[str,
         frozen(sandwich * scale),
         frozen(plain * scale),
         plant,
-        frozen(found.covariance),
+        frozen(covariance),
         facts,
         at_bounds,
         prediction,
@@ -374,35 +372,6 @@ def _outcome(task: Task, found: Found, held_out: list[Matrix], notes: tuple[str,
         notes,
         function,
     )
-
-
-def _unknown_combinations(
-    facts: Identifiability, S: list[NDArray[np.float64]], rows: Matrix, widths: NDArray[np.float64]
-) -> tuple[str, ...]:
-    """Return notes on combinations that only the priors tell; raise where these do not either."""
-    if not facts.unknown:
-        return ()
-    both = identifiability([*S, rows[:, None, :]], facts.parameters, widths) if len(rows) else facts
-    if both.unknown:
-        nothing = "; ".join(both.sentence(i) for i in both.unknown)
-        raise DataError(
-            f"{nothing}. Fix a parameter of the combination, give a prior "
-            "(priors={name: (mean, standard deviation)}), or a recording in which the inputs move more"
-        )
-    return tuple(f"{facts.sentence(i)}; the priors do" for i in facts.unknown)
-
-
-def _with_noise(task: Task, found: Found) -> Callable[[Mapping[str, float]], Plant]:
-    """Return the function of the parameters, with measurement noise where its plants have none."""
-    covariance = found.covariance
-
-    def plant_with_noise(values: Mapping[str, float]) -> Plant:
-        plant = task.plant_at.plant(values)
-        if plant.noises:
-            return plant
-        return plant.with_noise(measurement=covariance if plant.is_discrete else covariance * task.dt)
-
-    return plant_with_noise
 
 
 def _checks(
@@ -470,10 +439,6 @@ def _remarks(
                 f"the variance of the prediction errors is not what the noise of the plant gives, but times {some(off)}"
             )
     return tuple(out)
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.1f} %" if np.isfinite(share) else number(share)
 
 
 def _table(rows: list[list[str]]) -> list[str]:

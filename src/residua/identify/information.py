@@ -141,7 +141,14 @@ def sandwich_covariance(
     root = np.linalg.cholesky((inverse + inverse.T) / 2)  # scores in units in which they are alike
     scores = [np.einsum("tpi,tp->ti", S, e) @ root for S, e in zip(sensitivities, errors, strict=True)]
     samples = sum(map(len, scores))
-    lags = min(_lags(scores, samples), int(_MOST_LAGS * samples))
+    power = sum((s**2).sum(axis=0) for s in scores)
+    beside = sum((s[:-1] * s[1:]).sum(axis=0) for s in scores)
+    r = np.clip(beside / np.maximum(power, TINY), -_STRONGEST, _STRONGEST)
+    variance = power / max(samples, 1) * (1 - r**2)
+    above = float((4 * r**2 * variance**2 / ((1 - r) ** 6 * (1 + r) ** 2)).sum())
+    below = float((variance**2 / (1 - r) ** 4).sum())
+    wanted = int(np.ceil(1.1447 * (above / max(below, TINY) * samples) ** (1 / 3)))
+    lags = min(wanted, int(_MOST_LAGS * samples))
     middle = sum((s.T @ s for s in scores), np.zeros((k, k)))
     for lag in range(1, lags + 1):
         product = sum((s[:-lag].T @ s[lag:] for s in scores if len(s) > lag), np.zeros((k, k)))
@@ -150,14 +157,3 @@ def sandwich_covariance(
     middle += root.T @ precision @ root
     V = root @ middle @ root.T
     return (V + V.T) / 2, (inverse + inverse.T) / 2, lags
-
-
-def _lags(scores: Sequence[Matrix], samples: int) -> int:
-    """Return how many lags the correlation of neighbouring scores asks for."""
-    power = sum((s**2).sum(axis=0) for s in scores)
-    beside = sum((s[:-1] * s[1:]).sum(axis=0) for s in scores)
-    r = np.clip(beside / np.maximum(power, TINY), -_STRONGEST, _STRONGEST)
-    variance = power / max(samples, 1) * (1 - r**2)
-    above = float((4 * r**2 * variance**2 / ((1 - r) ** 6 * (1 + r) ** 2)).sum())
-    below = float((variance**2 / (1 - r) ** 4).sum())
-    return int(np.ceil(1.1447 * (above / max(below, TINY) * samples) ** (1 / 3)))

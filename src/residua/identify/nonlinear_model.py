@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,7 @@ Matrix = NDArray[np.float64]
 Equations = Callable[..., ArrayLike]
 
 
-@dataclass(frozen=True, eq=False, init=False)
+@dataclass(frozen=True, eq=False)
 class NonlinearModel:
     r"""Equations of one's own, for :func:`grey_box` where recordings move too far for a linear plant.
 
@@ -79,43 +79,23 @@ class NonlinearModel:
     """
 
     rate: Equations
-    output: Equations | None
-    plant: Plant
-    state: Vector
-    dt: float
-    substeps: int
+    output: Equations | None = None
+    plant: Plant = field(kw_only=True)
+    state: Any = field(kw_only=True)
+    dt: float = field(default=0, kw_only=True)
+    substeps: int = field(default=1, kw_only=True)
 
-    def __init__(
-        self,
-        rate: Equations,
-        output: Equations | None = None,
-        *,
-        plant: Plant,
-        state: Mapping[str, float] | ArrayLike,
-        dt: float = 0,
-        substeps: int = 1,
-    ) -> None:
-        if not callable(rate) or not (output is None or callable(output)):
+    def __post_init__(self) -> None:
+        plant, substeps = self.plant, self.substeps
+        if not callable(self.rate) or not (self.output is None or callable(self.output)):
             raise ModelError("rate and output must be functions of (x, u)")
         if not isinstance(plant, Plant):
             raise ModelError(f"plant must be a Plant, the equations linearised, got {type(plant).__name__}")
         if not isinstance(substeps, (int, np.integer)) or isinstance(substeps, bool) or substeps < 1:
             raise ModelError(f"substeps must be a positive whole number, got {echo(substeps)}")
-        x = np.array(channel_values(state, plant.states, (np.nan,) * plant.n_states, "state"))
-        fields: dict[str, Any] = {
-            "rate": rate,
-            "output": output,
-            "plant": plant,
-            "state": frozen(x),
-            "dt": sample_step(dt),
-            "substeps": int(substeps),
-        }
-        for key, value in fields.items():
-            object.__setattr__(self, key, value)
-        self._check()
-
-    def _check(self) -> None:
-        """Raise unless the equations give at the operating point what the plant says."""
+        x = np.array(channel_values(self.state, plant.states, (np.nan,) * plant.n_states, "state"))
+        object.__setattr__(self, "state", frozen(x))
+        object.__setattr__(self, "dt", sample_step(self.dt))
         u, y = (np.array(part) for part in (self.plant.operating_point.inputs, self.plant.operating_point.outputs))
         if not np.isfinite(self.state).all():
             raise ModelError(f"state must give every state of the plant: {', '.join(self.plant.states)}")
@@ -195,8 +175,17 @@ def model_errors(
     K = filter_.B[:, len(model.plant.inputs) :]
     raw = []
     for block, G in zip(data, linear.nuisance, strict=True):
-        first = model.errors(block, K, model.state, dt)
-        start = model.state + _start(first, G, len(model.state))
+        first, start = model.errors(block, K, model.state, dt), model.state
+        rows, p, q = G.shape
+        if rows and np.isfinite(first[:rows]).all():
+            spread = np.sqrt(np.mean(first[:rows] ** 2, axis=0))
+            size = np.where(spread > 0, spread, 1.0)
+            unknowns = (G / size[:, None]).reshape(rows * p, q)
+            width = np.linalg.norm(unknowns, axis=0)
+            width = np.where(width > 0, width, 1.0)
+            # e = raw + G b vanishes best at b = -(G b fit of raw)
+            b = np.linalg.lstsq(unknowns / width, -(first[:rows] / size).reshape(-1), rcond=None)[0] / width
+            start = start + b[: len(start)]
         better = model.errors(block, K, start, dt)
         raw.append(better if np.isfinite(better).all() else first)
     if not all(np.isfinite(e).all() for e in raw):
@@ -204,19 +193,3 @@ def model_errors(
             "its predictions are no finite numbers: the equations leave where they hold, or need more substeps"
         )
     return Errors(raw, linear.nuisance)
-
-
-def _start(errors: Matrix, responses: NDArray[np.float64], n: int) -> Vector:
-    """Return the deviation of the states at the start that explains most of the errors, in comparable units."""
-    rows, p, q = responses.shape
-    first = errors[:rows]
-    if not np.isfinite(first).all() or not rows:
-        return np.zeros(n)
-    spread = np.sqrt(np.mean(first**2, axis=0))
-    size = np.where(spread > 0, spread, 1.0)
-    G = (responses / size[:, None]).reshape(rows * p, q)
-    width = np.linalg.norm(G, axis=0)
-    width = np.where(width > 0, width, 1.0)
-    # e = raw + G b vanishes best at b = -(G b fit of raw)
-    b = np.linalg.lstsq(G / width, -(first / size).reshape(-1), rcond=None)[0] / width
-    return np.asarray(b[:n], dtype=float)
