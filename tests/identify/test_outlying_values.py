@@ -65,7 +65,6 @@ def test_fault_free_channels_are_not_noted(kind: str) -> None:
 @pytest.mark.parametrize("block", [97, 65_536])
 @pytest.mark.parametrize("scale", [2.0**-20, 1.0, 2.0**20])
 def test_rows_are_counted_in_any_units_and_blocks(scale: float, block: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(outlying_values, "BLOCK", block)
     monkeypatch.setattr(segments, "BLOCK", block)
     u, y = recorded(2)
     u[[300, 1500], 0] = [-9999, 800]

@@ -176,7 +176,7 @@ def _facts(gathered: Gathered) -> ChannelFacts:
     n, recordings = len(gathered.channels), len(gathered.sources)
     first = gathered.segments[0].rows(0, 1)[0]
     count, total = np.zeros(recordings), np.zeros((recordings, n))
-    for segment, block in gathered.blocks():
+    for segment, _, block in gathered.blocks():
         count[segment.recording] += len(block)
         total[segment.recording] += (block - first).sum(axis=0)
     seen = count > 0
@@ -185,16 +185,14 @@ def _facts(gathered: Gathered) -> ChannelFacts:
     outer, within = np.zeros((n, n)), np.zeros((recordings, n))
     slope, spread_of_time = np.zeros((recordings, n)), np.zeros(recordings)
     middle = _middle_of_times(gathered, count)
-    for segment in gathered.segments:
-        k = segment.recording
-        for start in range(0, len(segment), BLOCK):
-            centred = segment.rows(start, min(start + BLOCK, len(segment))) - mean
-            outer += centred.T @ centred
-            own = centred - (own_mean[k] - mean)
-            within[k] += np.einsum("ij,ij->j", own, own)
-            times = segment.start + start + np.arange(len(own)) - middle[k]
-            slope[k] += times @ own
-            spread_of_time[k] += times @ times
+    for segment, start, block in gathered.blocks():
+        k, centred = segment.recording, block - mean
+        outer += centred.T @ centred
+        own = centred - (own_mean[k] - mean)
+        within[k] += np.einsum("ij,ij->j", own, own)
+        times = segment.start + start + np.arange(len(own)) - middle[k]
+        slope[k] += times @ own
+        spread_of_time[k] += times @ times
     explained = (slope**2 / np.maximum(spread_of_time, 1.0)[:, None])[seen].sum(axis=0)
     within_all = within[seen].sum(axis=0)
     values, rows = _different_values(gathered)

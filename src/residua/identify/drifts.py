@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from residua.decide.stationarity import CONFIDENCE, independent_samples, likeliest_change
 from residua.errors import DataError
 from residua.identify.channel_facts import ChannelFacts, channel_facts
-from residua.identify.segments import BLOCK, Gathered, Names, gather
+from residua.identify.segments import Gathered, Names, gather
 from residua.words import counted, number
 
 #: A mean that moves by fewer standard deviations than this, which those on either side are, is no drift.
@@ -237,20 +236,11 @@ def _in_deviations(means: NDArray[np.float64], at: int, deviation: float) -> flo
 def _stretches(gathered: Gathered, recording: int, length: int, facts: ChannelFacts) -> NDArray[np.float64]:
     """Return the means of stretches of so many complete rows of a recording, in units of each channel."""
     means, left = [], np.zeros((0, len(gathered.channels)))
-    for rows in _rows(gathered, recording):
+    for segment, _, rows in gathered.blocks():
+        if segment.recording != recording:
+            continue
         left = np.vstack([left, (rows - facts.mean) / facts.units])
         whole = len(left) // length * length
         means.append(left[:whole].reshape(-1, length, left.shape[1]).mean(axis=1))
         left = left[whole:]
     return np.vstack(means)
-
-
-def _rows(gathered: Gathered, recording: int) -> Iterator[NDArray[np.float64]]:
-    """Yield the complete rows of a recording, block by block."""
-    for one in gathered.segments:
-        if one.recording == recording:
-            for start in range(0, len(one), BLOCK):
-                yield one.rows(start, min(start + BLOCK, len(one)))
-
-
-__all__ = ["Drifts", "drifting_channels", "drifts_in"]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.identify.segments import BLOCK, Gathered
+from residua.identify.segments import Gathered
 from residua.words import counted, number, some
 
 #: A value is far outside the rest at more than so many units: the middle half, or the usual step, of its channel.
@@ -87,97 +87,69 @@ def outlying_values(gathered: Gathered) -> tuple[str, ...]:
     others; channels that move in steps, quantised ones and those of which several stand still together do not.
     """
     plain = gathered.of_channels(gathered.channels)  # the values themselves where changes are read
-    sample = _sample(plain)
+    every, picked = max(2 * (plain.n_samples // _SAMPLE), 1), []
+    for *_, block in plain.blocks():  # evenly spaced pairs of rows
+        chosen = np.arange(0, len(block), every)
+        picked.append(block[np.unique(np.minimum(np.concatenate([chosen, chosen + 1]), len(block) - 1))])
+    sample = np.vstack(picked)
     middle = np.median(sample, axis=0)
     unit = _units(sample, middle)
     m, q = len(gathered.inputs), len(gathered.channels)
     runs = [_Runs() for _ in gathered.outputs]
-    furthest = np.zeros(q)
-    for segment in plain.segments:
-        before: NDArray[np.float64] | None = None
-        for start in range(0, len(segment), BLOCK):
-            block = segment.rows(start, min(start + BLOCK, len(segment)))
-            furthest = np.maximum(furthest, np.abs(block - middle).max(axis=0))
-            first = segment.start + start
-            for one, column, last in zip(runs, block.T[m:], block[0, m:] if before is None else before, strict=True):
-                changes = np.flatnonzero(np.diff(column, prepend=last) != 0) + first
-                starts = np.append(one.begun if before is not None else first, changes)
-                values = np.append(last, column[changes - first])
-                stop = first + len(block)
-                one.begun = int(starts[-1])
-                if stop < segment.stop:  # the last run goes on
-                    starts, values, stop = starts[:-1], values[:-1], one.begun
-                if len(starts):
-                    one.add(segment.recording, starts, values, stop)
-            before = block[-1, m:]
-    suspect = np.flatnonzero((unit > 0) & (furthest > _FAR * unit))
-    return (*_outliers(plain, suspect, middle, unit), *_standstills(plain, runs))
-
-
-def _sample(gathered: Gathered) -> NDArray[np.float64]:
-    """Return evenly spaced pairs of rows, one after the other, of all segments."""
-    every = max(2 * (gathered.n_samples // _SAMPLE), 1)
-    if every == 1:
-        return np.vstack([block for _, block in gathered.blocks()])
-    picked = []
-    for _, block in gathered.blocks():
-        chosen = np.arange(0, len(block), every)
-        picked.append(block[np.unique(np.minimum(np.concatenate([chosen, chosen + 1]), len(block) - 1))])
-    return np.vstack(picked)
+    count, far_squares, squares = np.zeros(q), np.zeros(q), np.zeros(q)
+    first_far: dict[int, tuple[int, int, float]] = {}
+    before = sample[0, m:]
+    for segment, start, block in plain.blocks():
+        with np.errstate(over="ignore"):  # values whose squares overflow are refused by their name
+            apart = (block - middle) / np.where(unit > 0, unit, np.inf)
+            far = np.abs(apart) > _FAR
+            count += far.sum(axis=0)
+            far_squares += (np.where(far, apart, 0.0) ** 2).sum(axis=0)
+            squares += (apart**2).sum(axis=0)
+        first = segment.start + start
+        for k in np.flatnonzero(far.any(axis=0)).tolist():
+            row = int(far[:, k].argmax())
+            delay = segment.delays[k] if segment.delays else 0
+            first_far.setdefault(k, (segment.recording, first + row - delay, float(block[row, k])))
+        for one, column, last in zip(runs, block.T[m:], before if start else block[0, m:], strict=True):
+            changes = np.flatnonzero(np.diff(column, prepend=last) != 0) + first
+            starts = np.append(one.begun if start else first, changes)
+            values = np.append(last, column[changes - first])
+            stop = first + len(block)
+            one.begun = int(starts[-1])
+            if stop < segment.stop:  # the last run goes on
+                starts, values, stop = starts[:-1], values[:-1], one.begun
+            if len(starts):
+                one.add(segment.recording, starts, values, stop)
+        before = block[-1, m:]
+    notes = []
+    for k, (recording, row, value) in sorted(first_far.items()):
+        if count[k] > max(_FEW * plain.n_samples, 1) or not far_squares[k] > _MOST * squares[k]:
+            continue
+        place = f"{number(value)} in row {row}{_where(plain, recording)}"
+        usual = f"the middle is {number(float(middle[k]))}, the usual distance {number(float(unit[k]))}"
+        share = f"{100 * far_squares[k] / squares[k]:.3g} % of its variance"
+        if count[k] == 1:
+            said = (
+                f"a value far outside the rest, {place} ({usual}): this one row makes {share}, and decides what a "
+                "model says of it; set it missing (NaN) unless it is a measurement"
+            )
+        else:
+            said = (
+                f"{counted(int(count[k]), 'value')} far outside the rest, the first one {place} ({usual}): they make "
+                f"{share}, and decide what a model says of it; set them missing (NaN) unless they are measurements"
+            )
+        notes.append(f"{plain.channels[k]!r} has {said}")
+    return (*notes, *_standstills(plain, runs))
 
 
 def _units(sample: NDArray[np.float64], middle: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return what the values of each channel usually move by; zero where they do not move."""
+    """Return the usual distance of the values of each channel; zero where they do not move."""
     low, high = np.quantile(sample, (0.25, 0.75), axis=0)
     steps = np.median(np.abs(np.diff(sample, axis=0)), axis=0) if len(sample) > 1 else np.zeros(len(middle))
     apart = np.abs(sample - middle)
     other = np.array([float(np.median(one[one > 0])) if one.any() else 0.0 for one in apart.T])
     return np.maximum(np.maximum(high - low, steps), other)
-
-
-def _outliers(
-    gathered: Gathered, suspect: NDArray[np.int_], middle: NDArray[np.float64], unit: NDArray[np.float64]
-) -> list[str]:
-    """Return notes on the channels of which few values far outside carry most of the variance."""
-    if not len(suspect):
-        return []
-    count, far_squares, squares = (np.zeros(len(suspect)) for _ in range(3))
-    first: dict[int, tuple[int, int, float]] = {}
-    for segment in gathered.segments:
-        for start in range(0, len(segment), BLOCK):
-            block = segment.rows(start, min(start + BLOCK, len(segment)))[:, suspect]
-            apart = (block - middle[suspect]) / unit[suspect]
-            far = np.abs(apart) > _FAR
-            count += far.sum(axis=0)
-            with np.errstate(over="ignore"):  # values whose squares overflow are refused by their name
-                far_squares += (np.where(far, apart, 0.0) ** 2).sum(axis=0)
-                squares += (apart**2).sum(axis=0)
-            for k in np.flatnonzero(far.any(axis=0)).tolist():
-                row = int(far[:, k].argmax())
-                delay = segment.delays[suspect[k]] if segment.delays else 0
-                first.setdefault(k, (segment.recording, segment.start + start + row - delay, float(block[row, k])))
-    notes = []
-    for k, channel in enumerate(suspect.tolist()):
-        if not 0 < count[k] <= max(_FEW * gathered.n_samples, 1) or not far_squares[k] > _MOST * squares[k]:
-            continue
-        recording, row, value = first[k]
-        place = f"{number(value)} in row {row}{_where(gathered, recording)}"
-        usual = f"the middle is {number(float(middle[channel]))}, the usual distance {number(float(unit[channel]))}"
-        share = f"{100 * far_squares[k] / squares[k]:.3g} % of its variance"
-        name = repr(gathered.channels[channel])
-        if count[k] == 1:
-            notes.append(
-                f"{name} has a value far outside the rest, {place} ({usual}): this one row makes {share}, and decides "
-                "what a model says of it; set it "
-                "missing (NaN) unless it is a measurement"
-            )
-        else:
-            notes.append(
-                f"{name} has {counted(int(count[k]), 'value')} far outside the rest, the first one {place} ({usual}): "
-                f"they make {share}, and decide what a model says of it; set them missing (NaN) unless they are "
-                "measurements"
-            )
-    return notes
 
 
 def _standstills(gathered: Gathered, runs: list[_Runs]) -> list[str]:

@@ -439,7 +439,7 @@ class ParityMemory:
             )
         hankel = discounted_factor(self.hankel, gathered, forgetting)
         mean, scatter, rows = self.mean, self.scatter, self.rows
-        for _, block in gathered.blocks():
+        for _, _, block in gathered.blocks():
             count = len(block)
             weights = forgetting ** np.arange(count - 1, -1, -1)
             share = weights / weights.sum()
