@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, NoReturn
 
 import numpy as np
@@ -61,18 +61,18 @@ class ModeSignals:
 
     def label(self, key: Key) -> str:
         """Return a mode in words."""
-        return ", ".join(map(_label, self.names, key, self.edges))
-
-
-def _label(name: str, value: float, edges: tuple[float, ...] | None) -> str:
-    if edges is None:
-        return f"{name} = {_text(value)}"
-    k = int(value)
-    if k == 0:
-        return f"{name} < {_text(edges[0])}"
-    if k == len(edges):
-        return f"{name} >= {_text(edges[-1])}"
-    return f"{_text(edges[k - 1])} <= {name} < {_text(edges[k])}"
+        said = []
+        for name, value, edges in zip(self.names, key, self.edges, strict=True):
+            k = int(value) if edges is not None else 0
+            if edges is None:
+                said.append(f"{name} = {_text(value)}")
+            elif k == 0:
+                said.append(f"{name} < {_text(edges[0])}")
+            elif k == len(edges):
+                said.append(f"{name} >= {_text(edges[-1])}")
+            else:
+                said.append(f"{_text(edges[k - 1])} <= {name} < {_text(edges[k])}")
+        return ", ".join(said)
 
 
 def _text(value: float) -> str:
@@ -98,32 +98,18 @@ def mode_signals(by: Any) -> ModeSignals:
         raise SettingError(f"by must name at least one signal, each once, got {echo(by)}")
     if not isinstance(by, Mapping):
         return ModeSignals(names, (None,) * len(names))
-    return ModeSignals(names, tuple(_edges(name, by[name]) for name in names))
-
-
-def _edges(name: str, edges: Any) -> tuple[float, ...] | None:
-    if edges is None:
-        return None
-    values = np.atleast_1d(np.asarray(edges))
-    if values.dtype.kind not in "iuf" or values.ndim != 1 or not len(values) or not np.isfinite(values).all():
-        raise SettingError(f"by: the edges of {echo(name)} must be numbers, or None, got {echo(edges)}")
-    if not (np.diff(values) > 0).all():
-        raise SettingError(f"by: the edges of {echo(name)} must increase, got {echo(edges)}")
-    return tuple(float(value) for value in values)
-
-
-def check_few_values(signals: ModeSignals, keys: Sequence[NDArray[np.float64]]) -> None:
-    """Raise where a signal has so many values that it is a quantity, not a mode."""
-    for j, name in enumerate(signals.names):
-        column = np.concatenate([one[:, j] for one in keys])
-        values = np.unique(column[np.isfinite(column)])
-        if signals.edges[j] is None and len(values) > MOST_VALUES:
-            middle = float(np.median(values))
-            raise SettingError(
-                f"by: {echo(name)} has {len(values)} different values from {values[0]:.4g} to {values[-1]:.4g}, which "
-                f"would be as many modes ({MOST_VALUES} at most): name the values that divide it, "
-                f"by={{{echo(name)}: [{middle:.3g}]}}, or leave it to the channels"
-            )
+    borders: list[tuple[float, ...] | None] = []
+    for name in names:
+        if by[name] is None:
+            borders.append(None)
+            continue
+        values = np.atleast_1d(np.asarray(by[name]))
+        if values.dtype.kind not in "iuf" or values.ndim != 1 or not len(values) or not np.isfinite(values).all():
+            raise SettingError(f"by: the edges of {echo(name)} must be numbers, or None, got {echo(by[name])}")
+        if not (np.diff(values) > 0).all():
+            raise SettingError(f"by: the edges of {echo(name)} must increase, got {echo(by[name])}")
+        borders.append(tuple(float(value) for value in values))
+    return ModeSignals(names, tuple(borders))
 
 
 def distinct(keys: Iterable[NDArray[np.float64]]) -> list[Key]:
@@ -263,24 +249,17 @@ class Regimes(Shown):
         )
 
     def _headline(self) -> str:
-        return f"{self._counts()} by {listed(self.signals.names)}"
-
-    def _counts(self) -> str:
-        out = counted(len(self.modes), "mode")
-        return f"{out}, {len(self.without_model)} without a model," if self.without_model else out
+        count, without = counted(len(self.modes), "mode"), len(self.without_model)
+        return f"{count}{f', {without} without a model,' if without else ''} by {listed(self.signals.names)}"
 
     def __str__(self) -> str:
-        lines = [
-            f"{one.name}: {counted(one.samples, 'row')}, {one.transient} after a change left out"
-            + (f"; {listed(one.still)} never moved, and {_is(one.still)} not looked at" if one.still else "")
-            for one in self.modes.values()
-        ]
+        lines = []
+        for one in self.modes.values():
+            are = "is" if len(one.still) == 1 else "are"
+            still = f"; {listed(one.still)} never moved, and {are} not looked at" if one.still else ""
+            lines.append(f"{one.name}: {counted(one.samples, 'row')}, {one.transient} after a change left out{still}")
         lines += [f"{name}: no model, {why}" for name, why in self.without_model.items()]
         return "\n".join([repr(self), *lines, *self.notes])
-
-
-def _is(names: tuple[str, ...]) -> str:
-    return "is" if len(names) == 1 else "are"
 
 
 def regimes(
@@ -383,10 +362,29 @@ def regimes(
         known = {*listed_outputs, *((inputs,) if isinstance(inputs, str) else inputs or ())}
         outputs = (*listed_outputs, *(name for name in signals.names if name not in known))
     gathered = gather(recordings, y, inputs=inputs, outputs=outputs, dt=dt)
-    visited = _Visited.of(gathered, signals)
+    absent = [name for name in signals.names if name not in gathered.channels]
+    if absent:
+        raise DataError(
+            f"by: there is no channel {listed(absent)}; there are {listed(gathered.channels)} "
+            "(columns of arrays have the names that inputs= and outputs= say)"
+        )
+    place = [gathered.channels.index(name) for name in signals.names]
+    numbers = sorted({one.recording for one in gathered.segments})
+    rows = dict(zip(numbers, (one[:, place] for one in gathered.whole()), strict=True))
+    for j, (name, edges) in enumerate(zip(signals.names, signals.edges, strict=True)):
+        column = np.concatenate([one[:, j] for one in rows.values()])
+        values = np.unique(column[np.isfinite(column)])
+        if edges is None and len(values) > MOST_VALUES:
+            raise SettingError(
+                f"by: {echo(name)} has {len(values)} different values from {values[0]:.4g} to {values[-1]:.4g}, which "
+                f"would be as many modes ({MOST_VALUES} at most): name the values that divide it, "
+                f"by={{{echo(name)}: [{float(np.median(values)):.3g}]}}, or leave it to the channels"
+            )
+    keys = {number: signals.keys(one) for number, one in rows.items()}
+    visited = _Visited(gathered, signals, keys, {number: ages(one) for number, one in keys.items()})
     modes: dict[str, OperatingMode] = {}
     without: dict[str, str] = {}
-    for key in distinct(visited.keys.values()):
+    for key in distinct(keys.values()):
         name = signals.label(key)
         made = _mode(visited, key, name, method, wait, enough)
         if isinstance(made, str):
@@ -408,24 +406,6 @@ class _Visited:
     keys: Mapping[int, NDArray[np.float64]]
     ages: Mapping[int, NDArray[np.int64]]
 
-    @staticmethod
-    def of(gathered: Gathered, signals: ModeSignals) -> _Visited:
-        absent = [name for name in signals.names if name not in gathered.channels]
-        if absent:
-            raise DataError(
-                f"by: there is no channel {listed(absent)}; there are {listed(gathered.channels)} "
-                "(columns of arrays have the names that inputs= and outputs= say)"
-            )
-        place = [gathered.channels.index(name) for name in signals.names]
-        rows = {}
-        for one in gathered.segments:
-            if one.recording not in rows:
-                whole = replace(one, start=0, stop=len(one.y))
-                rows[one.recording] = whole.rows(0, len(one.y))[:, place]
-        check_few_values(signals, list(rows.values()))
-        keys = {number: signals.keys(one) for number, one in rows.items()}
-        return _Visited(gathered, signals, keys, {number: ages(one) for number, one in keys.items()})
-
     def parts(self, key: Key, transient: int) -> list[Segment]:
         """Return the runs of complete rows in a mode, without what follows a change."""
         out = []
@@ -433,12 +413,6 @@ class _Visited:
             here = rows_in(self.keys[one.recording], key) & (self.ages[one.recording] >= transient)
             out += [one.cut(start, stop) for start, stop in runs(here[one.start : one.stop]).tolist()]
         return out
-
-    def entered(self, key: Key, columns: list[int]) -> list[NDArray[np.float64]]:
-        """Return the visits to a mode that begin with a change, from their first row."""
-        parts = self.parts(key, 0)
-        whole = [one for one in parts if self.ages[one.recording][one.start] == 0 and len(one) > 1]
-        return [one.rows(0, len(one))[:, columns] for one in whole]
 
 
 def _mode(
@@ -452,8 +426,10 @@ def _mode(
     fixed = {one for one, edges in zip(signals.names, signals.edges, strict=True) if edges is None}
     candidates = [one for one in gathered.channels if one not in fixed]
     columns = [gathered.channels.index(one) for one in candidates]
-    entered = visited.entered(key, columns)
-    transient = wait if wait is not None else transient_rows(entered) if entered else 0
+    # visits that begin with a change
+    whole = [one for one in all_rows.segments if visited.ages[one.recording][one.start] == 0 and len(one) > 1]
+    entered = [one.rows(0, len(one))[:, columns] for one in whole] if wait is None else []
+    transient = transient_rows(entered) if entered else wait or 0
     settled = gathered.with_segments(visited.parts(key, transient))
     rows = settled.n_samples
     still = tuple(one for one in channel_facts(settled).constant() if one in candidates) if rows > 1 else ()
