@@ -123,11 +123,6 @@ class EquationReport(Shown, FitReport):
 
     equations: tuple[Equation, ...]
 
-    @property
-    def about_feedback(self) -> str:
-        """What a controller that was at work does to the estimate."""
-        return "which equations with white errors allow for, as long as it acts a row later"
-
     def __str__(self) -> str:
         lines = [
             f"{counted(len(self.equations), 'equation')} by {self.method}: {counted(len(self.inputs), 'input')}, "

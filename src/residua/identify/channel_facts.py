@@ -101,22 +101,18 @@ class ChannelFacts:
         if vast:
             raise DataError(f"{listed(vast)}: values so large that their squares overflow; mark missing values as NaN")
 
-    def check_rows(self) -> None:
-        """Raise where there is one row: in it nothing can move, whatever the channels are."""
-        if self.rows < 2:
-            raise DataError(
-                f"{counted(self.rows, 'complete row')} of {counted(len(self.channels), 'channel')}: too few to learn "
-                "anything from; give a longer recording"
-            )
-
-    def check(self) -> None:
-        """Raise where channels are constant, or linear functions of others: no model tells their parts apart.
+    def check(self, *, dependent: bool = True) -> None:
+        """Raise where channels are constant, or, if asked, linear functions of others, which no model tells apart.
 
         All that is wrong is said at once.
         """
         self.check_size()
-        self.check_rows()
-        still, same, wrong = self.constant(), self.dependences(), []
+        if self.rows < 2:  # nothing can move in one row
+            raise DataError(
+                f"{counted(self.rows, 'complete row')} of {counted(len(self.channels), 'channel')}: too few to learn "
+                "anything from; give a longer recording"
+            )
+        still, same, wrong = self.constant(), "; ".join(map(self._dependence, self.dependent())), []
         if still:
             left = [name for name in self.channels if name not in still]
             wrong.append(
@@ -124,14 +120,10 @@ class ChannelFacts:
                 f"information; leave {'it' if len(still) == 1 else 'them'} out "
                 f"(there are {listed(left) if left else 'no others'})"
             )
-        if same:
+        if same and (dependent or still):
             wrong.append(f"{same}: no model can tell their parts apart; leave one of each group out")
         if wrong:
             raise DataError(". Besides, ".join(wrong))
-
-    def dependences(self) -> str:
-        """Return in words which channels say the same; empty where none do."""
-        return "; ".join(map(self._dependence, self.dependent()))
 
     def repeated_outputs(self) -> tuple[str, ...]:
         """Return a note where outputs say the same as other channels, for methods that do not refuse them."""
@@ -166,13 +158,9 @@ class ChannelFacts:
         return (*found, *units_between(self.channels, gathered.sources, self.recording_mean, self.recording_deviation))
 
 
+@np.errstate(over="ignore", invalid="ignore")  # values that overflow are refused by their name
 def channel_facts(gathered: Gathered) -> ChannelFacts:
     """Return the facts of the channels, read block by block."""
-    with np.errstate(over="ignore", invalid="ignore"):  # values that overflow are refused by their name
-        return _facts(gathered)
-
-
-def _facts(gathered: Gathered) -> ChannelFacts:
     n, recordings = len(gathered.channels), len(gathered.sources)
     first = gathered.segments[0].rows(0, 1)[0]
     count, total = np.zeros(recordings), np.zeros((recordings, n))
@@ -184,7 +172,9 @@ def _facts(gathered: Gathered) -> ChannelFacts:
     mean = first + total.sum(axis=0) / count.sum()
     outer, within = np.zeros((n, n)), np.zeros((recordings, n))
     slope, spread_of_time = np.zeros((recordings, n)), np.zeros(recordings)
-    middle = _middle_of_times(gathered, count)
+    middle = np.zeros(recordings)  # of the row numbers
+    for one in gathered.segments:
+        middle[one.recording] += len(one) * (one.start + one.stop - 1) / 2 / count[one.recording]
     for segment, start, block in gathered.blocks():
         k, centred = segment.recording, block - mean
         outer += centred.T @ centred
@@ -195,7 +185,12 @@ def _facts(gathered: Gathered) -> ChannelFacts:
         spread_of_time[k] += times @ times
     explained = (slope**2 / np.maximum(spread_of_time, 1.0)[:, None])[seen].sum(axis=0)
     within_all = within[seen].sum(axis=0)
-    values, rows = _different_values(gathered)
+    longest, rows = [], 0
+    for one in sorted(gathered.segments, key=len, reverse=True):
+        longest.append(one.rows(0, min(len(one), BLOCK - rows)))
+        rows += len(longest[-1])
+        if rows >= BLOCK:
+            break
     return ChannelFacts(
         gathered.channels,
         len(gathered.inputs),
@@ -205,28 +200,9 @@ def _facts(gathered: Gathered) -> ChannelFacts:
         np.where(seen[:, None], own_mean, np.nan),
         np.where(seen[:, None], np.sqrt(within / np.maximum(count, 1.0)[:, None]), np.nan),
         explained / np.where(within_all > 0, within_all, 1.0),
-        values,
+        np.array([len(np.unique(column)) for column in np.vstack(longest).T]),
         rows,
     )
-
-
-def _middle_of_times(gathered: Gathered, count: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the mean row number of each recording's complete rows."""
-    total = np.zeros(len(count))
-    for one in gathered.segments:
-        total[one.recording] += len(one) * (one.start + one.stop - 1) / 2
-    return total / np.maximum(count, 1.0)
-
-
-def _different_values(gathered: Gathered) -> tuple[NDArray[np.int_], int]:
-    """Return how many values each channel takes in the longest segments, up to a block of rows of them."""
-    blocks, rows = [], 0
-    for one in sorted(gathered.segments, key=len, reverse=True):
-        blocks.append(one.rows(0, min(len(one), BLOCK - rows)))
-        rows += len(blocks[-1])
-        if rows >= BLOCK:
-            break
-    return np.array([len(np.unique(column)) for column in np.vstack(blocks).T]), rows
 
 
 def guessed_inputs(recordings: Sequence[NDArray[np.float64]], channels: Sequence[str]) -> tuple[str, ...]:

@@ -90,16 +90,7 @@ def standard(gathered: Gathered) -> Standard:
         If a channel never changes, or has values whose squares overflow.
     """
     facts, count = channel_facts(gathered), gathered.n_samples
-    facts.check_size()
-    facts.check_rows()
-    still = facts.constant()
-    if still:
-        them = "it" if len(still) == 1 else "them"
-        same = facts.dependences()  # said too, for methods that refuse it afterwards
-        raise DataError(
-            f"{listed(still)} never {'changes' if len(still) == 1 else 'change'} in {counted(count, 'row')}: "
-            f"a constant channel carries no information; leave {them} out{same and f'. Besides, {same}'}"
-        )
+    facts.check(dependent=False)
     return Standard(facts, facts.mean, facts.deviation * np.sqrt(count / (count - 1)))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -203,12 +203,18 @@ def drifts_in(gathered: Gathered, facts: ChannelFacts) -> Drifts:
             found = likeliest_change(means[:, j], (1 - CONFIDENCE) / n)
             if found is not None:
                 place[k, j] = found[0] * length
-                change[k, j] = _in_deviations(means[:, j], found[0], float(deviation[j]))
+                at, part = found[0], found[0] / len(means)
+                one, other = means[:at, j], means[at:, j]
+                shift = float(other.mean() - one.mean())
+                # the means of stretches of many rows leave out the rows within them
+                sides = max(deviation[j] ** 2 - part * (1 - part) * shift**2, 0.0)
+                own = np.concatenate([one - one.mean(), other - other.mean()])
+                change[k, j] = shift / float(np.sqrt(max(sides, np.mean(own**2))))
     found = Drifts(gathered.channels, (), rows, change, place, worth)
     judged = rows * found.judged
     share = judged @ found.moves / judged.sum()
     drifting = tuple(name for name, part in zip(gathered.channels, share, strict=True) if part >= _MOST)
-    return Drifts(gathered.channels, drifting, rows, change, place, worth)
+    return replace(found, drifting=drifting)
 
 
 def _worth(means: NDArray[np.float64]) -> float:
@@ -222,15 +228,6 @@ def _worth(means: NDArray[np.float64]) -> float:
         means = means[: len(means) // 2 * 2].reshape(-1, 2).mean(axis=1)
         most = max(most, independent_samples(means))
     return most
-
-
-def _in_deviations(means: NDArray[np.float64], at: int, deviation: float) -> float:
-    """Return the change of a mean in standard deviations of the rows on both sides, from theirs about one mean."""
-    shift, part = float(means[at:].mean() - means[:at].mean()), at / len(means)
-    # the means of stretches of many rows leave out what is within them
-    sides = max(deviation**2 - part * (1 - part) * shift**2, 0.0)
-    own = np.concatenate([means[:at] - means[:at].mean(), means[at:] - means[at:].mean()])
-    return shift / float(np.sqrt(max(sides, np.mean(own**2))))
 
 
 def _stretches(gathered: Gathered, recording: int, length: int, facts: ChannelFacts) -> NDArray[np.float64]:

@@ -206,7 +206,9 @@ class FitReport:
 
     @property
     def about_feedback(self) -> str:
-        """What a controller that was at work does to the estimate."""
+        """The effect on the estimate of a controller that was at work, in words."""
+        if self.method == "ARX":
+            return "which equations with white errors allow for, as long as it acts a row later"
         return "which this method allows for" if self.method == "PBSID" else "which biases this method: take 'pbsid'"
 
     def fit_lines(self) -> list[str]:

@@ -16,7 +16,7 @@ from residua.identify.nonlinear_model import NonlinearModel, model_errors
 from residua.identify.parameter_search import Found, Parameter, PlantAt, Task, parameters_of, search
 from residua.identify.prediction import ljung_box
 from residua.identify.prediction_errors import predictor
-from residua.identify.segments import Gathered, gather
+from residua.identify.segments import gather
 from residua.plant import Plant
 from residua.progress import Progress, progress_of
 from residua.robust.sets.uncertain_plant import UncertainPlant
@@ -276,7 +276,22 @@ def grey_box(
     named = (first.outputs if offsets else ()) if isinstance(offsets, bool) else offsets
     unknown = tuple(positions(named, channels, "offsets: channel"))
     task = Task(call, known, fitted.data(), everything.dt, unknown, _prior_numbers(priors, known))
-    _check_data(task, first, everything)
+    unknowns = len(task.parameters) + len(task.data) * (first.n_states + len(task.offsets))
+    rows = sum(map(len, task.data))
+    if rows * first.n_outputs < _FOR_EACH_UNKNOWN * unknowns:
+        raise DataError(
+            f"{counted(rows, 'row')} to fit ({everything.n_samples} in all, some held out) of "
+            f"{counted(first.n_outputs, 'output')} are too few for {unknowns} unknowns: "
+            f"{len(task.parameters)} parameters, and {first.n_states} states and {len(task.offsets)} offsets in "
+            f"each of {len(task.data)} stretches; at least {_FOR_EACH_UNKNOWN} numbers for each are needed"
+        )
+    y = np.vstack(task.data)[:, -first.n_outputs :]
+    still = np.ptp(y, axis=0) <= DATA_ROUNDING * np.abs(y).max(axis=0)
+    if still.any():
+        raise DataError(
+            f"{some(n for n, s in zip(first.outputs, still, strict=True) if s)} never moves in the {len(y)} fitted "
+            "rows: a constant sensor determines no parameter; leave the output out of the plant"
+        )
     tell, close = progress_of(progress)
     try:
         found = search(task, 1 if started else int(starts), tell)
@@ -301,26 +316,6 @@ def _prior_numbers(priors: Mapping[str, Sequence[float]] | None, known: tuple[Pa
             raise SettingError(f"priors[{name!r}] must be (mean, standard deviation), finite, got {echo(values)}")
         out[:, names.index(name)] = (mean - p.start) / p.width, spread / p.width
     return out
-
-
-def _check_data(task: Task, plant: Plant, everything: Gathered) -> None:
-    """Raise unless there are numbers enough for what is estimated, and every output moves."""
-    unknowns = len(task.parameters) + len(task.data) * (plant.n_states + len(task.offsets))
-    rows = sum(map(len, task.data))
-    if rows * plant.n_outputs < _FOR_EACH_UNKNOWN * unknowns:
-        raise DataError(
-            f"{counted(rows, 'row')} to fit ({everything.n_samples} in all, some held out) of "
-            f"{counted(plant.n_outputs, 'output')} are too few for {unknowns} unknowns: "
-            f"{len(task.parameters)} parameters, and {plant.n_states} states and {len(task.offsets)} offsets in "
-            f"each of {len(task.data)} stretches; at least {_FOR_EACH_UNKNOWN} numbers for each are needed"
-        )
-    y = np.vstack(task.data)[:, -plant.n_outputs :]
-    still = np.ptp(y, axis=0) <= DATA_ROUNDING * np.abs(y).max(axis=0)
-    if still.any():
-        raise DataError(
-            f"{some(n for n, s in zip(plant.outputs, still, strict=True) if s)} never moves in the {len(y)} fitted "
-            "rows: a constant sensor determines no parameter; leave the output out of the plant"
-        )
 
 
 def _outcome(task: Task, found: Found, held_out: list[Matrix], notes: tuple[str, ...]) -> GreyBox:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -78,13 +78,6 @@ class HankelFactor:
         """Return the columns of inputs and outputs at times of the window, in the order of the times."""
         return [1 + time * self.n_channels + i for time in times for i in range(self.n_channels)]
 
-    def without_each_part(self) -> Iterator[HankelFactor]:
-        """Yield the factors of all parts of the data but one."""
-        for left_out in range(len(self.parts)):
-            rest = [one for k, one in enumerate(self.parts) if k != left_out]
-            windows = round(self.windows * len(rest) / len(self.parts))
-            yield replace(self, R=_triangle(np.vstack(rest)), parts=(), windows=windows)
-
 
 def regress(targets: NDArray, regressors: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the least-squares fit of columns by others, in units that make the regressors equally large.
@@ -133,14 +126,14 @@ def hankel_factor(
     for segment, start, stop, ends in _pieces(gathered.segments, length, borders, size):
         Z = (segment.rows(start, stop + length - 1) - reference) / units
         block = _hankel_rows(Z, stop - start, length, current)
-        current = _triangle(block)
+        current = triangle(block)
         done += stop - start
         if progress is not None:
             progress("Hankel matrix", done, windows)
         if ends:
             parts.append(current)
             current = None
-    R = _triangle(np.vstack(parts)) if len(parts) > 1 else parts[0]
+    R = triangle(np.vstack(parts)) if len(parts) > 1 else parts[0]
     return HankelFactor(R, tuple(parts), windows, length, len(gathered.inputs), len(gathered.outputs), reference, units)
 
 
@@ -158,7 +151,7 @@ def discounted_factor(factor: HankelFactor, gathered: Gathered, forgetting: floa
             weights = np.sqrt(forgetting) ** np.arange(stop - start, -1, -1)
             block[: len(R)] *= weights[0]
             block[len(R) :] *= weights[1:, None]
-        R = _triangle(block)
+        R = triangle(block)
     return replace(factor, R=R, parts=(), windows=factor.windows + new)
 
 
@@ -191,7 +184,7 @@ def _hankel_rows(Z: NDArray, windows: int, length: int, above: NDArray | None) -
     return block
 
 
-def _triangle(block: NDArray) -> NDArray[np.float64]:
+def triangle(block: NDArray) -> NDArray[np.float64]:
     """Return the triangular factor of a matrix, square even if it has fewer rows than columns.
 
     By the Cholesky factor of the matrix of products, where its condition is small; beyond that by the factor of what

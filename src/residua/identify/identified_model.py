@@ -250,28 +250,18 @@ def uncertain_along(
         raise SettingError(f"level must be a probability between 0 and 1, got {level!r}")
     quantile = float(-ndtri((1 - level ** (1 / max(len(sizes), 1))) / 2))
     deltas: list[Perturbation] = []
-    for k, (size, vector) in enumerate(zip(sizes, directions, strict=True)):
-        deltas += _perturbations(nominal, vector, quantile * size, f"model {k + 1}")
+    for k, (size, matrices) in enumerate(zip(sizes, directions, strict=True), 1):
+        Bf, Df = np.zeros(nominal.Bf.shape), np.zeros(nominal.Df.shape)
+        for column, fault in enumerate(nominal.fault_list):
+            if fault.kind == "actuator":
+                given = nominal.inputs.index(fault.component)
+                Bf[:, column], Df[:, column] = matrices["B"][:, given], matrices["D"][:, given]
+        most = quantile * size
+        for letter, M in {**matrices, "Bf": Bf, "Df": Df}.items():
+            if M.any():  # a channel for each singular value
+                U, _ = range_basis(M)
+                deltas.append(Perturbation(letter, -U, U.T @ M, -most, most, [f"model {k}"] * U.shape[1]))
     return UncertainPlant(nominal, deltas)
-
-
-def _perturbations(
-    plant: Plant, direction: dict[str, NDArray[np.float64]], size: float, name: str
-) -> list[Perturbation]:
-    """Return what one parameter does to the matrices: a channel for each singular value."""
-    actuators = [(i, plant.inputs.index(f.component)) for i, f in enumerate(plant.fault_list) if f.kind == "actuator"]
-    Bf, Df = np.zeros(plant.Bf.shape), np.zeros(plant.Df.shape)
-    for column, given in actuators:
-        Bf[:, column], Df[:, column] = direction["B"][:, given], direction["D"][:, given]
-    matrices = {"A": direction["A"], "B": direction["B"], "C": direction["C"], "D": direction["D"]}
-    matrices |= {"Bf": Bf, "Df": Df}
-    deltas = []
-    for letter, M in matrices.items():
-        if not M.any():
-            continue
-        U, _ = range_basis(M)
-        deltas.append(Perturbation(letter, -U, U.T @ M, -size, size, [name] * U.shape[1]))
-    return deltas
 
 
 def plant_of(

@@ -122,8 +122,14 @@ def jacobian(
     terms = np.maximum(look.terms, (np.abs(matrix) * size).sum(axis=1))
     _refuse_kinks(columns_of, rows, columns, z)
     exact, why = False, "its complex derivative is another one (abs, sign or real parts do that)"
+    by_complex = np.zeros(matrix.shape)
     try:
-        by_complex = _by_complex_step(function, z, size, matrix.shape)
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("error", np.exceptions.ComplexWarning)
+            for j, step in enumerate(_IMAGINARY * size):
+                moved = z + 1j * step * (np.arange(len(z)) == j)
+                values = np.asarray(function(moved))  # pyright: ignore[reportArgumentType]
+                by_complex[:, j] = np.imag(np.atleast_1d(values)) / step
         off = np.abs(by_complex - matrix)
         allowed = _CLEAR * error + IDENTITY * terms[:, None] / size
         exact = bool(np.isfinite(by_complex).all() and np.all(off <= allowed))
@@ -317,15 +323,3 @@ def _refuse_kinks(picked: list[_Column], rows: tuple[str, ...], columns: tuple[s
             "root of zero (or from a function with numerical noise): linearise at a point beside it, or use a "
             "smooth form"
         )
-
-
-def _by_complex_step(function: Function, z: Vector, sizes: Vector, shape: tuple[int, int]) -> Matrix:
-    out = np.zeros(shape)
-    with warnings.catch_warnings(), np.errstate(all="ignore"):
-        warnings.simplefilter("error", np.exceptions.ComplexWarning)
-        for j, size in enumerate(sizes):
-            step = _IMAGINARY * size
-            moved = z.astype(complex)
-            moved[j] += 1j * step
-            out[:, j] = np.imag(np.atleast_1d(np.asarray(function(moved)))) / step  # pyright: ignore[reportArgumentType]
-    return out

@@ -159,11 +159,13 @@ def _standstills(gathered: Gathered, runs: list[_Runs]) -> list[str]:
         note = one.note(name, gathered.n_samples, _where(gathered, one.longest[1]))
         if note is not None:
             notes[name] = one, note
-    together = [
-        name
-        for name, (one, _) in notes.items()
-        if any(_overlap(one.longest, other.longest) for other in runs if other is not one)
-    ]
+    together = []
+    for name, (one, _) in notes.items():
+        length, recording, first, _ = one.longest
+        for other in (run.longest for run in runs if run is not one):  # of the same size, and most of its rows
+            shared = min(length + first, other[0] + other[2]) - max(first, other[2])
+            if recording == other[1] and shared > 0.8 * max(length, other[0]) and name not in together:
+                together.append(name)
     said = [note for name, (_, note) in notes.items() if name not in together]
     if together:
         length, recording, first, _ = notes[together[0]][0].longest
@@ -173,12 +175,6 @@ def _standstills(gathered: Gathered, runs: list[_Runs]) -> list[str]:
             "plant at rest, or did the recording stop? Rows that show no normal operation are better left out"
         )
     return said
-
-
-def _overlap(one: tuple[int, int, int, float], other: tuple[int, int, int, float]) -> bool:
-    """Return whether two runs share most of the rows of the shorter one, which is of the same size."""
-    shared = min(one[0] + one[2], other[0] + other[2]) - max(one[2], other[2])
-    return one[1] == other[1] and shared > 0.8 * max(one[0], other[0])
 
 
 def _where(gathered: Gathered, recording: int) -> str:

@@ -481,7 +481,11 @@ def without_alarms(gathered: Gathered, alarms: Alarms | Sequence[Alarms]) -> tup
             continue
         if isinstance(one, Sequence) and all(isinstance(alarm, Alarm) for alarm in one):
             for alarm in one:
-                rows[_first_row(alarm, gathered.dt) : alarm.stop] = True
+                began, first = alarm.began, 0  # the row from which its cause may have begun, where that is known
+                if began is None or began.earliest is not None:
+                    since = alarm.onset if began is None else min(began.earliest or 0.0, alarm.onset)
+                    first = max(alarm.start - int(np.ceil((alarm.raised - since) / gathered.dt)), 0)
+                rows[first : alarm.stop] = True
             continue
         given = np.asarray(one)
         if given.dtype != bool or given.shape != rows.shape:
@@ -496,17 +500,6 @@ def without_alarms(gathered: Gathered, alarms: Alarms | Sequence[Alarms]) -> tup
         segments += [segment.cut(start, stop) for start, stop in runs(quiet).tolist()]
     kept = gathered.with_segments(segments)
     return kept, gathered.n_samples - kept.n_samples
-
-
-def _first_row(alarm: Alarm, dt: float) -> int:
-    """Return the earliest row at which the cause of an alarm may have begun; the first one where that is not known."""
-    if alarm.began is None:
-        since = alarm.onset
-    elif alarm.began.earliest is None:
-        return 0
-    else:
-        since = min(alarm.began.earliest, alarm.onset)
-    return max(alarm.start - int(np.ceil((alarm.raised - since) / dt)), 0)
 
 
 def _parity(
@@ -539,17 +532,24 @@ def _parity(
     weights = vectors.transpose(1, 0, 2)
     kept = len(correlations) - k
     gap = float(correlations[kept - 1] / max(correlations[kept], DATA_ROUNDING)) if kept else np.inf
+    if k > supported:
+        notes = (
+            f"{k} relations were asked for, and {supported} hold: past and inputs foretell the others with a "
+            f"correlation of up to {correlations[kept]:.3g}, by chance {chance:.3g}",
+            *notes,
+        )
+    elif k == supported and gap < _CLEAR:
+        notes = (
+            f"no clear gap: the combinations beside the relations have a correlation of {gap:.3g} times theirs; "
+            "other numbers of relations are as good, relations=...",
+            *notes,
+        )
     evidence = Evidence(
         _METHOD,
         requested_poles=np.asarray(poles or (), dtype=complex),
         ranks={"inputs and states": RankDecision(kept, correlations, chance)},
         conditions={"gap of the correlations": gap},
-        notes=(
-            *few_rows(stacked.count, len(stacked.factor)),
-            *channels.units.facts.repeated_outputs(),
-            *_about_the_gap(correlations, k, supported, gap, chance),
-            *notes,
-        ),
+        notes=(*few_rows(stacked.count, len(stacked.factor)), *channels.units.facts.repeated_outputs(), *notes),
         references=("Ding (2014), chapter 9",),
     )
     denominator = _denominator(poles, s)
@@ -591,23 +591,6 @@ def _correlations(
     order = [place[column] for column in stacked.columns(window)]
     limit = _CHANCE * n / (_CHANCE * n + stacked.count - n)
     return correlations, combinations[order], float(np.sqrt(limit))
-
-
-def _about_the_gap(
-    correlations: NDArray[np.float64], k: int, supported: int, gap: float, chance: float
-) -> tuple[str, ...]:
-    """Return notes where more relations are used than hold, or the number of them is not clear."""
-    if k > supported:
-        return (
-            f"{k} relations were asked for, and {supported} hold: past and inputs foretell the others with a "
-            f"correlation of up to {correlations[len(correlations) - k]:.3g}, by chance {chance:.3g}",
-        )
-    if k == supported and gap < _CLEAR:
-        return (
-            f"no clear gap: the combinations beside the relations have a correlation of {gap:.3g} times theirs; "
-            "other numbers of relations are as good, relations=...",
-        )
-    return ()
 
 
 def _denominator(poles: Any, order: int) -> list[float]:

@@ -11,13 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import DataError, SettingError
 from residua.identify.channel_facts import ChannelFacts, channel_facts
-from residua.identify.fit_report import Excitation, IdentificationReport, SteadyGain, facts_of_fit
+from residua.identify.fit_report import IdentificationReport, SteadyGain, facts_of_fit
 from residua.identify.hankel_factor import NOISE_FREE, HankelFactor, count_windows, hankel_factor
 from residua.identify.identified_model import IdentifiedModel, plant_of, with_input_delays
 from residua.identify.prediction import Innovations, predictions
 from residua.identify.segments import Gathered, Names, checked_count, gather
 from residua.identify.subspace_methods import StateMap, realise, resampled, state_map
-from residua.plant import Plant
 from residua.progress import Progress, progress_of
 from residua.tolerances import POLE, RANK
 from residua.visible import echo
@@ -42,8 +41,12 @@ _ROWS = 50_000
 _BELOW = 3
 
 
-def choose_past(gathered: Gathered, facts: ChannelFacts, *, feedthrough: bool) -> int:
+def choose_past(
+    gathered: Gathered, facts: ChannelFacts, order: int | Literal["auto"], least: int, *, feedthrough: bool
+) -> int:
     """Return the rows of the past that predict the outputs best by Akaike's criterion, corrected for few samples.
+
+    They are as many as the order that is wanted needs, and ``least`` at least.
 
     Raises
     ------
@@ -75,7 +78,8 @@ def choose_past(gathered: Gathered, facts: ChannelFacts, *, feedthrough: bool) -
             return np.inf
         return windows * log_determinant(T[regressors:, -outputs:], windows) + 2 * outputs * regressors * windows / left
 
-    return min(range(1, most + 1), key=akaike)
+    best = min(range(1, most + 1), key=akaike)
+    return max(best if order == "auto" else past_of_order(gathered, int(order), best), least)
 
 
 def past_of_order(gathered: Gathered, order: int, least: int) -> int:
@@ -220,15 +224,15 @@ def subspace(
     """
     if method not in get_args(Method):
         raise SettingError(f"method must be one of {', '.join(get_args(Method))}, got {echo(method)}")
-    for value, what, least, other in (
-        (order, "order", 0, "auto"),
-        (max_order, "max_order", 0, None),
-        (past, "past", 1, "auto"),
-    ):
+    options = {"order": (order, 0, "auto"), "max_order": (max_order, 0, None), "past": (past, 1, "auto")}
+    for what, (value, smallest, other) in options.items():
         if not (type(value) is type(other) and value == other):
-            checked_count(value, what, least, repr(other))
+            checked_count(value, what, smallest, repr(other))
     if max_order is not None and order != "auto" and max_order < order:
         raise SettingError(f"max_order must be at least the order that is asked for, {order}, got {max_order}")
+    least = 2 if method == "moesp" else 1
+    if past != "auto" and past < least:
+        raise SettingError("past must be at least 2 for 'moesp', whose dynamics are a shift by a row, got 1")
     gathered = gather(recordings, y, inputs=inputs, outputs=outputs, dt=dt)
     delayed = dict(delays or {})
     first, last = gathered.delayed(delayed).divided(held_out)
@@ -236,13 +240,7 @@ def subspace(
     facts.check()
     tell, close = progress_of(progress)
     try:
-        horizon = choose_past(first, facts, feedthrough=feedthrough) if past == "auto" else int(past)
-        if past == "auto" and order != "auto":
-            horizon = past_of_order(first, int(order), horizon)
-        if method == "moesp" and horizon < 2:
-            if past != "auto":
-                raise SettingError("past must be at least 2 for 'moesp', whose dynamics are a shift by a row, got 1")
-            horizon = 2
+        horizon = choose_past(first, facts, order, least, feedthrough=feedthrough) if past == "auto" else int(past)
         length = horizon + 1 if method == "pbsid" else 2 * horizon
         factor = hankel_factor(first, length, facts, progress=tell)
         states = state_map(method, factor, horizon, feedthrough=feedthrough)
@@ -257,6 +255,14 @@ def subspace(
     around = (first.inputs, first.outputs, first.dt, facts.mean, facts.units)
     plant, K, V = plant_of(model, *around, units=units, name=name)
     others = [plant_of(one, *around)[0] for one in again]
+    gain = None
+    if plant.inputs and np.abs(made["poles"] - 1).min(initial=np.inf) >= POLE:
+        gains = np.array([one.system("control").dc_gain() for one in others])
+        error = np.sqrt((len(gains) - 1) * gains.var(axis=0)) if len(gains) else None
+        if error is not None:
+            # all parts may agree on what no row of any of them shows
+            error[:, made["excitation"].unexplained < RANK] = np.inf
+        gain = SteadyGain(plant.system("control").dc_gain(), error)
     report = IdentificationReport(
         **made,
         method=method.upper(),
@@ -267,11 +273,10 @@ def subspace(
         criterion=choice.criterion,
         held_out_errors=choice.held_out_errors,
         predictor_poles=np.linalg.eigvals(model.A - model.K @ model.C).astype(complex),
-        steady_gain=_steady_gain(plant, others, made["excitation"]),
+        steady_gain=gain,
     )
-    notes = [*gathered.notes, *facts.notes(gathered), *report.notes]
-    notes += _about_the_model(report, max(map(len, first.segments)), len(others), parts)
-    report = replace(report, notes=tuple(notes))
+    about = _about_the_model(report, max(map(len, first.segments)), len(others), parts)
+    report = replace(report, notes=(*gathered.notes, *facts.notes(gathered), *report.notes, *about))
     late, *others = (with_input_delays(one, delayed) for one in (plant, *others))
     K = np.vstack([K, np.zeros((late.n_states - plant.n_states, len(V)))])
     return IdentifiedModel(late.with_identification(report.identification), report, K, V, tuple(others))
@@ -300,18 +305,6 @@ def _about_the_model(report: IdentificationReport, longest: int, others: int, pa
             f"model of order {report.order} can be made, so that they are too small, if anything"
         )
     return notes
-
-
-def _steady_gain(plant: Plant, others: list[Plant], excitation: Excitation) -> SteadyGain | None:
-    poles = np.linalg.eigvals(plant.A)
-    if not plant.inputs or (len(poles) and np.abs(poles - 1).min() < POLE):
-        return None
-    gains = np.array([one.system("control").dc_gain() for one in others])
-    count = len(gains)
-    error = np.sqrt((count - 1) / count * ((gains - gains.mean(axis=0)) ** 2).sum(axis=0)) if count else None
-    if error is not None:
-        error[:, excitation.unexplained < RANK] = np.inf  # all parts may agree on what no row of any of them shows
-    return SteadyGain(plant.system("control").dc_gain(), error)
 
 
 @dataclass(frozen=True, eq=False)

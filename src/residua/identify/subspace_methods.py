@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import AccuracyError, DataError, DesignError
-from residua.identify.hankel_factor import NOISE_FREE, HankelFactor, regress
+from residua.identify.hankel_factor import NOISE_FREE, HankelFactor, regress, triangle
 from residua.identify.prediction import Innovations
 from residua.linear.poles.riccati import filter_riccati
 from residua.linear.poles.spectrum import spectral_radius
@@ -148,7 +148,10 @@ def resampled(
     """
     models = []
     now = factor.R[:, factor.signals(range(states.past))]
-    for one in factor.without_each_part():
+    for left_out in range(len(factor.parts)):
+        rest = [one for k, one in enumerate(factor.parts) if k != left_out]
+        windows = round(factor.windows * len(rest) / len(factor.parts))
+        one = replace(factor, R=triangle(np.vstack(rest)), parts=(), windows=windows)
         own = state_map(method, one, states.past, feedthrough=feedthrough)
         if len(own.T) < order:
             continue
