@@ -115,12 +115,18 @@ def jacobian(
     z = np.array(point, dtype=float)
     f = checked(function, rows)
     look = first_look(f, z, columns, sizes)
-    columns_of = [_extrapolated(f, z, look, j) for j in range(len(z))]
-    size = look.sizes
-    matrix = np.column_stack([np.zeros((len(rows), 0)), *(column.slope for column in columns_of)])
-    error = np.column_stack([np.zeros((len(rows), 0)), *(column.error for column in columns_of)])
+    size, wrong = look.sizes, []
+    matrix, error = np.zeros((len(rows), len(z))), np.zeros((len(rows), len(z)))
+    for j in range(len(z)):
+        matrix[:, j], error[:, j], kinks = _extrapolated(f, z, j, look, rows, columns)
+        wrong += kinks
+    if wrong:
+        raise ModelError(
+            f"no linear model exists at this point: {some(wrong, 4)}. Such places come from abs, sign, limits or the "
+            "root of zero (or from a function with numerical noise): linearise at a point beside it, or use a "
+            "smooth form"
+        )
     terms = np.maximum(look.terms, (np.abs(matrix) * size).sum(axis=1))
-    _refuse_kinks(columns_of, rows, columns, z)
     exact, why = False, "its complex derivative is another one (abs, sign or real parts do that)"
     by_complex = np.zeros(matrix.shape)
     try:
@@ -252,74 +258,46 @@ def _size_of_effect(f: Callable[[Vector], Vector], z: Vector, j: int, terms: Vec
     return size if share > 0 or not np.isfinite(share) else 0.0
 
 
-@dataclass(frozen=True, eq=False)
-class _Column:
-    """Slopes over one variable: extrapolated, their errors, and rows whose one-sided slopes disagree."""
+def _extrapolated(
+    f: Callable[[Vector], Vector], z: Vector, j: int, look: FirstLook, rows: tuple[str, ...], columns: tuple[str, ...]
+) -> tuple[Vector, Vector, list[str]]:
+    """Extrapolate central differences to a step of zero, and compare the slopes to both sides.
 
-    slope: Vector
-    error: Vector
-    kinks: NDArray[np.bool_]
-    ahead: Vector
-    behind: Vector
-    outside: bool
-
-
-def _extrapolated(f: Callable[[Vector], Vector], z: Vector, look: FirstLook, j: int) -> _Column:
-    """Extrapolate central differences to a step of zero, and compare the slopes to both sides."""
+    Returns
+    -------
+    slope, error : ndarray, shape (rows,)
+        The entries of the extrapolation table (Romberg's) with the least estimated error.
+    kinks : list of str
+        The rows whose one-sided slopes disagree, in words.
+    """
     value, steps = look.value, look.sizes[j] * 2.0**-_POWERS
     up, down = (np.array([f(_moved(z, j, sign * h)) for h in steps]) for sign in (1, -1))
     # what was added is a little different from the step
     width_up, width_down = (z[j] + steps) - z[j], z[j] - (z[j] - steps)
-    h = steps[:, None]
     with np.errstate(all="ignore"):
         ahead, behind = (up - value) / width_up[:, None], (value - down) / width_down[:, None]
-        central = (up - down) / (width_up + width_down)[:, None]
+        table = (up - down) / (width_up + width_down)[:, None]
         every = np.abs(np.vstack([up, down, value]))
         most = np.maximum(np.where(np.isfinite(every), every, 0.0).max(axis=0), look.terms)
-        noise = _EPS * most / h
-        slope, error = _romberg(central, noise)
+        noise, every_row = _EPS * most / steps[:, None], np.arange(len(value))
+        slope, error = table[-1].copy(), np.full(len(value), np.inf)
+        for order in range(1, _ORDERS + 1):
+            better = (4.0**order * table[1:] - table[:-1]) / (4.0**order - 1)
+            estimate = np.maximum(np.abs(better - table[1:]), np.abs(better - table[:-1])) + noise[order:]
+            estimate = np.where(np.isfinite(estimate), estimate, np.inf)
+            least = estimate.argmin(axis=0)
+            smallest = estimate[least, every_row]
+            slope = np.where(smallest < error, better[least, every_row], slope)
+            error, table = np.minimum(error, smallest), better
         spread = np.fmax(np.abs(ahead - slope), np.abs(behind - slope))
-    last, before = spread[-1], spread[-1 - _KINK_STEPS]
-    kinks = (last > _KINK * before) & (last > _CLEAR * noise[-1])
-    outside = not (np.isfinite(up[-1]).all() and np.isfinite(down[-1]).all())
-    return _Column(slope, error, kinks, ahead[-1], behind[-1], outside)
-
-
-def _romberg(central: Matrix, noise: Matrix) -> tuple[Vector, Vector]:
-    """Return for each row of the function the entry of the extrapolation table with the least estimated error."""
-    table = [central]
-    best, least = central[-1].copy(), np.full(central.shape[1], np.inf)
-    for order in range(1, _ORDERS + 1):
-        before = table[-1]
-        factor = 4.0**order
-        better = (factor * before[1:] - before[:-1]) / (factor - 1)
-        estimate = np.maximum(np.abs(better - before[1:]), np.abs(better - before[:-1])) + noise[order:]
-        estimate = np.where(np.isfinite(estimate), estimate, np.inf)
-        row = estimate.argmin(axis=0)
-        smallest = estimate[row, np.arange(len(row))]
-        take = smallest < least
-        best = np.where(take, better[row, np.arange(len(row))], best)
-        least = np.where(take, smallest, least)
-        table.append(better)
-    return best, least
-
-
-def _refuse_kinks(picked: list[_Column], rows: tuple[str, ...], columns: tuple[str, ...], z: Vector) -> None:
-    """Raise where a function has no derivative, with the slopes to both sides."""
-    out = []
-    for j, column in enumerate(picked):
-        if column.outside:
-            out.append(f"{columns[j]} = {number(z[j])} is at the edge of where the function gives finite numbers")
-            continue
-        for i in np.flatnonzero(column.kinks):
-            behind, ahead = column.behind[i], column.ahead[i]
-            sides = f"{number(behind)} to the left and {number(ahead)} to the right"
-            if abs(ahead - behind) <= _SAME_SIDES * max(abs(ahead), abs(behind)):
-                sides = f"{number(ahead)} over the smallest step and {number(column.slope[i])} over larger ones"
-            out.append(f"the slope of {rows[i]} over {columns[j]} at {columns[j]} = {number(z[j])} is {sides}")
-    if out:
-        raise ModelError(
-            f"no linear model exists at this point: {some(out, 4)}. Such places come from abs, sign, limits or the "
-            "root of zero (or from a function with numerical noise): linearise at a point beside it, or use a "
-            "smooth form"
-        )
+    name, at = columns[j], number(z[j])
+    if not (np.isfinite(up[-1]).all() and np.isfinite(down[-1]).all()):
+        return slope, error, [f"{name} = {at} is at the edge of where the function gives finite numbers"]
+    kinks = []
+    for i in np.flatnonzero((spread[-1] > _KINK * spread[-1 - _KINK_STEPS]) & (spread[-1] > _CLEAR * noise[-1])):
+        left, right = behind[-1, i], ahead[-1, i]
+        sides = f"{number(left)} to the left and {number(right)} to the right"
+        if abs(right - left) <= _SAME_SIDES * max(abs(right), abs(left)):
+            sides = f"{number(right)} over the smallest step and {number(slope[i])} over larger ones"
+        kinks.append(f"the slope of {rows[i]} over {name} at {name} = {at} is {sides}")
+    return slope, error, kinks

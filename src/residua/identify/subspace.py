@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -246,7 +246,7 @@ def subspace(
         states = state_map(method, factor, horizon, feedthrough=feedthrough)
         most = min(_MOST_ORDERS if max_order is None else max_order, len(states.T))
         choice = choose_order(factor, states, most, first, last, order, feedthrough=feedthrough, progress=tell)
-        model = realise(factor, states, choice.order, feedthrough=feedthrough)
+        model = realise(factor, states, choice["order"], feedthrough=feedthrough)
         made = facts_of_fit(model, first, last, facts, factor, feedthrough=feedthrough)
         parts = len(factor.parts)
         again = resampled(factor, states, model.order, method, feedthrough=feedthrough) if parts >= _LEAST_PARTS else []
@@ -265,13 +265,9 @@ def subspace(
         gain = SteadyGain(plant.system("control").dc_gain(), error)
     report = IdentificationReport(
         **made,
+        **choice,
         method=method.upper(),
-        order=model.order,
-        order_reason=choice.reason,
         singular_values=states.singular_values,
-        orders=choice.orders,
-        criterion=choice.criterion,
-        held_out_errors=choice.held_out_errors,
         predictor_poles=np.linalg.eigvals(model.A - model.K @ model.C).astype(complex),
         steady_gain=gain,
     )
@@ -307,29 +303,6 @@ def _about_the_model(report: IdentificationReport, longest: int, others: int, pa
     return notes
 
 
-@dataclass(frozen=True, eq=False)
-class OrderChoice:
-    """The order of a model and what it was compared with.
-
-    Attributes
-    ----------
-    order : int
-    reason : str
-    orders : tuple of int
-    criterion : ndarray
-        Schwarz's; the smallest is zero.
-    held_out_errors : ndarray
-        The geometric mean over the outputs of the prediction error, relative to the outputs' standard deviations; NaN
-        where nothing is held out or no stable predictor exists.
-    """
-
-    order: int
-    reason: str
-    orders: tuple[int, ...]
-    criterion: NDArray[np.float64]
-    held_out_errors: NDArray[np.float64]
-
-
 def choose_order(
     factor: HankelFactor,
     states: StateMap,
@@ -340,8 +313,8 @@ def choose_order(
     *,
     feedthrough: bool,
     progress: Progress,
-) -> OrderChoice:
-    """Return the order by Schwarz's criterion, or the one that is wanted, compared with the others.
+) -> dict[str, Any]:
+    """Return the order by Schwarz's criterion, or the one that is wanted, beside the others, as the report has them.
 
     Raises
     ------
@@ -374,16 +347,15 @@ def choose_order(
             errors[k] = np.exp(np.log(np.maximum(share, np.finfo(float).tiny)).mean() / 2)
     progress("orders", len(orders), len(orders))
     values -= values.min()
-    if wanted != "auto":
-        return OrderChoice(int(wanted), "as asked for", orders, values, errors)
-    best = int(values.argmin())
-    reason = "the smallest information criterion"
-    if best == most and best:
-        reason += ", which is still falling at the largest order that was compared (max_order)"
-    if np.isfinite(errors).any():
-        lowest = int(np.nanargmin(errors))
-        reason += f"; the held-out error is smallest at order {lowest}"
-    return OrderChoice(best, reason, orders, values, errors)
+    best, reason = int(values.argmin()) if wanted == "auto" else int(wanted), "as asked for"
+    if wanted == "auto":
+        reason = "the smallest information criterion"
+        if best == most and best:
+            reason += ", which is still falling at the largest order that was compared (max_order)"
+        if np.isfinite(errors).any():
+            reason += f"; the held-out error is smallest at order {int(np.nanargmin(errors))}"
+    compared = {"orders": orders, "criterion": values, "held_out_errors": errors}
+    return {"order": best, "order_reason": reason, **compared}
 
 
 def criterion(model: Innovations, fitted: Gathered, factor: HankelFactor, *, feedthrough: bool) -> float:
