@@ -94,7 +94,7 @@ class Equation:
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class EquationReport(Shown, FitReport):
-    """How the equations of a model came about and how good they are.
+    """Report on the equations of a model: their orders, coefficients and fit.
 
     Attributes
     ----------
@@ -142,7 +142,7 @@ class EquationReport(Shown, FitReport):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ArxModel:
-    """Linear equations from recordings, one for each output, and what is known of them.
+    """Linear equations from recordings, one for each output, with their report and uncertainty.
 
     Attributes
     ----------

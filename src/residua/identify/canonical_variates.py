@@ -1,4 +1,4 @@
-"""Canonical variate analysis of recorded channels: what of the past says most of the future, and the rest."""
+"""Canonical variate analysis of recorded channels: the states that predict the future best, and the residuals."""
 
 from __future__ import annotations
 

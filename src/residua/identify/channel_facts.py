@@ -1,4 +1,4 @@
-"""What the channels of recordings are like: size, drift, steps, and which of them say the same."""
+"""Statistics of the channels of recordings: size, drift, resolution, and linear dependence."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class ChannelFacts:
 
     @property
     def units(self) -> NDArray[np.float64]:
-        """A power of two near the standard deviation of each channel: what it is divided by."""
+        """A power of two near the standard deviation of each channel, by which it is divided."""
         return power_near(self.deviation)
 
     @property
@@ -142,7 +142,7 @@ class ChannelFacts:
         return f"{group[0]!r} and {group[1]!r} are the same signal, times a number"
 
     def notes(self, gathered: Gathered, *, drifts: bool = True) -> tuple[str, ...]:
-        """Return what should be known of the channels: outliers, standstills, drifts, few values, other units.
+        """Return notes on the channels: outliers, standstills, drifts, few values, other units.
 
         Outliers and standstills are those of ``gathered``, which may have more rows than the facts are from.
         """

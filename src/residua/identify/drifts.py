@@ -30,7 +30,7 @@ _MOST = 0.5
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Drifts:
-    """What fault-free recordings say of the level of each channel.
+    """The drift of each channel in fault-free recordings.
 
     Attributes
     ----------
@@ -63,12 +63,12 @@ class Drifts:
 
     @property
     def moves(self) -> NDArray[np.bool_]:
-        """Whether each channel drifts in each recording, shape (recordings, channels)."""
+        """Flags of the channels that drift in each recording, shape (recordings, channels)."""
         slow_or_changing = (np.abs(self.change) >= LEAST_CHANGE) | (self.worth < LEAST_WORTH)
         return np.asarray(slow_or_changing & self.judged[:, None])
 
     def sentence(self, name: str) -> str:
-        """Return what is known of the level of one channel: by its recording with the clearest drift."""
+        """Describe the level of one channel, by its recording with the clearest drift."""
         i = self.names.index(name)
         moves = np.flatnonzero(self.moves[:, i])
         if not len(moves):
@@ -218,7 +218,7 @@ def drifts_in(gathered: Gathered, facts: ChannelFacts) -> Drifts:
 
 
 def _worth(means: NDArray[np.float64]) -> float:
-    """Return how many independent samples means over stretches are worth: the most that any length of them shows.
+    """Return the number of independent samples in means over stretches: the most for any length of them.
 
     Neighbours of an oscillation that is sampled finely are as alike as those of a walk; over longer stretches it is
     gone, and a walk is not.

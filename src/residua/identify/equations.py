@@ -41,7 +41,7 @@ _MOST_COEFFICIENTS = 2000
 
 @dataclass(frozen=True)
 class Shape:
-    """Which signals an equation has.
+    """The signals of an equation.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ def columns_of(factor: HankelFactor, terms: Sequence[Term]) -> list[int]:
 
 
 def determined(triangle: Matrix) -> Matrix:
-    """Return for each column of a triangular factor what the columns before it leave of it, as a part of its size."""
+    """Return the part of each column of a triangular factor that the columns before it do not explain."""
     size = np.linalg.norm(triangle, axis=0)
     return np.abs(np.diag(triangle)) / np.where(size > 0, size, 1.0)
 
@@ -155,7 +155,7 @@ class Equations:
         return np.block([[V[i, j] * (P[i] @ P[j].T) for j in range(len(P))] for i in range(len(P))])
 
     def scale(self) -> list[Matrix]:
-        """Return what takes the coefficients of each equation to the units of the recordings."""
+        """Return the factors that take the coefficients of each equation to the units of the recordings."""
         m = len(self.inputs)
         return [
             self.units[m + i] / np.array([self.units[channel] for channel, _ in one.terms])
@@ -218,7 +218,7 @@ class Equations:
         return with_input_delays(made, self.delays), V
 
     def directions(self, most: int) -> tuple[Matrix, list[dict[str, Matrix]]]:
-        """Return the largest standard deviations of the coefficients, and what each does to the plant's matrices."""
+        """Return the largest standard deviations of the coefficients, and their effects on the plant's matrices."""
         count = sum(len(one.terms) for one in self.each)
         if count > _MOST_COEFFICIENTS:
             raise SettingError(
@@ -339,7 +339,7 @@ def _determined_text(
 
 @dataclass(frozen=True, eq=False)
 class EquationChoice:
-    """The shape of one equation and what it was compared with.
+    """The shape of one equation, beside the others that were compared.
 
     Attributes
     ----------
@@ -412,7 +412,7 @@ def choose_equations(
 
 
 def _choice(criterion: Matrix, share: Matrix, wanted: int | None, n_outputs: int, *, richest: bool) -> EquationChoice:
-    """Return the choice for one output; ``richest``: whether the past of all outputs was among what was compared."""
+    """Return the choice for one output; ``richest``: the past of all outputs was compared too."""
     orders = tuple(range(criterion.shape[1]))
     compared = criterion if wanted is None else criterion[:, [wanted]]
     if np.isfinite(compared).any():

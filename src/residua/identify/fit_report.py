@@ -56,7 +56,7 @@ class Excitation:
 
 
 def excitation(factor: HankelFactor, past: int, *, feedthrough: bool) -> Excitation:
-    """Return what the inputs can show, from windows of ``past`` rows and the one after them.
+    """Return the excitation by the inputs, from windows of ``past`` rows and the one after them.
 
     Without feedthrough an input that goes with the output of its row is moved by it.
     """
@@ -91,7 +91,7 @@ def excitation(factor: HankelFactor, past: int, *, feedthrough: bool) -> Excitat
 
 @dataclass(frozen=True, eq=False)
 class SteadyGain:
-    """What a constant input does to the outputs in the end, and how well the data say so.
+    """Steady-state gains from inputs to outputs, with their standard errors.
 
     Attributes
     ----------
@@ -115,7 +115,7 @@ class SteadyGain:
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class FitReport:
-    """What the prediction errors and the inputs say of a model, however it was identified.
+    """Base of the reports on identified models: prediction errors, excitation and remarks.
 
     Attributes
     ----------
@@ -185,7 +185,7 @@ class FitReport:
 
     @property
     def no_simulation(self) -> str:
-        """Why no fit from inputs alone is given, in words; empty where one is."""
+        """Reason for having no fit from inputs alone, in words; empty where there is one."""
         if self.checked.simulated_fit is not None:
             return ""
         if not self.inputs:
@@ -200,7 +200,7 @@ class FitReport:
 
     @property
     def identification(self) -> Identification:
-        """What the plant carries of this, into files and for :func:`residua.suggest`."""
+        """Summary that the plant carries, into files and for :func:`residua.suggest`."""
         gains = tuple((output, given) for output, given, _, _ in self.uncertain_gains)
         return Identification(self.method, self.samples, self.coloured, self.weak_inputs, gains)
 
@@ -231,7 +231,7 @@ class FitReport:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What should be known of the model, in sentences: the notes, then what the numbers say."""
+        """Remarks on the model in sentences: the notes, then those that follow from the numbers."""
         lines = list(self.notes)
         if self.feedback:
             pairs = listing(f"{given!r} follows {output!r}" for output, given in self.feedback[:4])
@@ -260,7 +260,7 @@ class FitReport:
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class IdentificationReport(Shown, FitReport):
-    """How a model came about and how good it is.
+    """Report on an identified state-space model: its order, fit and remarks.
 
     Attributes
     ----------

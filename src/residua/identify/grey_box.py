@@ -139,7 +139,7 @@ class GreyBox(Shown):
 
     @property
     def report(self) -> str:
-        """The estimate as a table, with what should be known of it."""
+        """The estimate as a table, with notes."""
         return str(self)
 
     def __str__(self) -> str:
@@ -319,7 +319,7 @@ def _prior_numbers(priors: Mapping[str, Sequence[float]] | None, known: tuple[Pa
 
 
 def _outcome(task: Task, found: Found, held_out: list[Matrix], notes: tuple[str, ...]) -> GreyBox:
-    """Return the estimate with its covariance and checks, or say what the data do not tell."""
+    """Return the estimate with its covariance and checks, or name the parameters that the data leave open."""
     names = tuple(p.name for p in task.parameters)
     S = task.sensitivities(found.z, found.weights)
     facts = identifiability(S, names, task.widths)
@@ -407,7 +407,7 @@ def _remarks(
     ratio: NDArray[np.float64],
     lags: int,
 ) -> tuple[str, ...]:
-    """Return what should be known of the estimate."""
+    """Return notes on the estimate."""
     out = []
     if at_bounds:
         out.append(f"{some(at_bounds)}: the estimate is a bound, and its standard error holds only inside")

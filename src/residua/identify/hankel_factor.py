@@ -96,7 +96,7 @@ def regress(targets: NDArray, regressors: NDArray) -> tuple[NDArray[np.float64],
 
 
 def count_windows(gathered: Gathered, length: int) -> int:
-    """Return how many windows of a length the data have."""
+    """Return the number of windows of a length in the data."""
     return sum(max(len(one) - length + 1, 0) for one in gathered.segments)
 
 
@@ -158,7 +158,7 @@ def discounted_factor(factor: HankelFactor, gathered: Gathered, forgetting: floa
 def _pieces(
     segments: Sequence[Segment], length: int, borders: NDArray[np.int_], size: int
 ) -> Iterable[tuple[Segment, int, int, bool]]:
-    """Yield (segment, first window, last window, whether a part of the data ends with it)."""
+    """Yield (segment, first window, last window, True where a part of the data ends with it)."""
     done, part = 0, 1
     for segment in segments:
         start, stop = 0, len(segment) - length + 1

@@ -42,13 +42,13 @@ class Prediction:
 
     @property
     def error(self) -> NDArray[np.float64]:
-        """What was measured less what was predicted, shape (T, outputs)."""
+        """Measured less predicted outputs, shape (T, outputs)."""
         return self.measured - self.predicted
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class IdentifiedModel:
-    """A plant from recordings, in innovation form, and what is known of it.
+    """A plant from recordings, in innovation form, with its report and uncertainty.
 
     Attributes
     ----------
@@ -184,7 +184,7 @@ class IdentifiedModel:
         return predicted
 
     def _spread(self, directions: int) -> tuple[NDArray[np.float64], list[dict[str, NDArray[np.float64]]]]:
-        """Return the sizes of the leading directions of the jackknife's covariance, and what each does to a matrix."""
+        """Return the sizes of the leading directions of the jackknife's covariance, and their effects on matrices."""
         names = ("A", "B", "C", "D")
         nominal = [getattr(self.plant, name) for name in names]
         # entries are compared in units of their rows and columns: those of signals of mean square one

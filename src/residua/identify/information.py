@@ -1,4 +1,4 @@
-"""What data say of parameters: the covariance of their estimate, and the combinations that they do not tell."""
+"""Information of data on parameters: the covariance of the estimate, and combinations that are not identifiable."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _STRONGEST = 0.97
 
 @dataclass(frozen=True, eq=False)
 class Identifiability:
-    """What data say of parameters, by orthogonal combinations of them, in units of the distance of their bounds.
+    """Identifiability of parameters, by orthogonal combinations of them, in units of the distance of their bounds.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class Identifiability:
         return 1 / s if s > 0 else float("inf")
 
     def sentence(self, i: int) -> str:
-        """Return what is not known, in words."""
+        """Describe the combination that is not known."""
         moves = self.moves(i)
         error = number(self.standard_error(i), 2)
         if len(moves) == 1:
@@ -91,7 +91,7 @@ class Identifiability:
 def identifiability(
     sensitivities: Sequence[NDArray[np.float64]], parameters: tuple[str, ...], widths: NDArray[np.float64]
 ) -> Identifiability:
-    """Return what data say of parameters.
+    """Return the identifiability of parameters by the singular values of their sensitivities.
 
     Parameters
     ----------

@@ -197,7 +197,7 @@ class FirstLook:
 def first_look(
     f: Callable[[Vector], Vector], z: Vector, columns: tuple[str, ...], sizes: Mapping[str, float] | None = None
 ) -> FirstLook:
-    """Return what a function and its variables are like near a point, at two evaluations for each variable."""
+    """Return rough slopes of a function near a point, and the sizes of its variables, by two evaluations for each."""
     value = f(z)
     if not np.isfinite(value).all():
         raise ModelError(f"the function gives {echo(value.tolist())} at {echo(z.tolist())}: no finite numbers")

@@ -31,7 +31,7 @@ _ROUGH_RANK = 2.0**-23
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TangentModel(Shown):
-    """The linear model of nonlinear equations at a point, with what is known of its accuracy.
+    """The linear model of nonlinear equations at a point, with its accuracy.
 
     Attributes
     ----------
@@ -273,9 +273,11 @@ def tangent_model(
     )
     upper, lower = slopes.matrix[:n], slopes.matrix[n:]
     matrices = (upper[:, :n], upper[:, n : n + m], lower[:, :n], lower[:, n : n + m])
-    channels = {"inputs": model.inputs, "outputs": model.outputs, "states": model.states}
     text = " ".join(filter(None, [description, about]))
-    plant = Plant(*matrices, dt=model.dt, **channels, units=units, name=name, description=text)
+    plant = Plant(
+        *matrices, dt=model.dt, inputs=model.inputs, outputs=model.outputs, states=model.states, units=units, name=name
+    )
+    plant = plant._with(description=text)
     plant = plant.with_operating_point(inputs=u0, outputs=values[n:])
     for k, fault in enumerate(model.faults, n + m):
         plant = plant.with_faults({fault: (frozen(upper[:, k]), frozen(lower[:, k]))})
@@ -365,7 +367,7 @@ def _model(
     outputs: Iterable[str] | str | None,
     states: Iterable[str] | str | None,
 ) -> _Model:
-    """Return the functions with names for all that they take and give, or say what does not fit."""
+    """Return the functions with names for their arguments and values, or raise where something does not fit."""
     if not callable(rate) or not (output is None or callable(output)):
         raise ModelError("rate and output must be functions of (x, u), or of (x, u, f) with faults")
     if not isinstance(at, (tuple, list)) or len(at) != 2:

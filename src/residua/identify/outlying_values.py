@@ -56,7 +56,7 @@ class _Runs:
             self.longest = int(lengths[k]), recording, int(starts[k]), float(values[k])
 
     def note(self, name: str, rows: int, where: str) -> str | None:
-        """Return what is said of the longest run, if it is none of a channel that moves in steps."""
+        """Return a note on the longest run, unless the channel moves in steps."""
         length, _, first, value = self.longest
         if length < max(_LEAST_RUN, _LEAST_SHARE * rows) or length == rows:
             return None

@@ -47,7 +47,7 @@ class Parameter(NamedTuple):
 
 
 def parameters_of(parameters: Mapping[str, Sequence[float]]) -> tuple[tuple[Parameter, ...], bool]:
-    """Return checked parameters, and whether a start was given for some."""
+    """Return checked parameters, and True where a start was given for some."""
     if not isinstance(parameters, Mapping) or not parameters:
         raise SettingError("name at least one parameter: {name: (low, high)} or {name: (low, start, high)}")
     out, started = [], False
@@ -125,7 +125,7 @@ class PlantAt:
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """What is fitted: parameters of a plant, on stretches of data.
+    """A fit of parameters of a plant to stretches of data.
 
     Attributes
     ----------
@@ -207,7 +207,7 @@ class Task:
 
 
 class Found(NamedTuple):
-    """Where a search has ended."""
+    """The end of a search."""
 
     z: Vector
     weights: Matrix

@@ -326,7 +326,7 @@ def parity_from_data(
 
 @dataclass(frozen=True, eq=False)
 class Weights:
-    """The sum of weights, and of their squares: with all of them one, the number of what is weighted."""
+    """The sum of weights, and of their squares: both the number of items where all weights are one."""
 
     total: float
     squares: float
@@ -376,7 +376,7 @@ class ParityMemory:
     def of(
         cls, hankel: HankelFactor, gathered: Gathered, units: Standard, poles: Sequence[complex] | None
     ) -> ParityMemory:
-        """Return what is remembered of the first recordings."""
+        """Return the memory of the first recordings."""
         count, rows = float(hankel.windows), float(gathered.n_samples)
         return cls(
             replace(hankel, parts=()),
@@ -454,7 +454,7 @@ class ParityMemory:
 
 
 def without_alarms(gathered: Gathered, alarms: Alarms | Sequence[Alarms]) -> tuple[Gathered, int]:
-    """Return recordings cut where an alarm stands, as where a value is missing, and how many rows that leaves out.
+    """Return recordings cut where an alarm stands, as where a value is missing, and the number of rows left out.
 
     Parameters
     ----------
@@ -510,7 +510,7 @@ def _parity(
     notes: tuple[str, ...] = (),
     tell: Progress = lambda stage, done, total: None,
 ) -> DataParity:
-    """Return the relations of what is remembered, with their generator."""
+    """Return the relations of a memory, with their generator."""
     tell("relations", 0, 2)
     s, m, q = stacked.lags // 2, len(memory.inputs), stacked.channels
     poles = memory.poles

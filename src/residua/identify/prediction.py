@@ -57,7 +57,7 @@ class Innovations:
         return len(self.A)
 
     def at_rest(self) -> tuple[Matrix, Matrix, float]:
-        """Return states and outputs at rest for inputs of zero, and what of the constants no rest balances."""
+        """Return states and outputs at rest for inputs of zero, and the part of the constants that no rest balances."""
         n = self.order
         if not n:
             return np.zeros(0), self.output_constant, 0.0
@@ -77,7 +77,7 @@ def one_step_predictor(A: Matrix, B: Matrix, C: Matrix, D: Matrix, K: Matrix, *,
 
 @dataclass(frozen=True, eq=False)
 class ErrorFacts:
-    """What prediction errors on data say of a model.
+    """Statistics of the prediction errors of a model on data.
 
     Attributes
     ----------
@@ -126,7 +126,7 @@ def predictions(
 
 
 def error_facts(model: Innovations, gathered: Gathered, reference: NDArray, units: NDArray) -> ErrorFacts | None:
-    """Return what the prediction errors on data say; ``None`` where no segment is long enough to predict any row."""
+    """Return the statistics of the errors on data; ``None`` where no segment is long enough to predict any row."""
     m, p = len(gathered.inputs), len(gathered.outputs)
     radius = float(spectral_radius(model.A))
     simulable = bool(m) and radius < 1
@@ -214,6 +214,6 @@ def _significant(
 
 
 def rows_to_forget(radius: float) -> int:
-    """Return after how many rows 1 % is left of the start of a simulation, for a spectral radius below one."""
+    """Return the number of rows until 1 % of the start of a simulation is left, for a spectral radius below one."""
     with np.errstate(divide="ignore"):
         return int(min(np.ceil(np.log(0.01) / np.log(radius)), BLOCK))

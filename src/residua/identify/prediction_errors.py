@@ -122,7 +122,7 @@ class Errors:
     nuisance: list[NDArray[np.float64]]
 
     def left(self, weights: Matrix) -> list[Matrix]:
-        """Return the weighted errors with what start and offsets can explain of them taken out (least squares)."""
+        """Return the weighted errors less their projection on start and offsets (least squares)."""
         return [_without(e @ weights.T, weights @ G) for e, G in zip(self.raw, self.nuisance, strict=True)]
 
     @property
@@ -158,7 +158,7 @@ def prediction_errors(filter_: Predictor, data: Sequence[Matrix], offsets: Seque
 
 
 def _responses(filter_: Predictor, samples: int, offsets: Sequence[int]) -> NDArray[np.float64]:
-    """Return what a start in each state, and a constant one in each of some channels, do to the errors."""
+    """Return the responses of the errors to a start in each state, and to a constant one in each of some channels."""
     n, m = len(filter_.A), filter_.B.shape[1]
     count = n + len(offsets)
     held = np.zeros((count, m))
@@ -194,7 +194,7 @@ def _without(errors: Matrix, responses: NDArray[np.float64]) -> Matrix:
 
 
 def error_covariance(errors: Sequence[Matrix], unknowns: int) -> Matrix:
-    """Return the covariance of prediction errors, about zero, less the freedom of what was estimated."""
+    """Return the covariance of prediction errors, about zero, less the degrees of freedom of the estimate."""
     stacked = np.vstack(errors)
     samples, p = stacked.shape
     return stacked.T @ stacked / max(samples - unknowns / p, 1.0)

@@ -1,4 +1,4 @@
-"""Static and dynamic principal components of recorded channels: scores, and what they leave."""
+"""Static and dynamic principal components of recorded channels: scores and residuals."""
 
 from __future__ import annotations
 
@@ -246,7 +246,7 @@ def principal_components(
 
 
 def _kept(components: object, variances: NDArray[np.float64], edge: float) -> int:
-    """Return how many components are kept."""
+    """Return the number of components to keep."""
     d = len(variances)
     wanted = f"components must be a whole number from 1 to {d}, or a share of the variance between 0 and 1"
     if components is None:

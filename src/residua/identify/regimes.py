@@ -124,7 +124,7 @@ def rows_in(keys: NDArray[np.float64], key: Key) -> NDArray[np.bool_]:
 
 
 def ages(keys: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return for how many rows each row's mode has lasted before it; missing modes count as one mode.
+    """Return the number of rows that each row's mode has lasted; missing modes count as one mode.
 
     ``UNKNOWN_AGE`` for the mode at the start of a recording.
     """
@@ -141,7 +141,7 @@ def ages(keys: NDArray[np.float64]) -> NDArray[np.int64]:
 
 
 def transient_rows(visits: Sequence[NDArray[np.float64]]) -> int:
-    r"""Return for how many rows a mode shows that it was entered, from the recorded visits to it.
+    r"""Return the length of the transient after a mode is entered, from the recorded visits to it.
 
     .. math:: d^2(x) = (x - \mu)^T S^{-1} (x - \mu)
 
@@ -407,7 +407,7 @@ class _Visited:
     ages: Mapping[int, NDArray[np.int64]]
 
     def parts(self, key: Key, transient: int) -> list[Segment]:
-        """Return the runs of complete rows in a mode, without what follows a change."""
+        """Return the runs of complete rows in a mode, without the transient after a change."""
         out = []
         for one in self.gathered.segments:
             here = rows_in(self.keys[one.recording], key) & (self.ages[one.recording] >= transient)

@@ -1,4 +1,4 @@
-"""What recorded outputs are, by linear regression on the inputs: each output less what the inputs say of it."""
+"""Linear regression of recorded outputs on the inputs; its errors are residuals."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def regression(
     lags: int = 0,
     dt: float | None = None,
 ) -> Regression:
-    r"""Return what recorded outputs are beside a linear regression on the inputs, as a residual generator.
+    r"""Return the errors of a linear regression of recorded outputs on inputs, as a residual generator.
 
     .. math:: r_k = y_k - \bar y - \sum_{i=0}^{L} \Theta_i\, (u_{k-i} - \bar u), \qquad
               \min_\Theta \sum_k \| r_k \|^2

@@ -229,7 +229,7 @@ class Gathered:
 
 
 def checked_count(value: object, name: str, least: int = 0, instead: str = "") -> int:
-    """Return a whole number, or say what is wrong with it, and what could stand ``instead`` of one."""
+    """Return a whole number, or raise with the text that could stand ``instead`` of one."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
         other = f", or {instead}" if instead else ""
         raise SettingError(f"{name} must be a whole number, at least {least}{other}, got {echo(value)}")
@@ -281,7 +281,7 @@ def gather(
         several = [one if _is_pair(one) else (one, None) for one in listed_ones]
     if not several:
         raise DataError("the list of recordings is empty")
-    tables = [_table(pair, *wanted, dt, number) for number, pair in enumerate(several)]
+    tables = [_table(pair, wanted[0], wanted[1], dt, number) for number, pair in enumerate(several)]
     tables, notes = _without_still(tables) if outputs is None and y is None else (tables, ())
     first = tables[0]
     if not first.outputs:
@@ -458,7 +458,8 @@ def _complete_runs(rows: Segment) -> list[tuple[int, int]]:
 
 def _emptiest(tables: Sequence[_Table]) -> str:
     """Name the channel with the most missing values."""
-    absent = sum((~np.isfinite(block)).sum(axis=0) for one in tables for _, block in one.rows.blocks())
+    gaps = [(~np.isfinite(block)).sum(axis=0) for one in tables for _, block in one.rows.blocks()]
+    absent = np.sum(gaps, axis=0)
     worst, total = int(np.argmax(absent)), sum(len(one.rows) for one in tables)
     channel = (tables[0].inputs + tables[0].outputs)[worst]
     return f"{channel!r} is missing in {int(absent[worst])} of {total} rows; leave it out, or other channels"

@@ -177,7 +177,7 @@ def resampled(
 
 
 def _stable_gain(A: Matrix, C: Matrix, K: Matrix, W: Matrix, V: Matrix) -> tuple[Matrix, str]:
-    """Return the gain of a stable predictor, and what is said if it is not the one that was estimated."""
+    """Return the gain of a stable predictor, with a note if it is not the one that was estimated."""
     radius = float(spectral_radius(A - K @ C))
     if radius < 1:
         return K, ""
