@@ -103,9 +103,10 @@ def outlying_values(gathered: Gathered) -> tuple[str, ...]:
         with np.errstate(over="ignore"):  # values whose squares overflow are refused by their name
             apart = (block - middle) / np.where(unit > 0, unit, np.inf)
             far = np.abs(apart) > _FAR
-            count += far.sum(axis=0)
-            far_squares += (np.where(far, apart, 0.0) ** 2).sum(axis=0)
-            squares += (apart**2).sum(axis=0)
+            squares += np.einsum("ij,ij->j", apart, apart)
+            if far.any():
+                count += far.sum(axis=0)
+                far_squares += (np.where(far, apart, 0.0) ** 2).sum(axis=0)
         first = segment.start + start
         for k in np.flatnonzero(far.any(axis=0)).tolist():
             row = int(far[:, k].argmax())

@@ -438,19 +438,18 @@ class ParityMemory:
                 f"at least {1 - 2 / (columns + 3):.6g}, or {1 - 2 / (10 * columns):.6g} to know them well"
             )
         hankel = discounted_factor(self.hankel, gathered, forgetting)
-        mean, scatter, rows = self.mean, self.scatter, self.rows
-        for _, _, block in gathered.blocks():
-            count = len(block)
-            weights = forgetting ** np.arange(count - 1, -1, -1)
-            share = weights / weights.sum()
-            there = mean + share @ (block - mean)
-            left = forgetting**count
-            after = rows.and_new(count, forgetting)
-            apart = (there - mean) ** 2 * (left * rows.total) * weights.sum() / after.total
-            scatter = left * scatter + weights @ (block - there) ** 2 + apart
-            mean = mean + (there - mean) * (weights.sum() / after.total)
-            rows = after
-        return replace(self, hankel=hankel, windows=windows, rows=rows, mean=mean, scatter=scatter)
+        count, seen = gathered.n_samples, 0
+        first, second = np.zeros_like(self.mean), np.zeros_like(self.mean)  # moments about the mean before
+        for *_, block in gathered.blocks():
+            seen += len(block)
+            weights = forgetting ** (count - seen + np.arange(len(block) - 1, -1, -1))
+            apart = block - self.mean
+            first += weights @ apart
+            second += weights @ apart**2
+        rows = self.rows.and_new(count, forgetting)
+        scatter = forgetting**count * self.scatter + second - first**2 / rows.total
+        mean = self.mean + first / rows.total
+        return replace(self, hankel=hankel, windows=windows, rows=rows, mean=mean, scatter=np.maximum(scatter, 0.0))
 
 
 def without_alarms(gathered: Gathered, alarms: Alarms | Sequence[Alarms]) -> tuple[Gathered, int]:

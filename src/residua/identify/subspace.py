@@ -339,12 +339,14 @@ def choose_order(
         except DataError:  # no stable predictor has its covariances
             continue
         values[k] = criterion(model, seen, factor, feedthrough=feedthrough)
-        pieces = list(predictions(model, unseen, factor.reference, factor.units))
-        if pieces:
-            y, predicted = (np.vstack([piece[i] for piece in pieces]) for i in (1, 2))
-            spread = np.sum((y - y.mean(axis=0)) ** 2, axis=0)
-            share = np.sum((y - predicted) ** 2, axis=0) / np.where(spread > 0, spread, 1.0)
-            errors[k] = np.exp(np.log(np.maximum(share, np.finfo(float).tiny)).mean() / 2)
+        rows, total, squares, left = 0, 0.0, 0.0, 0.0
+        for _, y, predicted in predictions(model, unseen, factor.reference, factor.units):
+            e, rows, total = y - predicted, rows + len(y), total + y.sum(axis=0)
+            squares, left = squares + np.einsum("ij,ij->j", y, y), left + np.einsum("ij,ij->j", e, e)
+        if rows:
+            spread = np.asarray(squares - total**2 / rows)
+            share = np.maximum(left / np.where(spread > 0, spread, 1.0), np.finfo(float).tiny)
+            errors[k] = np.exp(np.log(share).mean() / 2)
     progress("orders", len(orders), len(orders))
     values -= values.min()
     best, reason = int(values.argmin()) if wanted == "auto" else int(wanted), "as asked for"
