@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from residua.identify.grey_box import GreyBox, grey_box
     from residua.identify.identified_model import IdentifiedModel, Prediction
     from residua.identify.linearise import TangentModel, linearise, tangent_model
-    from residua.identify.nonlinear_model import NonlinearModel
     from residua.identify.parity_from_data import DataParity, parity_from_data
+    from residua.identify.prediction_errors import NonlinearModel
     from residua.identify.principal_components import PrincipalComponents, principal_components
     from residua.identify.regimes import OperatingMode, Regimes, regimes
     from residua.identify.regression import Regression, regression
@@ -61,7 +61,7 @@ hand_on(
         "residua.identify.grey_box": ("GreyBox", "grey_box"),
         "residua.identify.identified_model": ("IdentifiedModel", "Prediction"),
         "residua.identify.linearise": ("TangentModel", "linearise", "tangent_model"),
-        "residua.identify.nonlinear_model": ("NonlinearModel",),
+        "residua.identify.prediction_errors": ("NonlinearModel",),
         "residua.identify.parity_from_data": ("DataParity", "parity_from_data"),
         "residua.identify.principal_components": ("PrincipalComponents", "principal_components"),
         "residua.identify.regimes": ("OperatingMode", "Regimes", "regimes"),

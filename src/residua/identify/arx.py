@@ -394,7 +394,14 @@ def arx(
     if max_order is not None:
         checked_count(max_order, "max_order")
     gathered = gather(recordings, y, inputs=inputs, outputs=outputs, dt=dt)
-    wanted = _wanted(order, gathered.outputs)
+    orders = order if isinstance(order, Mapping) else dict.fromkeys(gathered.outputs, order)
+    orders = {} if isinstance(order, str) and order == "auto" else orders
+    try:
+        named = [gathered.outputs[index_of(output, gathered.outputs, "output")] for output in orders]
+    except ModelError as error:
+        raise SettingError(f"order: {error}") from error
+    other = "'auto' or a mapping of outputs to their orders, such as {'level': 2, 'flow': 1}"
+    wanted = {k: checked_count(n, "order", 0, other) for k, n in zip(named, orders.values(), strict=True)}
     first, last = gathered.delayed(delays or {}).divided(held_out)
     facts = channel_facts(first)
     facts.check()
@@ -419,24 +426,6 @@ def arx(
     report = replace(report, notes=(*gathered.notes, *facts.notes(gathered), *report.notes))
     model = basis.model(name=name, units=units, plant=plant)
     return ArxModel(model, plant.with_identification(report.identification), report, V, basis)
-
-
-def _wanted(order: Any, outputs: tuple[str, ...]) -> dict[str, int]:
-    """Return the orders that are asked for, by output; those left out are chosen."""
-    if isinstance(order, (list, tuple, np.ndarray)):
-        raise SettingError(
-            "order must be one whole number for all outputs, 'auto', or a mapping of outputs to their orders, such as "
-            f"{{'level': 2, 'flow': 1}}, got {echo(order)}"
-        )
-    if isinstance(order, str) and order == "auto":
-        return {}
-    if not isinstance(order, Mapping):
-        return dict.fromkeys(outputs, checked_count(order, "order", 0, "'auto'"))
-    try:
-        names = [outputs[index_of(name, outputs, "output")] for name in order]
-    except ModelError as error:
-        raise SettingError(f"order: {error}") from error
-    return {name: checked_count(n, "order", 0, "'auto'") for name, n in zip(names, order.values(), strict=True)}
 
 
 def _in_own_units(basis: Equations, choices: tuple[EquationChoice, ...]) -> tuple[Equation, ...]:

@@ -308,33 +308,25 @@ def fit_equations(
         Q, T = np.linalg.qr(X)
         left = determined(T)
         if left.min() <= DATA_ROUNDING:
-            raise DataError(_determined_text(T, left, terms, shape, gathered.channels, gathered.outputs[i]))
+            text = [
+                repr(gathered.channels[channel]) + (f" {counted(row, 'row')} before" if row else "")
+                for channel, row in terms
+            ]
+            first = int(np.argmax(left <= DATA_ROUNDING))
+            size = np.linalg.norm(T[:, :first], axis=0)
+            share = np.abs(np.linalg.solve(T[:first, :first], T[:first, first]) * size)[1:]
+            largest = [k for k in np.argsort(-share, kind="stable")[:_NAMED] if share[k] > _SHARE * share.max()]
+            raise DataError(
+                f"the equation of {gathered.outputs[i]!r} with {counted(shape.order, 'row')} of the past is not "
+                f"determined: {text[first - 1]} follows from {listing(text[k] for k in sorted(largest))} but for "
+                f"{left[first]:.2g} of its size; ask for a lower order (below {max(terms[first - 1][1], 1)}), move the "
+                "inputs more freely, or leave a channel out that follows from others"
+            )
         inverse = np.asarray(solve_triangular(T, Q.T), dtype=float)
         theta = inverse @ y
         each.append(FittedEquation(shape, terms, float(theta[0]), theta[1:], y - X @ theta, inverse))
     around = (gathered.inputs, gathered.outputs, gathered.dt, facts.mean, facts.units)
     return Equations(tuple(each), factor.windows, *around, delays)
-
-
-def _determined_text(
-    T: Matrix, left: Matrix, terms: Sequence[Term], shape: Shape, names: tuple[str, ...], output: str
-) -> str:
-    """Return which signal of an equation follows from which others."""
-
-    def text(term: Term) -> str:
-        return repr(names[term[0]]) + (f" {counted(term[1], 'row')} before" if term[1] else "")
-
-    first = int(np.argmax(left <= DATA_ROUNDING))
-    size = np.linalg.norm(T[:, :first], axis=0)
-    share = np.abs(np.linalg.solve(T[:first, :first], T[:first, first]) * size)[1:]
-    largest = [k for k in np.argsort(-share, kind="stable")[:_NAMED] if share[k] > _SHARE * share.max()]
-    row = terms[first - 1][1]
-    return (
-        f"the equation of {output!r} with {counted(shape.order, 'row')} of the past is not determined: "
-        f"{text(terms[first - 1])} follows from {listing(text(terms[k]) for k in sorted(largest))} but for "
-        f"{left[first]:.2g} of its size; ask for a lower order (below {max(row, 1)}), move the inputs more freely, or "
-        "leave a channel out that follows from others"
-    )
 
 
 @dataclass(frozen=True, eq=False)

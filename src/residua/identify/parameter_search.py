@@ -12,8 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import DataError, ModelError, SettingError
-from residua.identify.nonlinear_model import NonlinearModel, model_errors, plant_of
-from residua.identify.prediction_errors import Errors, error_covariance, weights_of
+from residua.identify.prediction_errors import (
+    Errors,
+    NonlinearModel,
+    error_covariance,
+    model_errors,
+    plant_of,
+    weights_of,
+)
 from residua.plant import Plant
 from residua.progress import Progress
 from residua.tolerances import RESPONSE_ROUNDING
