@@ -44,7 +44,7 @@ class Equation:
     order : int
         Rows of the past, delays not counted.
     coupled : bool
-        Whether it has the past of the other outputs too.
+        True where it has the past of the other outputs too.
     terms : tuple of (str, int)
         Of each coefficient: the channel, and how many rows before it is read, delays included.
     coefficients, standard_errors : ndarray, shape (terms,)
@@ -328,7 +328,7 @@ def arx(
         residual and no other. ``"all"``: that of all outputs, which predicts better where outputs share what drives
         them. ``"auto"`` takes for each output what Schwarz's criterion prefers, and says by how much.
     feedthrough : bool
-        Whether an input moves an output within the same row. A controller that answers within the row looks the same,
+        True if an input moves an output within the same row. A controller that answers within the row looks the same,
         so that this is never guessed; the report says where the data look so.
     delays : mapping of str to int, optional
         Rows by which an input acts late, where that is known.

@@ -44,9 +44,9 @@ class CanonicalVariates:
     Attributes
     ----------
     generator : ResidualGenerator
-        What a :class:`residua.Monitor` runs.
+        The filter that a :class:`residua.Monitor` runs.
     test : NormThreshold
-        What a monitor tests when it gets no other test: the norm of each group.
+        The default test of a monitor: the norm of each group.
     groups : mapping of str to tuple of str
         ``"T2 of states"`` and ``"T2 of residuals"``, with the residuals of each.
     lags, states : int
@@ -59,7 +59,7 @@ class CanonicalVariates:
     samples : int
         Rows that they are from.
     drifts : mapping of str to str
-        What was done with each channel that drifts, or was named.
+        The treatment of each channel that drifts, or was named.
     """
 
     generator: ResidualGenerator
@@ -132,7 +132,7 @@ def canonical_variates(
         ``n``. ``"auto"``: where the same criterion of the innovations is least (Larimore).
     residuals : {"innovations", "variates"}
     drifts : {"keep", "leave out", "difference"} or mapping of str to these
-        What is done with channels that do not keep their level (:func:`residua.identify.drifting_channels`): nothing,
+        Treatment of channels that do not keep their level (:func:`residua.identify.drifting_channels`): nothing,
         besides a note with numbers; they are read by no residual, and have no fault, though they stay a column of the
         recordings; or they are read by their changes from row to row, which show their faults only while these change.
         A mapping says it for each channel by name, whether it drifts or not; those that it does not name are kept.

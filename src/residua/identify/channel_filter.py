@@ -179,13 +179,13 @@ class Treated:
     units : Standard
         Of ``gathered``.
     ways : dict of str to str
-        What was done with each channel that drifts, or was named.
+        The treatment of each channel that drifts, or was named.
     mean, spread : ndarray, shape (channels,)
         Of all channels; of those that are differenced the spread of the changes, of those left out their own.
     used : tuple of int
         The channels of ``gathered``, among all.
     notes : tuple of str
-        What should be known of the channels: drifts and what was done with them, and what :class:`ChannelFacts` says.
+        On drifts and their treatment, and those of :class:`ChannelFacts`.
     """
 
     whole: Gathered

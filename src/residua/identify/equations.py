@@ -48,7 +48,7 @@ class Shape:
     order : int
         Rows of the past.
     coupled : bool
-        Whether it has the past of the other outputs too.
+        True where it has the past of the other outputs too.
     """
 
     order: int

@@ -196,11 +196,11 @@ class GreyBox(Shown):
     plain_covariance : ndarray, shape (parameters, parameters)
         That for white errors.
     plant : Plant
-        What the function gives at the estimate; with the measurement noise of the fit, where it has no noise.
+        The value of the function at the estimate; with the measurement noise of the fit, where it has no noise.
     innovation_covariance : ndarray, shape (outputs, outputs)
         Of the one-step prediction errors, over the fitted samples.
     identifiability : Identifiability
-        What the data alone say of combinations of the parameters.
+        Identifiability of combinations of the parameters by the data alone.
     at_bounds : tuple of str
         Parameters whose estimate is one of their bounds.
     fit : dict of str to float
@@ -355,7 +355,7 @@ def grey_box(
     offsets : bool or sequence of str
         Channels with an unknown constant offset in each stretch of data; all outputs for ``True``.
     priors : mapping of str to (mean, standard deviation), optional
-        What is known of parameters besides the data, as normal distributions.
+        Prior knowledge of parameters, as normal distributions.
     held_out : float
         The last part of each recording that is not fitted: fit and whiteness are those of it. 0 holds nothing out.
     starts : int

@@ -49,7 +49,7 @@ class HankelFactor:
         Rows of the recording in a window, ``L``.
     n_inputs, n_outputs : int
     reference, units : ndarray, shape (channels,)
-        What was subtracted from each channel, and then divided by.
+        The values subtracted from each channel, and the divisors.
     """
 
     R: NDArray[np.float64]

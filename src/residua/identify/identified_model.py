@@ -29,7 +29,7 @@ class Prediction:
     Attributes
     ----------
     source : str
-        What the recording is called.
+        Name of the recording.
     measured : ndarray, shape (T, outputs)
         In plant units; NaN in rows with a missing value.
     predicted : ndarray, shape (T, outputs)
@@ -102,7 +102,7 @@ class IdentifiedModel:
 
         Notes
         -----
-        What the directions that are left out would add is not covered.
+        The directions that are left out are not covered.
 
         Examples
         --------

@@ -54,7 +54,7 @@ class Jacobian:
     terms : ndarray, shape (rows,)
         The sum of the sizes of what each row is made of.
     complex_step : bool
-        Whether the derivative is that of a complex step, exact but for rounding.
+        True for the derivative of a complex step, exact but for rounding.
     notes : tuple of str
     """
 
@@ -93,7 +93,7 @@ def jacobian(
         From a vector to a vector with one entry for each row.
     point : array_like, shape (columns,)
     rows, columns : tuple of str
-        What to call them in messages.
+        Names for messages.
     sizes : mapping of str to float, optional
         Column to the size of its variable, where its value does not tell.
 

@@ -39,14 +39,14 @@ class TangentModel(Shown):
     inputs, states, outputs : dict of str to float
         The point. That of inputs and outputs is the plant's operating point.
     residual : float
-        How far from rest the states are there: the largest rate (sampled: the largest change over a step), relative
+        Distance of the states from rest there: the largest rate (sampled: the largest change over a step), relative
         to the terms that it is the sum of.
     drift : dict of str to float
         The rate of each state there, in the user's units; rounding, unless the point was taken as it is.
     jacobian_error : float
         The largest estimated error of a slope, relative to the terms of its row.
     complex_step : bool
-        Whether the slopes are those of a complex step, checked by differences; otherwise extrapolated differences.
+        True for slopes of a complex step, checked by differences; otherwise by extrapolated differences.
     sizes : dict of str to float
         The size of each input, state and fault, which steps are fractions of.
     notes : tuple of str
@@ -113,9 +113,9 @@ def linearise(
     output : callable, optional
         ``output(x, u)`` or ``output(x, u, f)``; the states are measured when omitted.
     at : (states, inputs)
-        Where to linearise, or where to start looking: vectors, or mappings of names to numbers.
+        The point, or the start of the search for it: vectors, or mappings of names to numbers.
     hold : {"inputs", "point"} or mapping of str to float
-        What stands while the steady state is looked for. The inputs: states are looked for. A mapping of outputs
+        The values held while the steady state is looked for. The inputs: states are looked for. A mapping of outputs
         (and inputs) to values: states, and the inputs that are not named, are looked for; as many outputs as inputs
         that may move. ``"point"``: nothing moves; what the states drift there is left out of the plant, and said in its
         description.

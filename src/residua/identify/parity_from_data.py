@@ -54,7 +54,7 @@ class DataParity:
     Attributes
     ----------
     generator : ResidualGenerator
-        What a :class:`residua.Monitor` runs.
+        The filter that a :class:`residua.Monitor` runs.
     order : int
         ``s``: samples before the present one in each relation.
     relations : int
@@ -71,9 +71,9 @@ class DataParity:
     samples : int
         Windows that they are from; after forgetting, as many as are worth as much.
     memory : ParityMemory
-        What :meth:`updated` goes on from.
+        The state from which :meth:`updated` goes on.
     drifts : mapping of str to str
-        What was done with each channel that drifts, or was named.
+        The treatment of each channel that drifts, or was named.
     """
 
     generator: ResidualGenerator
@@ -187,7 +187,11 @@ class DataParity:
         after = memory.updated(gathered, float(forgetting))
         units = after.standard(facts)
         kept = replace(untreated(gathered, units), ways=self.drifts)
-        made = _parity(after, kept, after.lagged(units), self.relations, notes)
+        # as many rows as the weights are worth
+        known = after.windows.effective
+        stacked = lagged_of(after.hankel, units, round(known))
+        stacked = replace(stacked, factor=stacked.factor * np.sqrt(known / after.windows.total))
+        made = _parity(after, kept, stacked, self.relations, notes)
         if made.supported <= made.relations:  # where it is less, there is a note already
             return made
         note = f"the data now support {counted(made.supported, 'relation')}, and {made.relations} are kept as before"
@@ -248,13 +252,13 @@ def parity_from_data(
     order : int
         ``s``, at least the order of the plant, or of the part of it that a relation is to describe.
     relations : int, optional
-        How many are used, those that hold best first; when omitted, all that the data support: those whose correlation
+        Number, those that hold best first; when omitted, all that the data support: those whose correlation
         with past and inputs is that of chance.
     poles : sequence of complex, optional
         ``order`` stable poles, closed under conjugation, that all residuals have; all zero, the moving average, when
         omitted.
     drifts : {"keep", "leave out", "difference"} or mapping of str to these
-        What is done with channels that do not keep their level (:func:`residua.identify.drifting_channels`): nothing,
+        Treatment of channels that do not keep their level (:func:`residua.identify.drifting_channels`): nothing,
         besides a note with numbers; they are read by no residual, and have no fault, though they stay a column of the
         recordings; or they are read by their changes from row to row, which show their faults only while these change.
         A mapping says it for each channel by name, whether it drifts or not; those that it does not name are kept.
@@ -318,7 +322,18 @@ def parity_from_data(
     try:
         hankel = enough_windows(channels.gathered, channels.units, 2 * s + 1, tell)
         stacked = lagged_of(hankel, channels.units, hankel.windows)
-        memory = ParityMemory.of(hankel, channels.gathered, channels.units, poles)
+        gathered, count, rows = channels.gathered, float(hankel.windows), float(channels.gathered.n_samples)
+        memory = ParityMemory(
+            replace(hankel, parts=()),
+            Weights(count, count),
+            Weights(rows, rows),
+            channels.units.mean,
+            channels.units.facts.deviation**2 * rows,
+            gathered.inputs,
+            gathered.outputs,
+            gathered.dt,
+            None if poles is None else tuple(complex(one) for one in np.atleast_1d(np.asarray(poles, dtype=complex))),
+        )
         return _parity(memory, channels, stacked, relations, tell=tell)
     finally:
         close()
@@ -372,24 +387,6 @@ class ParityMemory:
     dt: float
     poles: tuple[complex, ...] | None
 
-    @classmethod
-    def of(
-        cls, hankel: HankelFactor, gathered: Gathered, units: Standard, poles: Sequence[complex] | None
-    ) -> ParityMemory:
-        """Return the memory of the first recordings."""
-        count, rows = float(hankel.windows), float(gathered.n_samples)
-        return cls(
-            replace(hankel, parts=()),
-            Weights(count, count),
-            Weights(rows, rows),
-            units.mean,
-            units.facts.deviation**2 * rows,
-            gathered.inputs,
-            gathered.outputs,
-            gathered.dt,
-            None if poles is None else tuple(complex(one) for one in np.atleast_1d(np.asarray(poles, dtype=complex))),
-        )
-
     def standard(self, facts: ChannelFacts) -> Standard:
         """Return mean and standard deviation of each channel over all that is remembered.
 
@@ -412,12 +409,6 @@ class ParityMemory:
                 "forgetting nearer to 1, or a recording in which they move"
             )
         return Standard(facts, self.mean, spread)
-
-    def lagged(self, units: Standard) -> LaggedRows:
-        """Return the lagged rows, as many of them as the weights are worth."""
-        known = self.windows.effective
-        made = lagged_of(self.hankel, units, round(known))
-        return replace(made, factor=made.factor * np.sqrt(known / self.windows.total))
 
     def updated(self, gathered: Gathered, forgetting: float) -> ParityMemory:
         """Return the memory after new rows: each window takes ``forgetting`` of the weight of those before it.

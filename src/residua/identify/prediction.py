@@ -33,7 +33,7 @@ class Innovations:
     covariance : ndarray
         Of the innovations.
     states : ndarray, shape (n, past rows x channels)
-        What takes the past to the states.
+        The map from the past to the states.
     past : int
     note : str
         The repair of the gain, if it needed one.

@@ -119,8 +119,8 @@ class Errors:
     raw : list of ndarray, shape (time, outputs)
         From a start at the operating point.
     nuisance : list of ndarray, shape (time, outputs, unknowns)
-        What each unknown of a stretch (state at its start, then offsets) does to the errors; the rows after those are
-        zero.
+        The response of the errors to each unknown of a stretch (state at its start, then offsets); zero in rows after
+        those.
     """
 
     raw: list[Matrix]

@@ -41,9 +41,9 @@ class PrincipalComponents:
     Attributes
     ----------
     generator : ResidualGenerator
-        What a :class:`residua.Monitor` runs.
+        The filter that a :class:`residua.Monitor` runs.
     test : NormThreshold
-        What a monitor tests when it gets no other test: the norm of each group, as it is.
+        The default test of a monitor: the norm of each group, as it is.
     groups : mapping of str to tuple of str
         ``"T2"`` and ``"Q"``, with the residuals of each.
     lags, components : int
@@ -56,7 +56,7 @@ class PrincipalComponents:
     samples : int
         Rows that they are from.
     drifts : mapping of str to str
-        What was done with each channel that drifts, or was named.
+        The treatment of each channel that drifts, or was named.
     """
 
     generator: ResidualGenerator
@@ -135,7 +135,7 @@ def principal_components(
         omitted, those of more variance than the largest that ``N`` rows of ``d`` independent columns would show,
         :math:`(1 + \sqrt{d / N})^2`.
     drifts : {"keep", "leave out", "difference"} or mapping of str to these
-        What is done with channels that do not keep their level (:func:`residua.identify.drifting_channels`): nothing,
+        Treatment of channels that do not keep their level (:func:`residua.identify.drifting_channels`): nothing,
         besides a note with numbers; they are read by no residual, and have no fault, though they stay a column of the
         recordings; or they are read by their changes from row to row, which show their faults only while these change.
         A mapping says it for each channel by name, whether it drifts or not; those that it does not name are kept.

@@ -190,7 +190,7 @@ class OperatingMode:
     name : str
         In words: ``"fan on = 1, heating = 0"``.
     design : object
-        What a :class:`residua.Monitor` takes: what the method returned for this mode.
+        The value of the method for this mode, for a :class:`residua.Monitor`.
     samples : int
         Rows that it was made from.
     transient : int

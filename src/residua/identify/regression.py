@@ -28,7 +28,7 @@ class Regression:
     Attributes
     ----------
     generator : ResidualGenerator
-        What a :class:`residua.Monitor` runs.
+        The filter that a :class:`residua.Monitor` runs.
     lags : int
     coefficients : ndarray, shape (lags + 1, outputs, inputs)
         In the units of the channels; those of the present row first.

@@ -41,7 +41,7 @@ def given_residuals(
     Parameters
     ----------
     residuals : int or sequence of str
-        How many there are (``r1``, ``r2``, ...), or their names: the columns of the data.
+        Their number (``r1``, ``r2``, ...), or their names: the columns of the data.
     structure : array_like of bool, shape (residuals, faults), or mapping of str to sequence of str, optional
         The fault signature matrix: which residuals answer to which fault. A mapping has the residuals of each fault, by
         name. Without it faults are detected and not named.

@@ -99,12 +99,12 @@ class Gathered:
     segments : tuple of Segment
         Nothing is interpolated between them.
     sources : tuple of str
-        What each recording is called.
+        Name of each recording.
     samples : tuple of int
         Rows of each recording, those with missing values included.
     notes : tuple of str
     timed : bool
-        Whether the recordings said themselves how far apart their rows are.
+        True where the recordings have a step of their own.
     """
 
     inputs: tuple[str, ...]

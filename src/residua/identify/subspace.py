@@ -168,7 +168,7 @@ def subspace(
     past : int or "auto"
         Rows of the past; by Akaike's criterion for autoregressions with inputs when omitted.
     feedthrough : bool
-        Whether an input moves an output within the same row. A controller that answers within the row looks the same,
+        True if an input moves an output within the same row. A controller that answers within the row looks the same,
         so that this is never guessed; the report says where the data look so.
     delays : mapping of str to int, optional
         Rows by which an input acts late, where that is known: the plant holds them as states.
