@@ -81,8 +81,6 @@ GATE = ("residua.design.core.generator", "residua.design.core.canonical_design",
 PROMISED = {"system", "subspaces", "state_map", "static_map", "known_form"}
 #: Kinds of files, each of which is a file here too, whoever reads it.
 FORMATS = ("residua.recording.npz_files", "residua.recording.parquet_files")
-#: Subspace methods, each a file whatever its length: one function chooses among them.
-SUBSPACE = tuple(f"residua.identify.{name}" for name in ("n4sid", "moesp", "canonical_weights", "pbsid"))
 
 # Ratchets: the number of places, by room where a room is being rebuilt.
 IN_CIRCLES: dict[str, int] = {}
@@ -173,7 +171,7 @@ def test_no_fragment_with_one_importer(house: House) -> None:
         (module, user)
         for module, user in single_importers(house, FRAGMENT)
         if module.name.rpartition(".")[2] not in own
-        and module.name not in FORMATS + SUBSPACE
+        and module.name not in FORMATS
         and not defines_a_kind(module)
         and len(module.text.splitlines()) + len(user.text.splitlines()) <= LARGEST_MODULE
     ]

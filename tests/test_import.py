@@ -108,7 +108,7 @@ def test_a_room_says_what_it_hands_on_three_times_alike(path: Path) -> None:
 @pytest.mark.parametrize("first", ["import residua.identify.arx", "import residua.identify; residua.identify.arx"])
 def test_a_function_hides_the_file_of_its_name_whichever_is_imported_first(first: str) -> None:
     code = (
-        f"{first}; import residua.identify.arx_model, residua.identify; print(residua.identify.arx.__class__.__name__)"
+        f"{first}; import residua.identify.equations, residua.identify; print(residua.identify.arx.__class__.__name__)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "function"

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 import residua as rs
 from arx_plants import TrueEquations, true_equations
 from residua.errors import DataError, SettingError
-from residua.identify.arx import PastOf
-from residua.identify.arx_model import ArxModel
+from residua.identify.arx import ArxModel, PastOf
 
 ROWS = 3000
 #: Standard errors within which 95 % of estimates lie; and how far the share of some 900 of them may be off by chance.

@@ -330,7 +330,7 @@ def test_starts_that_cannot_be_tried_are_said() -> None:
                 "parameters": BOX | {"mass": (1, 2)},
             },
             ModelError,
-            r"plant_at takes \(stiffness, damping=0.1\), the parameters are stiffness, damping and mass",
+            r"plant_at\(stiffness, damping=0.1\) was called .*; the parameters are stiffness, damping and mass",
         ),
         ({"priors": {"wrong": (0.0, 1.0)}}, SettingError, "is no parameter"),
         ({"priors": {"damping": (0.0, 0.0)}}, SettingError, "standard deviation"),

@@ -282,7 +282,7 @@ def test_a_slope_that_is_not_known_well_is_refused() -> None:
         (lambda x, u: [np.sqrt(x[0]) + u[0]], "no steady state"),
     ],
 )
-@trips("identify.steady_state:steady_state")
+@trips("identify.linearise:steady_state")
 def test_a_steady_state_that_is_not_there_is_refused(rate: Callable, said: str) -> None:
     with pytest.raises(AccuracyError, match=said):
         rs.identify.linearise(rate, at=([0.3], [1.0]))

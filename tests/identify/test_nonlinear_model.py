@@ -11,7 +11,7 @@ import scipy.integrate
 import residua as rs
 from residua.errors import DataError, ModelError
 from residua.identify import NonlinearModel, grey_box
-from residua.identify.nonlinear_model import model_errors
+from residua.identify.prediction_errors import model_errors
 from residua.library.three_tank import FLOWS, GRAVITY, LEVELS, PIPE
 
 TRUE = {"a1": 0.46, "a2": 0.60, "a3": 0.45}

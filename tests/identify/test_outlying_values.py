@@ -9,7 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 import residua as rs
-from residua.identify import outlying_values, segments
+from residua.identify import segments
+from residua.identify.channel_facts import outlying_values
 from residua.identify.segments import gather
 
 METHODS = ("subspace", "arx", "principal_components", "canonical_variates", "parity_from_data", "regression")
@@ -59,20 +60,19 @@ def test_fault_free_channels_are_not_noted(kind: str) -> None:
     rng = np.random.default_rng(1)
     for seed in range(50):
         u, y = recorded(seed, kind, int(rng.integers(100, 6000)))
-        assert outlying_values.outlying_values(gather(u, y)) == ()
+        assert outlying_values(gather(u, y)) == ()
 
 
 @pytest.mark.parametrize("block", [97, 65_536])
 @pytest.mark.parametrize("scale", [2.0**-20, 1.0, 2.0**20])
 def test_rows_are_counted_in_any_units_and_blocks(scale: float, block: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(outlying_values, "BLOCK", block)
     monkeypatch.setattr(segments, "BLOCK", block)
     u, y = recorded(2)
     u[[300, 1500], 0] = [-9999, 800]
     y[100:900, 0] = y[100, 0]
     y[50, 2] = np.nan  # cuts the recording in two
     gathered = gather(u * scale, y * scale, **NAMES).delayed({"valve": 2})
-    outlier, still = outlying_values.outlying_values(gathered)
+    outlier, still = outlying_values(gathered)
     assert "'valve' has 2 values far outside" in outlier
     assert "in row 300 " in outlier
     assert "'boiler' stands still" in still
@@ -83,7 +83,7 @@ def test_outputs_that_stand_still_together_are_one_note_with_their_recording() -
     u, y = recorded(3)
     other = y.copy()
     other[500:900] = other[500]
-    note, *more = outlying_values.outlying_values(gather([(u, y), (u, other)], **NAMES))
+    note, *more = outlying_values(gather([(u, y), (u, other)], **NAMES))
     assert not more
     assert "'boiler', 'room' and 'mix' stand still together" in note
     assert "400 rows from row 500 of recording 2 on" in note

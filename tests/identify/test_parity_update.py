@@ -10,7 +10,7 @@ import residua as rs
 from recorded_examples import Recorded, diagnosed, recorded
 from residua.decide.alarm import Alarm, Beginning
 from residua.errors import DataError, SettingError
-from residua.identify.parity_memory import without_alarms
+from residua.identify.parity_from_data import without_alarms
 from residua.identify.segments import gather
 
 #: Rounding of factors of some thousand windows, in correlations and directions.

@@ -8,7 +8,7 @@ import scipy.optimize
 
 import residua as rs
 from residua.errors import DesignError
-from residua.identify.information import identifiability, sandwich_covariance
+from residua.identify.grey_box import identifiability, sandwich_covariance
 from residua.identify.prediction_errors import prediction_errors, predictor, weights_of
 from residua.linear.poles.riccati import filter_riccati
 

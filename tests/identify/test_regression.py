@@ -68,7 +68,7 @@ def test_without_inputs_it_is_the_deviation_from_the_mean() -> None:
 
 def test_what_is_refused() -> None:
     rng = np.random.default_rng(4)
-    with pytest.raises(DataError, match="never change"):
+    with pytest.raises(DataError, match="never move"):
         rs.identify.regression(np.ones((50, 1)), rng.random((50, 1)))
     with pytest.raises(DataError, match="more than"):
         rs.identify.regression(rng.random((4, 3)), rng.random((4, 1)))

@@ -12,7 +12,7 @@ import residua as rs
 from effort import rounds
 from recorded_plants import generated_plant, in_closed_loop, markov_parameters, recorded
 from residua.errors import DataError, SettingError
-from residua.identify import realisation
+from residua.identify import subspace_methods
 
 METHODS = ("pbsid", "cva", "n4sid", "moesp")
 
@@ -427,7 +427,7 @@ def test_what_standard_errors_are_from_is_said(monkeypatch: pytest.MonkeyPatch) 
     assert any("no standard errors: the rows make" in one for one in model.report.notes)
     u, y = good()
     assert not any("standard errors" in one for one in rs.identify.subspace(u, y, dt=1.0).report.notes)
-    real, calls = realisation.realise, []
+    real, calls = subspace_methods.realise, []
 
     def failing(factor: Any, *rest: Any, **options: Any) -> Any:
         calls.append(factor)
@@ -435,7 +435,7 @@ def test_what_standard_errors_are_from_is_said(monkeypatch: pytest.MonkeyPatch) 
             raise DataError("no stable predictor")
         return real(factor, *rest, **options)
 
-    monkeypatch.setattr(realisation, "realise", failing)
+    monkeypatch.setattr(subspace_methods, "realise", failing)
     model = rs.identify.subspace(u, y, order=2, dt=1.0)
     assert len(model.resampled) == 14
     assert any("standard errors are from 14 of 16 parts of the data" in one for one in model.report.notes)

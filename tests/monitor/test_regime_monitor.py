@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 import residua as rs
 from residua.errors import AccuracyError, DataError, DesignError, FileFormatError, ModelError, SettingError
-from residua.identify.operating_modes import UNKNOWN_AGE, ages, mode_signals
+from residua.identify.regimes import UNKNOWN_AGE, ages, mode_signals
 
 NAMES = ["fan", "heating", "air", "load", "supply", "room"]
 #: Standard deviation of the noise of each output.

@@ -17,8 +17,8 @@ from residua.cli.recording_options import Reading, with_reading
 from residua.cli.shared_options import AsJson, NormalFiles, check_outputs, check_recordings
 from residua.errors import DataError, SettingError
 from residua.identify import subspace
-from residua.identify.channel_faults import idle_inputs, with_channel_faults
 from residua.identify.fit_report import FitReport
+from residua.identify.identified_model import idle_inputs, with_channel_faults
 from residua.monitor.inputs import with_channels
 from residua.plant import Plant
 from residua.recording.matching import required_columns

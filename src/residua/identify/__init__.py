@@ -5,17 +5,15 @@ from typing import TYPE_CHECKING
 from residua.facade import hand_on
 
 if TYPE_CHECKING:
-    from residua.identify.arx import arx
-    from residua.identify.arx_model import ArxModel
-    from residua.identify.arx_report import Equation, EquationReport
+    from residua.identify.arx import ArxModel, Equation, EquationReport, arx
     from residua.identify.canonical_variates import CanonicalVariates, canonical_variates
     from residua.identify.drifts import Drifts, drifting_channels
+    from residua.identify.fit_report import IdentificationReport
     from residua.identify.grey_box import GreyBox, grey_box
     from residua.identify.identified_model import IdentifiedModel, Prediction
     from residua.identify.linearise import TangentModel, linearise, tangent_model
-    from residua.identify.model_report import IdentificationReport
-    from residua.identify.nonlinear_model import NonlinearModel
     from residua.identify.parity_from_data import DataParity, parity_from_data
+    from residua.identify.prediction_errors import NonlinearModel
     from residua.identify.principal_components import PrincipalComponents, principal_components
     from residua.identify.regimes import OperatingMode, Regimes, regimes
     from residua.identify.regression import Regression, regression
@@ -56,16 +54,14 @@ __all__ = [
 hand_on(
     __name__,
     {
-        "residua.identify.arx": ("arx",),
-        "residua.identify.arx_model": ("ArxModel",),
-        "residua.identify.arx_report": ("Equation", "EquationReport"),
+        "residua.identify.arx": ("ArxModel", "Equation", "EquationReport", "arx"),
         "residua.identify.canonical_variates": ("CanonicalVariates", "canonical_variates"),
         "residua.identify.drifts": ("Drifts", "drifting_channels"),
+        "residua.identify.fit_report": ("IdentificationReport",),
         "residua.identify.grey_box": ("GreyBox", "grey_box"),
         "residua.identify.identified_model": ("IdentifiedModel", "Prediction"),
         "residua.identify.linearise": ("TangentModel", "linearise", "tangent_model"),
-        "residua.identify.model_report": ("IdentificationReport",),
-        "residua.identify.nonlinear_model": ("NonlinearModel",),
+        "residua.identify.prediction_errors": ("NonlinearModel",),
         "residua.identify.parity_from_data": ("DataParity", "parity_from_data"),
         "residua.identify.principal_components": ("PrincipalComponents", "principal_components"),
         "residua.identify.regimes": ("OperatingMode", "Regimes", "regimes"),

@@ -3,31 +3,277 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from residua.arrays import index_of
-from residua.errors import DataError, ModelError, SettingError
-from residua.identify.arx_model import ArxModel, Basis, steady_gain
-from residua.identify.arx_orders import EquationChoice, choose_equations, most_orders
-from residua.identify.arx_report import Equation, EquationReport
+from residua.errors import ModelError, SettingError
 from residua.identify.channel_facts import channel_facts
-from residua.identify.equations import Equations, fit_equations
-from residua.identify.excitation import excitation
+from residua.identify.equations import EquationChoice, Equations, choose_equations, fit_equations, most_orders
+from residua.identify.fit_report import FitReport, facts_of_fit, order_table, share
 from residua.identify.hankel_factor import hankel_factor
-from residua.identify.prediction import error_facts
-from residua.identify.segments import Gathered, Names, checked_count, gather
-from residua.linear.poles.spectrum import spectral_radius
+from residua.identify.identified_model import Prediction, one_step_predictions, uncertain_along, with_faults_of
+from residua.identify.segments import Names, checked_count, gather
+from residua.plant import InputOutputModel, Plant, UncertainPlant
 from residua.progress import Progress, progress_of
+from residua.shown import Shown
 from residua.visible import echo
+from residua.words import counted
 
 PastOf = Literal["auto", "own", "all"]
-#: Rows on which a model is judged at most, of its own and of those that are held out.
-_JUDGED = 500_000
-#: The part of their size by which states may move in a row at the operating point without a word.
-_UNBALANCED = 0.01
+#: Directions of the uncertainty that are kept, unless the caller says otherwise.
+_DIRECTIONS = 6
+#: Terms of an equation that a text shows.
+_SHOWN = 12
+#: Orders that a text lists on each side of the chosen one.
+_AROUND = 3
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Equation:
+    r"""The equation of one output, in deviations from the operating point and in the units of the channels.
+
+    .. math:: y_k = \sum_j \theta_j\, z_{j, k - l_j} + e_k
+
+    Attributes
+    ----------
+    output : str
+    order : int
+        Rows of the past, delays not counted.
+    coupled : bool
+        True where it has the past of the other outputs too.
+    terms : tuple of (str, int)
+        Of each coefficient: the channel, and how many rows before it is read, delays included.
+    coefficients, standard_errors : ndarray, shape (terms,)
+    covariance : ndarray, shape (terms, terms)
+        Of the coefficients.
+    error : float
+        Standard deviation of the equation error.
+    choice : EquationChoice
+        The orders that were compared, with the criterion and the error on the held-out part.
+    """
+
+    output: str
+    order: int
+    coupled: bool
+    terms: tuple[tuple[str, int], ...]
+    coefficients: NDArray[np.float64]
+    standard_errors: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    error: float
+    choice: EquationChoice = field(repr=False)
+
+    def __str__(self) -> str:
+        parts = [
+            f"{value:.4g} (± {error:.2g}) {name}{f'[k-{row}]' if row else '[k]'}"
+            for (name, row), value, error in zip(self.terms, self.coefficients, self.standard_errors, strict=True)
+        ]
+        more = len(parts) - _SHOWN
+        shown = [*parts[:_SHOWN], f"and {more} more"] if more > 1 else parts
+        return f"{self.output}[k] = {' + '.join([*shown, 'e'])}"
+
+    def __repr__(self) -> str:
+        return f"Equation({self.output!r}, order {self.order}, {counted(len(self.terms), 'coefficient')})"
+
+    def table(self) -> list[str]:
+        """Return the lines of the table of orders around the one that was chosen."""
+        kind = int(self.coupled)
+        near = [order for order in self.choice.orders if abs(order - self.order) <= _AROUND]
+        values = self.choice.criterion[kind]
+        return order_table(
+            {
+                "order": [str(order) for order in near],
+                "information criterion": [f"{values[k]:.1f}" if np.isfinite(values[k]) else "-" for k in near],
+                "held-out error": [share(float(self.choice.held_out_errors[kind, k])) for k in near],
+            }
+        )
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class EquationReport(Shown, FitReport):
+    """Report on the equations of a model: their orders, coefficients and fit.
+
+    Attributes
+    ----------
+    method : str
+    inputs, outputs : tuple of str
+    dt : float
+        In seconds.
+    equations : tuple of Equation
+        One for each output.
+    past : int
+        Rows of the past of the longest equation.
+    samples : int
+        Rows that the model is from.
+    held_out : ErrorFacts or None
+        On the part that was held out; ``None`` where nothing was.
+    fitted : ErrorFacts
+        On the part that the model is from.
+    excitation : Excitation
+    poles : ndarray of complex
+        Of the plant.
+    steady_gain : SteadyGain or None
+        With standard errors by the covariance of the coefficients; ``None`` for a plant with a pole at one, or
+        without inputs.
+    notes : tuple of str
+    """
+
+    equations: tuple[Equation, ...]
+
+    def __str__(self) -> str:
+        lines = [
+            f"{counted(len(self.equations), 'equation')} by {self.method}: {counted(len(self.inputs), 'input')}, "
+            f"{self.samples} rows at {self.dt:g} s, {counted(self.past, 'row')} of the past"
+        ]
+        for one in self.equations:
+            past = "the past of all outputs" if one.coupled else "its own past"
+            lines += [
+                "",
+                f"{one.output}: order {one.order}, {past}",
+                *one.table(),
+                f"  {one.choice.reason}",
+                f"  {one}",
+            ]
+        return "\n".join([*lines, "", *self.fit_lines()])
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ArxModel:
+    """Linear equations from recordings, one for each output, with their report and uncertainty.
+
+    Attributes
+    ----------
+    model : InputOutputModel
+        The equations, for parity relations; ``with_sensor_faults()`` and the like add faults.
+    plant : Plant
+        The same in state space, with the equation errors as its noise, in innovation form: a state for each row of the
+        past of each equation, and for each row of delay.
+    report : EquationReport
+        ``print(model.report)`` shows it; its ``equations`` have the coefficients with their covariance.
+    innovation_covariance : ndarray, shape (outputs, outputs)
+        Of the equation errors.
+    basis : Equations
+        The fit of the coefficients, in units of its own.
+    """
+
+    model: InputOutputModel
+    plant: Plant
+    report: EquationReport
+    innovation_covariance: NDArray[np.float64]
+    basis: Equations = field(repr=False)
+
+    @property
+    def covariance(self) -> NDArray[np.float64]:
+        """Covariance of the coefficients of all equations, in the order of ``report.equations`` and their terms.
+
+        In the units of the channels, shape (coefficients, coefficients).
+        """
+        size = np.concatenate(self.basis.scale())
+        return self.basis.covariance * np.outer(size, size)
+
+    def uncertain_plant(
+        self, plant: Plant | None = None, *, level: float = 0.95, directions: int = _DIRECTIONS
+    ) -> UncertainPlant:
+        r"""Return the plant with the uncertainty of its coefficients.
+
+        The covariance of the coefficients of all equations is :math:`\sum_k \lambda_k v_k v_k^T`, in units of the
+        channels' standard deviations; the leading directions :math:`v_k` are the parameters, each within
+        :math:`\pm q \sqrt{\lambda_k}` with the quantile ``q`` of the level for all of them together.
+
+        Parameters
+        ----------
+        plant : Plant, optional
+            The model's plant with faults; :attr:`plant` when omitted. The columns of actuator faults vary with those
+            of their inputs.
+        level : float
+            Probability that a Gaussian estimate lies in the box.
+        directions : int
+            Directions that are kept, the largest ones first.
+
+        Raises
+        ------
+        SettingError
+            If the level is no probability, the plant is not this one with faults, or there are more than 2000
+            coefficients.
+
+        Notes
+        -----
+        An :class:`residua.InputOutputModel` has no uncertain form: designs from its equations take the nominal one.
+
+        Assumes white equation errors: where the report calls them coloured, the box is too small. What the directions
+        that are left out would add is not covered, and where an input acts within the row (feedthrough) products of
+        two errors are left out.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import residua as rs
+        >>> rng = np.random.default_rng(0)
+        >>> u = rng.standard_normal((2000, 1))
+        >>> plant = rs.Plant([[0.8]], [[1.0]], [[1.0]], dt=1)
+        >>> y = plant.system("control").simulate(u) + 0.1 * rng.standard_normal((2000, 1))
+        >>> model = rs.identify.arx(u, y, order=1)
+        >>> model.uncertain_plant().names
+        ('model 1', 'model 2')
+        """
+        nominal = with_faults_of(self.plant, plant)
+        values, vectors = self.basis.directions(directions)
+        return uncertain_along(nominal, values, vectors, level)
+
+    def predict(self, recordings: Any, y: ArrayLike | None = None) -> tuple[Prediction, ...]:
+        r"""Return the one-step predictions of the outputs of recordings by the equations, in plant units.
+
+        The first rows of each stretch without missing values, as many as the longest equation looks back, have none.
+
+        Parameters
+        ----------
+        recordings : Recording, data frame, path, array, pair (u, y), or a list of these
+            As in :func:`residua.identify.arx`; they need not be those that the model is from.
+        y : array_like, shape (time, outputs), optional
+
+        Returns
+        -------
+        tuple of Prediction
+            One for each recording.
+
+        Raises
+        ------
+        DataError
+            If a channel is missing, the step is another, or no row is complete.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import residua as rs
+        >>> rng = np.random.default_rng(0)
+        >>> u = rng.standard_normal((2000, 1))
+        >>> plant = rs.Plant([[0.8]], [[1.0]], [[1.0]], dt=1)
+        >>> y = plant.system("control").simulate(u) + 0.1 * rng.standard_normal((2000, 1))
+        >>> [seen] = rs.identify.arx(u, y).predict(u, y)
+        >>> float(np.nanstd(seen.error).round(1))
+        0.1
+        """
+        channels = {name: i for i, name in enumerate(self.plant.inputs + self.plant.outputs)}
+        equations = self.report.equations
+        past = max((row for one in equations for _, row in one.terms), default=0)
+
+        def predicted(Z: NDArray[np.float64]) -> NDArray[np.float64]:
+            out = np.full((len(Z), len(equations)), np.nan)
+            if len(Z) > past:
+                out[past:] = 0.0
+                for i, one in enumerate(equations):
+                    for (name, row), value in zip(one.terms, one.coefficients, strict=True):
+                        out[past:, i] += value * Z[past - row : len(Z) - row, channels[name]]
+            return out
+
+        return one_step_predictions(self.plant, recordings, y, predicted)
+
+    def __repr__(self) -> str:
+        orders = ", ".join(str(one.order) for one in self.report.equations)
+        return f"ArxModel(orders {orders}, {self.plant!r})"
 
 
 def arx(
@@ -82,7 +328,7 @@ def arx(
         residual and no other. ``"all"``: that of all outputs, which predicts better where outputs share what drives
         them. ``"auto"`` takes for each output what Schwarz's criterion prefers, and says by how much.
     feedthrough : bool
-        Whether an input moves an output within the same row. A controller that answers within the row looks the same,
+        True if an input moves an output within the same row. A controller that answers within the row looks the same,
         so that this is never guessed; the report says where the data look so.
     delays : mapping of str to int, optional
         Rows by which an input acts late, where that is known.
@@ -143,125 +389,54 @@ def arx(
     >>> flt = rs.design.primary_residuals(model.model.with_sensor_faults())
     >>> monitor = rs.Monitor(flt).fit(u, y + 20)
     """
-    _check_options(order, max_order, past_of, held_out)
+    if past_of not in get_args(PastOf):
+        raise SettingError(f"past_of must be one of {', '.join(get_args(PastOf))}, got {echo(past_of)}")
+    if max_order is not None:
+        checked_count(max_order, "max_order")
     gathered = gather(recordings, y, inputs=inputs, outputs=outputs, dt=dt)
-    wanted = _wanted(order, gathered)
-    delayed = dict(delays or {})
-    whole = gathered.delayed(delayed)
+    orders = order if isinstance(order, Mapping) else dict.fromkeys(gathered.outputs, order)
+    orders = {} if isinstance(order, str) and order == "auto" else orders
+    try:
+        named = [gathered.outputs[index_of(output, gathered.outputs, "output")] for output in orders]
+    except ModelError as error:
+        raise SettingError(f"order: {error}") from error
+    other = "'auto' or a mapping of outputs to their orders, such as {'level': 2, 'flow': 1}"
+    wanted = {k: checked_count(n, "order", 0, other) for k, n in zip(named, orders.values(), strict=True)}
+    first, last = gathered.delayed(delays or {}).divided(held_out)
+    facts = channel_facts(first)
+    facts.check()
     tell, close = progress_of(progress)
     try:
-        first, last = whole.divided(held_out)
-        if not first.segments:
-            raise DataError("nothing is left to identify from: hold out less")
-        facts = channel_facts(first)
-        facts.check()
         most = max(most_orders(first) if max_order is None else max_order, *(wanted or {"": 0}).values())
         factor = hankel_factor(first, most + 1, facts, progress=tell)
         choices = choose_equations(factor, last, wanted or "auto", past_of, feedthrough=feedthrough)
         longest = max(one.shape.order for one in choices)
         factor = factor if longest == most else hankel_factor(first, longest + 1, facts, progress=tell)
-        equations = fit_equations(factor, [one.shape for one in choices], first.channels, feedthrough=feedthrough)
+        shapes = [one.shape for one in choices]
+        basis = fit_equations(factor, shapes, first, facts, dict(delays or {}), feedthrough=feedthrough)
     finally:
         close()
-    basis = Basis(equations, first.inputs, first.outputs, first.dt, facts.mean, facts.units, delayed)
-    plant, V = basis.plant(equations, units=units, name=name)
-    innovations = equations.innovations()
-    fitted = error_facts(innovations, first.shortened(_JUDGED, 2 * longest + 1), facts.mean, facts.units)
-    assert fitted is not None  # there are windows longer than the past
-    excited = excitation(factor, longest, feedthrough=feedthrough)
-    notes = [*gathered.notes, *facts.notes(gathered)]
-    if not feedthrough:
-        pairs = [f"{first.outputs[i]!r} with {first.inputs[j]!r}" for i, j in excited.instant]
-        if pairs:
-            notes.append(
-                f"within a row {', '.join(pairs[:4])} move together: feedthrough=True if the plant answers within a "
-                "row; leave it if a controller does"
-            )
+    plant, V = basis.plant(units=units, name=name)
     report = EquationReport(
+        **facts_of_fit(basis.innovations(), first, last, facts, factor, feedthrough=feedthrough),
         method="ARX",
-        inputs=first.inputs,
-        outputs=first.outputs,
-        dt=first.dt,
-        past=longest,
-        samples=first.n_samples,
-        held_out=error_facts(innovations, last.shortened(_JUDGED, 2 * longest + 1), facts.mean, facts.units),
-        fitted=fitted,
-        excitation=excited,
-        poles=np.linalg.eigvals(innovations.A).astype(complex),
-        steady_gain=steady_gain(basis),
-        notes=(*notes, *_about_the_model(equations, last)),
+        steady_gain=basis.steady_gain(),
         equations=_in_own_units(basis, choices),
     )
+    report = replace(report, notes=(*gathered.notes, *facts.notes(gathered), *report.notes))
     model = basis.model(name=name, units=units, plant=plant)
-    noted = plant.with_identification(report.identification)
-    return ArxModel(model, noted, report, V, basis)
+    return ArxModel(model, plant.with_identification(report.identification), report, V, basis)
 
 
-def _check_options(order: Any, max_order: Any, past_of: Any, held_out: Any) -> None:
-    if past_of not in get_args(PastOf):
-        raise SettingError(f"past_of must be one of {', '.join(get_args(PastOf))}, got {echo(past_of)}")
-    chosen = isinstance(order, str) and order == "auto"
-    if isinstance(order, (list, tuple, np.ndarray)):
-        raise SettingError(
-            "order must be one whole number for all outputs, 'auto', or a mapping of outputs to their orders, such as "
-            f"{{'level': 2, 'flow': 1}}, got {echo(order)}"
-        )
-    for value in order.values() if isinstance(order, Mapping) else [] if chosen else [order]:
-        checked_count(value, "order", 0, "'auto'")
-    if max_order is not None:
-        checked_count(max_order, "max_order")
-    if not (isinstance(held_out, (int, float, np.integer, np.floating)) and 0 <= held_out <= 0.9):
-        raise SettingError(f"held_out must be a fraction from 0 to 0.9, got {echo(held_out)}")
-
-
-def _wanted(order: Any, gathered: Gathered) -> dict[str, int]:
-    """Return the orders that are asked for, by output; those left out are chosen."""
-    if isinstance(order, str):
-        return {}
-    if not isinstance(order, Mapping):
-        return dict.fromkeys(gathered.outputs, int(order))
-    try:
-        return {gathered.outputs[index_of(name, gathered.outputs, "output")]: int(n) for name, n in order.items()}
-    except ModelError as error:
-        raise SettingError(f"order: {error}") from error
-
-
-def _about_the_model(equations: Equations, last: Gathered) -> list[str]:
-    """Return what is said of the model itself."""
-    notes, model = [], equations.innovations()
-    if last.n_samples and max((len(one) for one in last.segments), default=0) <= equations.past:
-        rows = max(len(one) for one in last.segments)
-        notes.append(
-            f"nothing is judged on held-out rows: {rows} in a row, and a prediction needs {equations.past} before it"
-        )
-    radius = float(spectral_radius(model.A))
-    if radius >= 1:
-        notes.append(f"the plant has a pole of size {radius:.6g}: it integrates, drifts, or was held by a controller")
-    left = model.at_rest()[2]
-    if left > _UNBALANCED:
-        notes.append(f"no operating point balances the model: its states move by {left:.2g} a row at mean inputs")
-    return notes
-
-
-def _in_own_units(basis: Basis, choices: tuple[EquationChoice, ...]) -> tuple[Equation, ...]:
+def _in_own_units(basis: Equations, choices: tuple[EquationChoice, ...]) -> tuple[Equation, ...]:
     """Return the equations as users see them."""
     made = []
     channels, m = basis.inputs + basis.outputs, len(basis.inputs)
-    for i, (one, size, choice) in enumerate(zip(basis.equations.each, basis.scale(), choices, strict=True)):
-        C = basis.equations.covariance_of(i) * np.outer(size, size)
+    for i, (one, size, choice) in enumerate(zip(basis.each, basis.scale(), choices, strict=True)):
+        variance, inverse = basis.error_covariance[i, i], one.inverse[1:]
+        C = variance * (inverse @ inverse.T) * np.outer(size, size)
         terms = tuple((channels[c], row + basis.delays.get(channels[c], 0)) for c, row in one.terms)
-        error = float(np.sqrt(basis.equations.error_covariance[i, i]) * basis.units[m + i])
-        made.append(
-            Equation(
-                basis.outputs[i],
-                one.shape.order,
-                one.shape.coupled,
-                terms,
-                one.values * size,
-                np.sqrt(np.diag(C)),
-                C,
-                error,
-                choice,
-            )
-        )
+        error, errors = float(np.sqrt(variance) * basis.units[m + i]), np.sqrt(np.diag(C))
+        kind = (basis.outputs[i], one.shape.order, one.shape.coupled)
+        made.append(Equation(*kind, terms, one.values * size, errors, C, error, choice))
     return tuple(made)

@@ -1,4 +1,4 @@
-"""Canonical variate analysis of recorded channels: what of the past says most of the future, and the rest."""
+"""Canonical variate analysis of recorded channels: the states that predict the future best, and the residuals."""
 
 from __future__ import annotations
 
@@ -13,9 +13,17 @@ from residua.decide.norm_threshold import NormThreshold
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator
 from residua.errors import DataError, SettingError
-from residua.identify.channel_filter import channel_generator, names_of_groups
-from residua.identify.drift_treatment import treated
-from residua.identify.lagged_rows import LaggedRows, Standard, channels_in, few_rows, lagged_rows
+from residua.identify.channel_filter import (
+    Standard,
+    channel_generator,
+    channels_in,
+    few_rows,
+    lagged_rows,
+    names_of_groups,
+    treated,
+    with_signs,
+)
+from residua.identify.hankel_factor import count_windows
 from residua.identify.segments import Gathered, Names, checked_count, gather
 from residua.linear.subspaces.rank import RankDecision, null_basis
 from residua.tolerances import RANK
@@ -36,9 +44,9 @@ class CanonicalVariates:
     Attributes
     ----------
     generator : ResidualGenerator
-        What a :class:`residua.Monitor` runs.
+        The filter that a :class:`residua.Monitor` runs.
     test : NormThreshold
-        What a monitor tests when it gets no other test: the norm of each group.
+        The default test of a monitor: the norm of each group.
     groups : mapping of str to tuple of str
         ``"T2 of states"`` and ``"T2 of residuals"``, with the residuals of each.
     lags, states : int
@@ -51,7 +59,7 @@ class CanonicalVariates:
     samples : int
         Rows that they are from.
     drifts : mapping of str to str
-        What was done with each channel that drifts, or was named.
+        The treatment of each channel that drifts, or was named.
     """
 
     generator: ResidualGenerator
@@ -124,7 +132,7 @@ def canonical_variates(
         ``n``. ``"auto"``: where the same criterion of the innovations is least (Larimore).
     residuals : {"innovations", "variates"}
     drifts : {"keep", "leave out", "difference"} or mapping of str to these
-        What is done with channels that do not keep their level (:func:`residua.identify.drifting_channels`): nothing,
+        Treatment of channels that do not keep their level (:func:`residua.identify.drifting_channels`): nothing,
         besides a note with numbers; they are read by no residual, and have no fault, though they stay a column of the
         recordings; or they are read by their changes from row to row, which show their faults only while these change.
         A mapping says it for each channel by name, whether it drifts or not; those that it does not name are kept.
@@ -189,111 +197,64 @@ def canonical_variates(
     else:
         lags = checked_count(lags, "lags", 1)
     stacked = lagged_rows(gathered, units, 2 * lags - 1)
-    m, p = len(gathered.inputs), len(gathered.outputs)
-    past = _Past.of(stacked, lags, m, gathered.channels)
+    m, q, count = len(gathered.inputs), stacked.channels, stacked.count
+    d, f = lags * q, lags * (q - m)
+    blocks = (range(lags, 2 * lags), None), (range(lags), range(m, q)), (range(lags - 1, lags), None)
+    past, future, now = (stacked.columns(*one) for one in blocks)
+    F = stacked.rearranged([*past, *future, *now]) / np.sqrt(count - 1)
+    _check_regular(F[:d, :d], gathered.channels, "the past")
+    basis, T = np.linalg.qr(F[:, d : d + f])
+    _check_regular(T, gathered.outputs, "the future")
+    U, s, _ = np.linalg.svd(basis[:d])
+    U, correlations = with_signs(U), np.minimum(s, 1.0)
+    to_variates = np.linalg.solve(F[:d, :d], U)  # they are of variance one
+    # the next sample: its covariance with the variates in the first rows, by the root of the rows; the rest below
+    present = np.vstack([U.T @ F[:d, d + f :], F[d:, d + f :]])
     by_states: dict[int, float] = {}
     if states == "auto":
-        by_states = _criteria_of_states(past, m, p)
+        for k in range(1, len(correlations) + 1):
+            value = _criterion(_innovations(present, k, m)[1], count, k * (2 * (q - m) + m) + m * (q - m))
+            by_states |= {} if value is None else {k: value}
         n = min(by_states, key=lambda one: by_states[one])
     else:
         n = checked_count(states, "states", 1)
-        if n > len(past.correlations):
+        if n > len(correlations):
             raise SettingError(
-                f"{lags} lags have {len(past.correlations)} canonical variates that say anything of the future: ask "
-                f"for that many states at most, not {n}"
+                f"{lags} lags have {len(correlations)} canonical variates that say anything of the future: ask for "
+                f"that many states at most, not {n}"
             )
-    weights, rest = _weights(past, n, residuals)
+    weights = to_variates.T.reshape(d, lags, q).transpose(1, 0, 2)
+    if residuals == "innovations":
+        weights = _with_innovations(weights[:, :n], *_innovations(present, n, m), m)
+    rest = weights.shape[1] - n
     groups = {STATES: n} | ({REST: rest} if rest else {})
     evidence = Evidence(
         _METHOD,
-        ranks={"states": RankDecision(n, past.correlations, float(past.correlations[n - 1]))},
-        conditions={"smallest correlation kept": float(past.correlations[n - 1])},
-        notes=few_rows(stacked.count, 2 * lags * stacked.channels),
+        ranks={"states": RankDecision(n, correlations, float(correlations[n - 1]))},
+        conditions={"smallest correlation kept": float(correlations[n - 1])},
+        notes=few_rows(count, 2 * d),
         references=("Larimore (1983)", "Negiz and Cinar (1997)", "Russell, Chiang and Braatz (2000)"),
     )
     generator = channel_generator(channels, weights, groups, evidence)
-    members = names_of_groups(groups, generator)
-    return CanonicalVariates(
-        generator,
-        NormThreshold(groups=members),
-        members,
-        lags,
-        n,
-        past.correlations,
-        by_lags,
-        by_states,
-        channels.mean,
-        channels.spread,
-        stacked.count,
-        channels.ways,
-    )
+    members = names_of_groups(generator)
+    chosen = (lags, n, correlations, by_lags, by_states, channels.mean, channels.spread, count, channels.ways)
+    return CanonicalVariates(generator, NormThreshold(groups=members), members, *chosen)
 
 
-@dataclass(frozen=True, eq=False)
-class _Past:
-    """The past in coordinates in which its rows are orthonormal, and what then belongs to the present.
+def _innovations(present: NDArray[np.float64], n: int, m: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the least-squares weights of ``n`` states and the present inputs for the outputs, and the covariance left.
 
-    Attributes
+    Parameters
     ----------
-    to_variates : ndarray, shape (d, d)
-        ``p @ to_variates`` are the canonical variates, of variance one.
-    correlations : ndarray
-        Of each with its counterpart of the future; as many as the smaller of the two has columns.
-    present : ndarray, shape (d + inputs + outputs, inputs + outputs)
-        The next sample: its covariance with the variates in the first rows, by ``sqrt(count - 1)``; the rest below.
-    count, lags, inputs : int
+    present : ndarray, shape (variates + others, inputs + outputs)
+        Products of the present sample with the variates, and the rest of it.
+    n, m : int
+        States and inputs.
     """
-
-    to_variates: NDArray[np.float64]
-    correlations: NDArray[np.float64]
-    present: NDArray[np.float64]
-    count: int
-    lags: int
-    inputs: int
-
-    @classmethod
-    def of(cls, stacked: LaggedRows, lags: int, m: int, channels: tuple[str, ...]) -> _Past:
-        q = stacked.channels
-        past = stacked.columns(range(lags, 2 * lags))
-        future = stacked.columns(range(lags), range(m, q))
-        now = stacked.columns(range(lags - 1, lags))
-        d, scale = len(past), np.sqrt(stacked.count - 1)
-        R = stacked.rearranged([*past, *now]) / scale
-        _check_regular(R[:d, :d], channels, "the past")
-        F = stacked.rearranged([*past, *future]) / scale
-        _check_regular(np.asarray(np.linalg.qr(F[:, d:], mode="r")), channels[m:], "the future")
-        basis = np.linalg.qr(F[:, d:])[0]
-        U, s, _ = np.linalg.svd(_same_signs(F, R, d) @ basis[:d])
-        U = U * _signs(U)
-        to_variates = np.linalg.solve(R[:d, :d], U)
-        present = np.vstack([U.T @ R[:d, d:], R[d:, d:]])
-        return cls(to_variates, np.minimum(s, 1.0), present, stacked.count, lags, m)
-
-    def innovations(self, n: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the least-squares weights of ``n`` states and the present inputs for the outputs, and what is left.
-
-        As coefficients, shape (n + inputs, outputs), and a covariance.
-        """
-        m, d = self.inputs, len(self.to_variates)
-        known = np.zeros((len(self.present), n + m))
-        known[:n, :n] = np.eye(n)
-        known[:, n:] = self.present[:, :m]
-        wanted = self.present[:, m:]
-        weights = np.asarray(np.linalg.lstsq(known, wanted, rcond=None)[0], dtype=float)
-        left = wanted - known @ weights
-        assert d + len(self.present[0]) == len(self.present)
-        return weights, left.T @ left
-
-
-def _same_signs(F: NDArray[np.float64], R: NDArray[np.float64], d: int) -> NDArray[np.float64]:
-    """Return what turns the orthonormal past of one factorisation into that of another: signs."""
-    return np.diag(np.where(np.diag(F)[:d] * np.diag(R)[:d] < 0, -1.0, 1.0))
-
-
-def _signs(directions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the signs that make the largest entry of each direction positive."""
-    largest = directions[np.abs(directions).argmax(axis=0), np.arange(directions.shape[1])]
-    return np.where(largest < 0, -1.0, 1.0)
+    known = np.hstack([np.eye(len(present), n), present[:, :m]])
+    weights = np.asarray(np.linalg.lstsq(known, present[:, m:], rcond=None)[0], dtype=float)
+    left = present[:, m:] - known @ weights
+    return weights, left.T @ left
 
 
 def _check_regular(factor: NDArray[np.float64], channels: tuple[str, ...], what: str) -> None:
@@ -310,14 +271,9 @@ def _check_regular(factor: NDArray[np.float64], channels: tuple[str, ...], what:
 
 def _criteria_of_lags(gathered: Gathered, units: Standard) -> dict[int, float]:
     """Return Akaike's criterion of regressions on the past, for each number of lags that the rows suffice for."""
-    q, m = len(gathered.channels), len(gathered.inputs)
-    longest = max(len(segment) for segment in gathered.segments)
-    most = 1
-    for lags in range(2, _MOST_LAGS + 1):
-        rows = sum(max(0, len(segment) - 2 * lags + 1) for segment in gathered.segments)
-        if rows <= 2 * lags * q or longest < 2 * lags:
-            break
-        most = lags
+    q, m, most = len(gathered.channels), len(gathered.inputs), 1
+    while most < _MOST_LAGS and count_windows(gathered, 2 * most + 2) > 2 * (most + 1) * q:
+        most += 1
     stacked = lagged_rows(gathered, units, most)
     out: dict[int, float] = {}
     for lags in range(1, most + 1):
@@ -327,16 +283,6 @@ def _criteria_of_lags(gathered: Gathered, units: Standard) -> dict[int, float]:
         value = _criterion(left.T @ left, stacked.count, (lags * q + m) * (q - m))
         if value is not None:
             out[lags] = value
-    return out
-
-
-def _criteria_of_states(past: _Past, m: int, p: int) -> dict[int, float]:
-    """Return Akaike's criterion of the innovations for each number of states."""
-    out: dict[int, float] = {}
-    for n in range(1, len(past.correlations) + 1):
-        value = _criterion(past.innovations(n)[1], past.count, n * (2 * p + m) + m * p)
-        if value is not None:
-            out[n] = value
     return out
 
 
@@ -360,21 +306,16 @@ def _criterion(covariance: NDArray[np.float64], count: int, parameters: int) -> 
     return float(count * logarithm + 2 * total * count / room)
 
 
-def _weights(past: _Past, n: int, residuals: str) -> tuple[NDArray[np.float64], int]:
-    """Return the weights of the filter, shape (lags + 1, residuals, channels), and how many residuals are no states."""
-    d, q = len(past.to_variates), len(past.present[0])
-    lags = past.lags
-    states = past.to_variates[:, :n].T.reshape(n, lags, q).transpose(1, 0, 2)
-    if residuals == "variates":
-        every = past.to_variates.T.reshape(d, lags, q).transpose(1, 0, 2)
-        return every, d - n
-    gains, covariance = past.innovations(n)
-    m, p = past.inputs, q - past.inputs
-    W = np.zeros((lags + 1, n + p, q))
+def _with_innovations(
+    states: NDArray[np.float64], gains: NDArray[np.float64], covariance: NDArray[np.float64], m: int
+) -> NDArray[np.float64]:
+    """Return the weights of states and of the whitened innovations, shape (lags + 1, residuals, channels)."""
+    lags, n, q = states.shape
+    W = np.zeros((lags + 1, n + q - m, q))
     W[:lags, :n] = states
     values, vectors = np.linalg.eigh(covariance)
     root = (vectors / np.sqrt(values)) @ vectors.T
     W[0, n:, m:] = root
     W[0, n:, :m] = -root @ gains[n:].T
     W[1:, n:] = -np.einsum("ij,ljc->lic", root @ gains[:n].T, states)
-    return W, p
+    return W

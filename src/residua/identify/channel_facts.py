@@ -1,21 +1,20 @@
-"""What the channels of recordings are like: size, drift, steps, and which of them say the same."""
+"""Statistics of the channels of recordings: size, drift, resolution, linear dependence, outliers and standstills."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import DataError
-from residua.identify.outlying_values import outlying_values
 from residua.identify.segments import BLOCK, Gathered
 from residua.linear.systems.scaling import power_near
 from residua.recording.levels import units_between
 from residua.tolerances import DATA_ROUNDING, RANK
 from residua.visible import listed
-from residua.words import counted
+from residua.words import counted, number, some
 
 #: A straight line over a recording that explains more than this part of a channel's variance is a drift.
 _DRIFT = 0.5
@@ -23,6 +22,24 @@ _DRIFT = 0.5
 _FEW_VALUES = 12
 #: A part of a linear dependence that is named, relative to the largest.
 _SHARE = 0.05
+#: Share of the rows in which a command holds its value, at least.
+_HELD = 0.5
+#: Deviations below which a channel follows exactly, and rows that this is looked at on.
+_EXACT, _ROWS = 1e-6, 5_000
+#: A value is far outside the rest at more than so many units: the middle half, or the usual step, of its channel.
+_FAR = 20.0
+#: Values far outside are outliers where they are no more than this part of the rows, and carry most of the variance.
+_FEW, _MOST = 1 / 200, 0.5
+#: Rows that the usual values are taken from.
+_SAMPLE = 100_000
+#: A sensor stands still in a run of equal values of so many rows and this part of them, ...
+_LEAST_RUN, _LEAST_SHARE = 30, 0.05
+#: ... so many times as long as nearly all other runs of its channel, ...
+_LONGER, _NEARLY_ALL = 20.0, 0.99
+#: ... and if no more than this part of the rows elsewhere repeat the value before: else it moves in steps anyway.
+_REPEATS = 0.5
+#: Runs are counted by powers of two of their length, up to this one.
+_LENGTHS = 48
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +75,7 @@ class ChannelFacts:
 
     @property
     def units(self) -> NDArray[np.float64]:
-        """A power of two near the standard deviation of each channel: what it is divided by."""
+        """A power of two near the standard deviation of each channel, by which it is divided."""
         return power_near(self.deviation)
 
     @property
@@ -97,22 +114,18 @@ class ChannelFacts:
         if vast:
             raise DataError(f"{listed(vast)}: values so large that their squares overflow; mark missing values as NaN")
 
-    def check_rows(self) -> None:
-        """Raise where there is one row: in it nothing can move, whatever the channels are."""
-        if self.rows < 2:
-            raise DataError(
-                f"{counted(self.rows, 'complete row')} of {counted(len(self.channels), 'channel')}: too few to learn "
-                "anything from; give a longer recording"
-            )
-
-    def check(self) -> None:
-        """Raise where channels are constant, or linear functions of others: no model tells their parts apart.
+    def check(self, *, dependent: bool = True) -> None:
+        """Raise where channels are constant, or, if asked, linear functions of others, which no model tells apart.
 
         All that is wrong is said at once.
         """
         self.check_size()
-        self.check_rows()
-        still, same, wrong = self.constant(), self.dependences(), []
+        if self.rows < 2:  # nothing can move in one row
+            raise DataError(
+                f"{counted(self.rows, 'complete row')} of {counted(len(self.channels), 'channel')}: too few to learn "
+                "anything from; give a longer recording"
+            )
+        still, same, wrong = self.constant(), "; ".join(map(self._dependence, self.dependent())), []
         if still:
             left = [name for name in self.channels if name not in still]
             wrong.append(
@@ -120,14 +133,10 @@ class ChannelFacts:
                 f"information; leave {'it' if len(still) == 1 else 'them'} out "
                 f"(there are {listed(left) if left else 'no others'})"
             )
-        if same:
+        if same and (dependent or still):
             wrong.append(f"{same}: no model can tell their parts apart; leave one of each group out")
         if wrong:
             raise DataError(". Besides, ".join(wrong))
-
-    def dependences(self) -> str:
-        """Return in words which channels say the same; empty where none do."""
-        return "; ".join(map(self._dependence, self.dependent()))
 
     def repeated_outputs(self) -> tuple[str, ...]:
         """Return a note where outputs say the same as other channels, for methods that do not refuse them."""
@@ -146,7 +155,7 @@ class ChannelFacts:
         return f"{group[0]!r} and {group[1]!r} are the same signal, times a number"
 
     def notes(self, gathered: Gathered, *, drifts: bool = True) -> tuple[str, ...]:
-        """Return what should be known of the channels: outliers, standstills, drifts, few values, other units.
+        """Return notes on the channels: outliers, standstills, drifts, few values, other units.
 
         Outliers and standstills are those of ``gathered``, which may have more rows than the facts are from.
         """
@@ -162,17 +171,13 @@ class ChannelFacts:
         return (*found, *units_between(self.channels, gathered.sources, self.recording_mean, self.recording_deviation))
 
 
+@np.errstate(over="ignore", invalid="ignore")  # values that overflow are refused by their name
 def channel_facts(gathered: Gathered) -> ChannelFacts:
     """Return the facts of the channels, read block by block."""
-    with np.errstate(over="ignore", invalid="ignore"):  # values that overflow are refused by their name
-        return _facts(gathered)
-
-
-def _facts(gathered: Gathered) -> ChannelFacts:
     n, recordings = len(gathered.channels), len(gathered.sources)
     first = gathered.segments[0].rows(0, 1)[0]
     count, total = np.zeros(recordings), np.zeros((recordings, n))
-    for segment, block in gathered.blocks():
+    for segment, _, block in gathered.blocks():
         count[segment.recording] += len(block)
         total[segment.recording] += (block - first).sum(axis=0)
     seen = count > 0
@@ -180,20 +185,25 @@ def _facts(gathered: Gathered) -> ChannelFacts:
     mean = first + total.sum(axis=0) / count.sum()
     outer, within = np.zeros((n, n)), np.zeros((recordings, n))
     slope, spread_of_time = np.zeros((recordings, n)), np.zeros(recordings)
-    middle = _middle_of_times(gathered, count)
-    for segment in gathered.segments:
-        k = segment.recording
-        for start in range(0, len(segment), BLOCK):
-            centred = segment.rows(start, min(start + BLOCK, len(segment))) - mean
-            outer += centred.T @ centred
-            own = centred - (own_mean[k] - mean)
-            within[k] += np.einsum("ij,ij->j", own, own)
-            times = segment.start + start + np.arange(len(own)) - middle[k]
-            slope[k] += times @ own
-            spread_of_time[k] += times @ times
+    middle = np.zeros(recordings)  # of the row numbers
+    for one in gathered.segments:
+        middle[one.recording] += len(one) * (one.start + one.stop - 1) / 2 / count[one.recording]
+    for segment, start, block in gathered.blocks():
+        k, centred = segment.recording, block - mean
+        outer += centred.T @ centred
+        own = centred - (own_mean[k] - mean)
+        within[k] += np.einsum("ij,ij->j", own, own)
+        times = segment.start + start + np.arange(len(own)) - middle[k]
+        slope[k] += times @ own
+        spread_of_time[k] += times @ times
     explained = (slope**2 / np.maximum(spread_of_time, 1.0)[:, None])[seen].sum(axis=0)
     within_all = within[seen].sum(axis=0)
-    values, rows = _different_values(gathered)
+    longest, rows = [], 0
+    for one in sorted(gathered.segments, key=len, reverse=True):
+        longest.append(one.rows(0, min(len(one), BLOCK - rows)))
+        rows += len(longest[-1])
+        if rows >= BLOCK:
+            break
     return ChannelFacts(
         gathered.channels,
         len(gathered.inputs),
@@ -203,25 +213,219 @@ def _facts(gathered: Gathered) -> ChannelFacts:
         np.where(seen[:, None], own_mean, np.nan),
         np.where(seen[:, None], np.sqrt(within / np.maximum(count, 1.0)[:, None]), np.nan),
         explained / np.where(within_all > 0, within_all, 1.0),
-        values,
+        np.array([len(np.unique(column)) for column in np.vstack(longest).T]),
         rows,
     )
 
 
-def _middle_of_times(gathered: Gathered, count: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the mean row number of each recording's complete rows."""
-    total = np.zeros(len(count))
-    for one in gathered.segments:
-        total[one.recording] += len(one) * (one.start + one.stop - 1) / 2
-    return total / np.maximum(count, 1.0)
+@dataclass
+class _Runs:
+    """The runs of equal values of one channel, while its rows are read.
+
+    Attributes
+    ----------
+    count, rows : ndarray of int, shape (powers of two,)
+        Runs by length, and the rows in them.
+    longest : tuple of (int, int, int, float)
+        Its length, recording, first row and value.
+    begun : int
+        The first row of the run that goes on.
+    """
+
+    count: NDArray[np.int64] = field(default_factory=lambda: np.zeros(_LENGTHS, dtype=np.int64))
+    rows: NDArray[np.int64] = field(default_factory=lambda: np.zeros(_LENGTHS, dtype=np.int64))
+    longest: tuple[int, int, int, float] = (0, 0, 0, 0.0)
+    begun: int = 0
+
+    def add(self, recording: int, starts: NDArray[np.int64], values: NDArray[np.float64], stop: int) -> None:
+        """Take in runs that follow on each other, the last one up to ``stop``."""
+        lengths = np.diff(np.append(starts, stop))
+        power = np.frexp(lengths.astype(float))[1] - 1
+        self.count += np.bincount(power, minlength=_LENGTHS)
+        self.rows += np.bincount(power, weights=lengths, minlength=_LENGTHS).astype(np.int64)
+        k = int(lengths.argmax())
+        if lengths[k] > self.longest[0]:
+            self.longest = int(lengths[k]), recording, int(starts[k]), float(values[k])
+
+    def note(self, name: str, rows: int, where: str) -> str | None:
+        """Return a note on the longest run, unless the channel moves in steps."""
+        length, _, first, value = self.longest
+        if length < max(_LEAST_RUN, _LEAST_SHARE * rows) or length == rows:
+            return None
+        others, ends = self.count.copy(), 2 ** np.arange(1, _LENGTHS + 1) - 1
+        others[length.bit_length() - 1] -= 1
+        usual = 1
+        if others.sum():
+            usual = int(ends[np.searchsorted(np.cumsum(others), _NEARLY_ALL * others.sum())])
+        if length < _LONGER * usual:
+            return None
+        short = ends < length / _LONGER  # the runs of a sensor that moves; longer ones may be further standstills
+        moving, runs = int(self.rows[short].sum()), int(self.count[short].sum())
+        if moving - runs > _REPEATS * moving:
+            return None
+        return (
+            f"{name!r} stands still at {number(value)} for {counted(length, 'row')} from row {first}{where} on, "
+            f"{100 * length / rows:.0f} % of all rows, and moves in most rows elsewhere: set these values missing "
+            "(NaN) if the sensor was stuck, not the plant at rest or at a limit"
+        )
 
 
-def _different_values(gathered: Gathered) -> tuple[NDArray[np.int_], int]:
-    """Return how many values each channel takes in the longest segments, up to a block of rows of them."""
-    blocks, rows = [], 0
-    for one in sorted(gathered.segments, key=len, reverse=True):
-        blocks.append(one.rows(0, min(len(one), BLOCK - rows)))
-        rows += len(blocks[-1])
-        if rows >= BLOCK:
-            break
-    return np.array([len(np.unique(column)) for column in np.vstack(blocks).T]), rows
+def outlying_values(gathered: Gathered) -> tuple[str, ...]:
+    """Return notes on values that are hardly measurements: outliers of any channel, and outputs that stand still.
+
+    Outliers are no more than 1 in 200 rows further from the median than 20 units, the largest of the distance between
+    the quartiles, the median absolute step and the median distance from the median of values other than it, which
+    carry more than half of the variance. An output stands still in a run of equal values that is long against its
+    others; channels that move in steps, quantised ones and those of which several stand still together do not.
+    """
+    plain = gathered.of_channels(gathered.channels)  # the values themselves where changes are read
+    every, picked = max(2 * (plain.n_samples // _SAMPLE), 1), []
+    for *_, block in plain.blocks():  # evenly spaced pairs of rows
+        chosen = np.arange(0, len(block), every)
+        picked.append(block[np.unique(np.minimum(np.concatenate([chosen, chosen + 1]), len(block) - 1))])
+    sample = np.vstack(picked)
+    middle = np.median(sample, axis=0)
+    unit = _units(sample, middle)
+    m, q = len(gathered.inputs), len(gathered.channels)
+    runs = [_Runs() for _ in gathered.outputs]
+    count, far_squares, squares = np.zeros(q), np.zeros(q), np.zeros(q)
+    first_far: dict[int, tuple[int, int, float]] = {}
+    before = sample[0, m:]
+    for segment, start, block in plain.blocks():
+        with np.errstate(over="ignore"):  # values whose squares overflow are refused by their name
+            apart = (block - middle) / np.where(unit > 0, unit, np.inf)
+            far = np.abs(apart) > _FAR
+            squares += np.einsum("ij,ij->j", apart, apart)
+            if far.any():
+                count += far.sum(axis=0)
+                far_squares += (np.where(far, apart, 0.0) ** 2).sum(axis=0)
+        first = segment.start + start
+        for k in np.flatnonzero(far.any(axis=0)).tolist():
+            row = int(far[:, k].argmax())
+            delay = segment.delays[k] if segment.delays else 0
+            first_far.setdefault(k, (segment.recording, first + row - delay, float(block[row, k])))
+        for one, column, last in zip(runs, block.T[m:], before if start else block[0, m:], strict=True):
+            changes = np.flatnonzero(np.diff(column, prepend=last) != 0) + first
+            starts = np.append(one.begun if start else first, changes)
+            values = np.append(last, column[changes - first])
+            stop = first + len(block)
+            one.begun = int(starts[-1])
+            if stop < segment.stop:  # the last run goes on
+                starts, values, stop = starts[:-1], values[:-1], one.begun
+            if len(starts):
+                one.add(segment.recording, starts, values, stop)
+        before = block[-1, m:]
+    notes = []
+    for k, (recording, row, value) in sorted(first_far.items()):
+        if count[k] > max(_FEW * plain.n_samples, 1) or not far_squares[k] > _MOST * squares[k]:
+            continue
+        place = f"{number(value)} in row {row}{_where(plain, recording)}"
+        usual = f"the middle is {number(float(middle[k]))}, the usual distance {number(float(unit[k]))}"
+        share = f"{100 * far_squares[k] / squares[k]:.3g} % of its variance"
+        if count[k] == 1:
+            said = (
+                f"a value far outside the rest, {place} ({usual}): this one row makes {share}, and decides what a "
+                "model says of it; set it missing (NaN) unless it is a measurement"
+            )
+        else:
+            said = (
+                f"{counted(int(count[k]), 'value')} far outside the rest, the first one {place} ({usual}): they make "
+                f"{share}, and decide what a model says of it; set them missing (NaN) unless they are measurements"
+            )
+        notes.append(f"{plain.channels[k]!r} has {said}")
+    return (*notes, *_standstills(plain, runs))
+
+
+def _units(sample: NDArray[np.float64], middle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the usual distance of the values of each channel; zero where they do not move."""
+    low, high = np.quantile(sample, (0.25, 0.75), axis=0)
+    steps = np.median(np.abs(np.diff(sample, axis=0)), axis=0) if len(sample) > 1 else np.zeros(len(middle))
+    apart = np.abs(sample - middle)
+    other = np.array([float(np.median(one[one > 0])) if one.any() else 0.0 for one in apart.T])
+    return np.maximum(np.maximum(high - low, steps), other)
+
+
+def _standstills(gathered: Gathered, runs: list[_Runs]) -> list[str]:
+    """Return notes on the outputs that stand still while others move."""
+    notes: dict[str, tuple[_Runs, str]] = {}
+    for name, one in zip(gathered.outputs, runs, strict=True):
+        note = one.note(name, gathered.n_samples, _where(gathered, one.longest[1]))
+        if note is not None:
+            notes[name] = one, note
+    together = []
+    for name, (one, _) in notes.items():
+        length, recording, first, _ = one.longest
+        for other in (run.longest for run in runs if run is not one):  # of the same size, and most of its rows
+            shared = min(length + first, other[0] + other[2]) - max(first, other[2])
+            if recording == other[1] and shared > 0.8 * max(length, other[0]) and name not in together:
+                together.append(name)
+    said = [note for name, (_, note) in notes.items() if name not in together]
+    if together:
+        length, recording, first, _ = notes[together[0]][0].longest
+        said.append(
+            f"{some(map(repr, together))} {'stands' if len(together) == 1 else 'stand'} still together with other "
+            f"outputs for about {counted(length, 'row')} from row {first}{_where(gathered, recording)} on: was the "
+            "plant at rest, or did the recording stop? Rows that show no normal operation are better left out"
+        )
+    return said
+
+
+def _where(gathered: Gathered, recording: int) -> str:
+    return f" of {gathered.sources[recording]}" if len(gathered.sources) > 1 else ""
+
+
+def guessed_inputs(recordings: Sequence[NDArray[np.float64]], channels: Sequence[str]) -> tuple[str, ...]:
+    """Return the channels that look like commands: they change, and hold their value in most rows.
+
+    None where all channels do so, as of sensors with a coarse resolution.
+
+    Parameters
+    ----------
+    recordings : sequence of ndarray, shape (time, channels)
+    channels : sequence of str
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> valve, level = np.repeat([0.0, 1.0], 50), np.random.default_rng(0).standard_normal(100)
+    >>> guessed_inputs([np.column_stack([level, valve])], ["level", "valve"])
+    ('valve',)
+    """
+    steps = np.vstack([np.diff(one, axis=0) for one in recordings])
+    known = np.isfinite(steps)
+    held = (known & (steps == 0)).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+    found = tuple(name for name, share in zip(channels, held.tolist(), strict=True) if _HELD <= share < 1)
+    return () if len(found) == len(channels) else found
+
+
+def exact_channels(recordings: Sequence[NDArray[np.float64]], channels: Sequence[str]) -> tuple[str, ...]:
+    """Return the channels that follow from the others, and from the row before, without any noise.
+
+    Commands of a controller do so from what it measures, and so does what it measures from its commands.
+
+    Parameters
+    ----------
+    recordings : sequence of ndarray, shape (time, channels)
+    channels : sequence of str
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> level = np.random.default_rng(0).standard_normal((100, 2))
+    >>> valve = -2 * level[:, [0]]
+    >>> exact_channels([np.hstack([valve, level])], ["valve", "level", "flow"])
+    ('valve', 'level')
+    """
+    rows = np.vstack([np.hstack([one[1:], one[:-1]]) for one in recordings])
+    rows = rows[np.isfinite(rows).all(axis=1)][:_ROWS]
+    spread = rows.std(axis=0) if len(rows) else np.zeros(2 * len(channels))
+    rows = (rows - rows.mean(axis=0)) / np.where(spread > 0, spread, 1.0) if len(rows) else rows
+    found = []
+    for i, name in enumerate(channels):
+        if not spread[i] > 0 or len(rows) <= rows.shape[1]:
+            continue
+        others = np.delete(rows, i, axis=1)
+        error = rows[:, i] - others @ np.linalg.lstsq(others, rows[:, i], rcond=None)[0]
+        if float(np.sqrt(np.mean(error**2))) < _EXACT:
+            found.append(name)
+    return tuple(found)

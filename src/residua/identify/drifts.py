@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from residua.decide.stationarity import CONFIDENCE, independent_samples, likeliest_change
 from residua.errors import DataError
 from residua.identify.channel_facts import ChannelFacts, channel_facts
-from residua.identify.segments import BLOCK, Gathered, Names, gather
+from residua.identify.segments import Gathered, Names, gather
 from residua.words import counted, number
 
 #: A mean that moves by fewer standard deviations than this, which those on either side are, is no drift.
@@ -31,7 +30,7 @@ _MOST = 0.5
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Drifts:
-    """What fault-free recordings say of the level of each channel.
+    """The drift of each channel in fault-free recordings.
 
     Attributes
     ----------
@@ -64,12 +63,12 @@ class Drifts:
 
     @property
     def moves(self) -> NDArray[np.bool_]:
-        """Whether each channel drifts in each recording, shape (recordings, channels)."""
+        """Flags of the channels that drift in each recording, shape (recordings, channels)."""
         slow_or_changing = (np.abs(self.change) >= LEAST_CHANGE) | (self.worth < LEAST_WORTH)
         return np.asarray(slow_or_changing & self.judged[:, None])
 
     def sentence(self, name: str) -> str:
-        """Return what is known of the level of one channel: by its recording with the clearest drift."""
+        """Describe the level of one channel, by its recording with the clearest drift."""
         i = self.names.index(name)
         moves = np.flatnonzero(self.moves[:, i])
         if not len(moves):
@@ -204,16 +203,22 @@ def drifts_in(gathered: Gathered, facts: ChannelFacts) -> Drifts:
             found = likeliest_change(means[:, j], (1 - CONFIDENCE) / n)
             if found is not None:
                 place[k, j] = found[0] * length
-                change[k, j] = _in_deviations(means[:, j], found[0], float(deviation[j]))
+                at, part = found[0], found[0] / len(means)
+                one, other = means[:at, j], means[at:, j]
+                shift = float(other.mean() - one.mean())
+                # the means of stretches of many rows leave out the rows within them
+                sides = max(deviation[j] ** 2 - part * (1 - part) * shift**2, 0.0)
+                own = np.concatenate([one - one.mean(), other - other.mean()])
+                change[k, j] = shift / float(np.sqrt(max(sides, np.mean(own**2))))
     found = Drifts(gathered.channels, (), rows, change, place, worth)
     judged = rows * found.judged
     share = judged @ found.moves / judged.sum()
     drifting = tuple(name for name, part in zip(gathered.channels, share, strict=True) if part >= _MOST)
-    return Drifts(gathered.channels, drifting, rows, change, place, worth)
+    return replace(found, drifting=drifting)
 
 
 def _worth(means: NDArray[np.float64]) -> float:
-    """Return how many independent samples means over stretches are worth: the most that any length of them shows.
+    """Return the number of independent samples in means over stretches: the most for any length of them.
 
     Neighbours of an oscillation that is sampled finely are as alike as those of a walk; over longer stretches it is
     gone, and a walk is not.
@@ -225,32 +230,14 @@ def _worth(means: NDArray[np.float64]) -> float:
     return most
 
 
-def _in_deviations(means: NDArray[np.float64], at: int, deviation: float) -> float:
-    """Return the change of a mean in standard deviations of the rows on both sides, from theirs about one mean."""
-    shift, part = float(means[at:].mean() - means[:at].mean()), at / len(means)
-    # the means of stretches of many rows leave out what is within them
-    sides = max(deviation**2 - part * (1 - part) * shift**2, 0.0)
-    own = np.concatenate([means[:at] - means[:at].mean(), means[at:] - means[at:].mean()])
-    return shift / float(np.sqrt(max(sides, np.mean(own**2))))
-
-
 def _stretches(gathered: Gathered, recording: int, length: int, facts: ChannelFacts) -> NDArray[np.float64]:
     """Return the means of stretches of so many complete rows of a recording, in units of each channel."""
     means, left = [], np.zeros((0, len(gathered.channels)))
-    for rows in _rows(gathered, recording):
+    for segment, _, rows in gathered.blocks():
+        if segment.recording != recording:
+            continue
         left = np.vstack([left, (rows - facts.mean) / facts.units])
         whole = len(left) // length * length
         means.append(left[:whole].reshape(-1, length, left.shape[1]).mean(axis=1))
         left = left[whole:]
     return np.vstack(means)
-
-
-def _rows(gathered: Gathered, recording: int) -> Iterator[NDArray[np.float64]]:
-    """Yield the complete rows of a recording, block by block."""
-    for one in gathered.segments:
-        if one.recording == recording:
-            for start in range(0, len(one), BLOCK):
-                yield one.rows(start, min(start + BLOCK, len(one)))
-
-
-__all__ = ["Drifts", "drifting_channels", "drifts_in"]

@@ -11,19 +11,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.arrays import frozen, positions
 from residua.errors import DataError, SettingError
-from residua.identify.information import Identifiability, identifiability, sandwich_covariance
-from residua.identify.nonlinear_model import NonlinearModel, model_errors
 from residua.identify.parameter_search import Found, Parameter, PlantAt, Task, parameters_of, search
-from residua.identify.prediction import LaggedSums, ljung_box
-from residua.identify.prediction_errors import predictor
-from residua.identify.segments import Gathered, gather
+from residua.identify.prediction import ljung_box
+from residua.identify.prediction_errors import NonlinearModel, model_errors, predictor
+from residua.identify.segments import gather
 from residua.plant import Plant
 from residua.progress import Progress, progress_of
 from residua.robust.sets.uncertain_plant import UncertainPlant
 from residua.shown import Shown
-from residua.tolerances import DATA_ROUNDING
+from residua.tolerances import DATA_ROUNDING, TINY
 from residua.visible import echo
-from residua.words import counted, number, some
+from residua.words import counted, listing, number, some
 
 Matrix = NDArray[np.float64]
 #: Numbers that a fit needs at least for each unknown.
@@ -36,6 +34,151 @@ _COLOURED = 0.01
 _OTHER_NOISE = 1.5
 #: Standard errors of the two kinds that differ by more are said to.
 _APART = 1.5
+#: A number between two bounds, with nothing else known, has this standard deviation in units of their distance.
+_FROM_BOUNDS_ALONE = 12**-0.5
+#: Singular values this far below the largest are zero: sensitivities are differences of computed predictions.
+_NO_EFFECT = 2.0**-23
+#: Parameters with a smaller share in a combination, of the largest one, are left out of its name.
+_SHARE = 0.05
+#: The most lags that are counted, as a fraction of the samples.
+_MOST_LAGS = 0.1
+#: A correlation of neighbours above this would ask for lags without bound.
+_STRONGEST = 0.97
+
+
+@dataclass(frozen=True, eq=False)
+class Identifiability:
+    """Identifiability of parameters, by orthogonal combinations of them, in units of the distance of their bounds.
+
+    Attributes
+    ----------
+    parameters : tuple of str
+    singular_values : ndarray, shape (parameters,)
+        Of the sensitivities of the whitened prediction errors, largest first: the standard error of a combination is
+        one over its value.
+    directions : ndarray, shape (parameters, parameters)
+        The combinations, one in each row.
+    widths : ndarray, shape (parameters,)
+        The distance of the bounds of each parameter.
+    """
+
+    parameters: tuple[str, ...]
+    singular_values: NDArray[np.float64]
+    directions: Matrix
+    widths: NDArray[np.float64]
+
+    @property
+    def unknown(self) -> tuple[int, ...]:
+        """The combinations that the data say no more of than the bounds do."""
+        s = self.singular_values
+        blind = (s * _FROM_BOUNDS_ALONE <= 1) | (s <= _NO_EFFECT * s.max(initial=0.0))
+        return tuple(int(i) for i in np.flatnonzero(blind))
+
+    @property
+    def condition(self) -> float:
+        """The ratio of the largest to the smallest singular value."""
+        s = self.singular_values
+        return float(s[0] / s[-1]) if s[-1] > 0 else float("inf")
+
+    def moves(self, i: int) -> dict[str, float]:
+        """Return how parameters move along a combination, the largest share of the bounds being that of a whole one.
+
+        Of parameters with even bounds the largest moves by 1; what moves by next to nothing is left out.
+        """
+        direction, moved = self.directions[i], self.directions[i] * self.widths
+        large = np.abs(direction) >= _SHARE * np.abs(direction).max()
+        unit = moved[int(np.abs(direction).argmax())]
+        return {n: float(v / unit) for n, v, keep in zip(self.parameters, moved, large, strict=True) if keep}
+
+    def standard_error(self, i: int) -> float:
+        """Return the standard error of a combination of length one, in units of the bounds."""
+        s = float(self.singular_values[i])
+        return 1 / s if s > 0 else float("inf")
+
+    def sentence(self, i: int) -> str:
+        """Describe the combination that is not known."""
+        moves = self.moves(i)
+        error = number(self.standard_error(i), 2)
+        if len(moves) == 1:
+            alone = next(iter(moves))
+            return f"the data say nothing of {alone}: its standard error is {error} times the distance of its bounds"
+        *others, last = moves
+        together = listing(f"{name} by {number(value, 3)}" for name, value in moves.items())
+        return (
+            f"the data do not tell {listing(others)} from {last}: moved together, {together}, they change no "
+            f"prediction by more than the noise hides (standard error {error} times the distance of their bounds)"
+        )
+
+
+def identifiability(
+    sensitivities: Sequence[NDArray[np.float64]], parameters: tuple[str, ...], widths: NDArray[np.float64]
+) -> Identifiability:
+    """Return the identifiability of parameters by the singular values of their sensitivities.
+
+    Parameters
+    ----------
+    sensitivities : sequence of ndarray, shape (time, outputs, parameters)
+        Of the whitened prediction errors, over parameters in units of ``widths``.
+    parameters : tuple of str
+    widths : ndarray, shape (parameters,)
+    """
+    k = len(parameters)
+    R = np.zeros((0, k))
+    for S in sensitivities:
+        R = np.linalg.qr(np.vstack([R, S.reshape(-1, k)]), mode="r")
+    _, s, directions = np.linalg.svd(np.vstack([R, np.zeros((max(k - len(R), 0), k))]))
+    return Identifiability(parameters, s[:k], directions, widths)
+
+
+def sandwich_covariance(
+    sensitivities: Sequence[NDArray[np.float64]], errors: Sequence[Matrix], precision: Matrix
+) -> tuple[Matrix, Matrix, int]:
+    r"""Return the covariance of an estimate, that for white errors, and the lags that were counted.
+
+    .. math::
+
+       V = H^{-1} \Big(\sum_{|l| \le L} \big(1 - \tfrac{|l|}{L + 1}\big) \sum_t s_t s_{t+l}^T + P\Big) H^{-1}, \qquad
+       H = \sum_t \Psi_t^T \Psi_t + P, \qquad s_t = \Psi_t^T e_t
+
+    with whitened errors :math:`e_t`, their sensitivities :math:`\Psi_t` and the precision of the prior, :math:`P`.
+    Where the errors are white it is :math:`H^{-1}` but for chance.
+
+    Parameters
+    ----------
+    sensitivities : sequence of ndarray, shape (time, outputs, parameters)
+        Of the weighted errors, one for each stretch of data.
+    errors : sequence of ndarray, shape (time, outputs)
+        Weighted.
+    precision : ndarray, shape (parameters, parameters)
+        Of a prior; zero for none.
+
+    References
+    ----------
+    Newey and West (1987), Econometrica 55(3); the number of lags: Andrews (1991), Econometrica 59(3), eqs. (6.2) and
+    (6.4).
+    """
+    k = len(precision)
+    H = sum((np.einsum("tpi,tpj->ij", S, S) for S in sensitivities), np.array(precision, dtype=float))
+    inverse = np.linalg.inv(H)
+    root = np.linalg.cholesky((inverse + inverse.T) / 2)  # scores in units in which they are alike
+    scores = [np.einsum("tpi,tp->ti", S, e) @ root for S, e in zip(sensitivities, errors, strict=True)]
+    samples = sum(map(len, scores))
+    power = sum((s**2).sum(axis=0) for s in scores)
+    beside = sum((s[:-1] * s[1:]).sum(axis=0) for s in scores)
+    r = np.clip(beside / np.maximum(power, TINY), -_STRONGEST, _STRONGEST)
+    variance = power / max(samples, 1) * (1 - r**2)
+    above = float((4 * r**2 * variance**2 / ((1 - r) ** 6 * (1 + r) ** 2)).sum())
+    below = float((variance**2 / (1 - r) ** 4).sum())
+    wanted = int(np.ceil(1.1447 * (above / max(below, TINY) * samples) ** (1 / 3)))
+    lags = min(wanted, int(_MOST_LAGS * samples))
+    middle = sum((s.T @ s for s in scores), np.zeros((k, k)))
+    for lag in range(1, lags + 1):
+        product = sum((s[:-lag].T @ s[lag:] for s in scores if len(s) > lag), np.zeros((k, k)))
+        middle += (1 - lag / (lags + 1)) * (product + product.T)
+    middle *= samples / max(samples - k, 1)
+    middle += root.T @ precision @ root
+    V = root @ middle @ root.T
+    return (V + V.T) / 2, (inverse + inverse.T) / 2, lags
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -53,11 +196,11 @@ class GreyBox(Shown):
     plain_covariance : ndarray, shape (parameters, parameters)
         That for white errors.
     plant : Plant
-        What the function gives at the estimate; with the measurement noise of the fit, where it has no noise.
+        The value of the function at the estimate; with the measurement noise of the fit, where it has no noise.
     innovation_covariance : ndarray, shape (outputs, outputs)
         Of the one-step prediction errors, over the fitted samples.
     identifiability : Identifiability
-        What the data alone say of combinations of the parameters.
+        Identifiability of combinations of the parameters by the data alone.
     at_bounds : tuple of str
         Parameters whose estimate is one of their bounds.
     fit : dict of str to float
@@ -139,7 +282,7 @@ class GreyBox(Shown):
 
     @property
     def report(self) -> str:
-        """The estimate as a table, with what should be known of it."""
+        """The estimate as a table, with notes."""
         return str(self)
 
     def __str__(self) -> str:
@@ -155,7 +298,8 @@ class GreyBox(Shown):
         outputs = [["output", "prediction fit", "simulation fit", "whiteness p", "std. of errors"]]
         for i, name in enumerate(self.plant.outputs):
             spread = float(np.sqrt(self.innovation_covariance[i, i]))
-            shares = [_percent(part[name]) for part in (self.fit, self.simulation_fit)]
+            fits = self.fit[name], self.simulation_fit[name]
+            shares = [f"{100 * one:.1f} %" if np.isfinite(one) else number(one) for one in fits]
             outputs.append([name, *shares, number(self.whiteness[name], 2), number(spread, 3)])
         where = f"{self.held_out} held-out samples" if self.held_out else "the fitted samples: nothing was held out"
         head = (
@@ -211,7 +355,7 @@ def grey_box(
     offsets : bool or sequence of str
         Channels with an unknown constant offset in each stretch of data; all outputs for ``True``.
     priors : mapping of str to (mean, standard deviation), optional
-        What is known of parameters besides the data, as normal distributions.
+        Prior knowledge of parameters, as normal distributions.
     held_out : float
         The last part of each recording that is not fitted: fit and whiteness are those of it. 0 holds nothing out.
     starts : int
@@ -268,38 +412,35 @@ def grey_box(
     first = call.plant({p.name: p.start for p in known})
     step = dt if dt is not None or not first.is_discrete else first.dt
     everything = gather(recordings, y, inputs=first.inputs, outputs=first.outputs, dt=step)
-    if not (isinstance(held_out, (int, float)) and 0 <= held_out < 1):
-        raise SettingError(f"held_out must be a fraction from 0 to below 1, got {echo(held_out)}")
     fitted, rest = everything.divided(held_out)
-    task = Task(
-        call,
-        known,
-        fitted.data(),
-        everything.dt,
-        _offset_columns(offsets, first),
-        _prior_numbers(priors, known),
-    )
-    _check_data(task, first, everything)
+    if not isinstance(starts, (int, np.integer)) or starts < 1:
+        raise SettingError(f"starts must be a positive whole number, got {echo(starts)}")
+    channels = first.inputs + first.outputs
+    named = (first.outputs if offsets else ()) if isinstance(offsets, bool) else offsets
+    unknown = tuple(positions(named, channels, "offsets: channel"))
+    task = Task(call, known, fitted.data(), everything.dt, unknown, _prior_numbers(priors, known))
+    unknowns = len(task.parameters) + len(task.data) * (first.n_states + len(task.offsets))
+    rows = sum(map(len, task.data))
+    if rows * first.n_outputs < _FOR_EACH_UNKNOWN * unknowns:
+        raise DataError(
+            f"{counted(rows, 'row')} to fit ({everything.n_samples} in all, some held out) of "
+            f"{counted(first.n_outputs, 'output')} are too few for {unknowns} unknowns: "
+            f"{len(task.parameters)} parameters, and {first.n_states} states and {len(task.offsets)} offsets in "
+            f"each of {len(task.data)} stretches; at least {_FOR_EACH_UNKNOWN} numbers for each are needed"
+        )
+    y = np.vstack(task.data)[:, -first.n_outputs :]
+    still = np.ptp(y, axis=0) <= DATA_ROUNDING * np.abs(y).max(axis=0)
+    if still.any():
+        raise DataError(
+            f"{some(n for n, s in zip(first.outputs, still, strict=True) if s)} never moves in the {len(y)} fitted "
+            "rows: a constant sensor determines no parameter; leave the output out of the plant"
+        )
     tell, close = progress_of(progress)
     try:
-        found = search(task, 1 if started else _count(starts), tell)
+        found = search(task, 1 if started else int(starts), tell)
         return _outcome(task, found, rest.data(), everything.notes)
     finally:
         close()
-
-
-def _count(starts: int) -> int:
-    if not isinstance(starts, (int, np.integer)) or starts < 1:
-        raise SettingError(f"starts must be a positive whole number, got {echo(starts)}")
-    return int(starts)
-
-
-def _offset_columns(offsets: bool | Iterable[str], plant: Plant) -> tuple[int, ...]:
-    """Return the columns of ``[u, y]`` with an unknown offset."""
-    channels = plant.inputs + plant.outputs
-    if isinstance(offsets, bool):
-        return tuple(range(len(plant.inputs), len(channels))) if offsets else ()
-    return tuple(positions(offsets, channels, "offsets: channel"))
 
 
 def _prior_numbers(priors: Mapping[str, Sequence[float]] | None, known: tuple[Parameter, ...]) -> Matrix:
@@ -320,38 +461,31 @@ def _prior_numbers(priors: Mapping[str, Sequence[float]] | None, known: tuple[Pa
     return out
 
 
-def _check_data(task: Task, plant: Plant, everything: Gathered) -> None:
-    """Raise unless there are numbers enough for what is estimated, and every output moves."""
-    unknowns = len(task.parameters) + len(task.data) * (plant.n_states + len(task.offsets))
-    rows = sum(map(len, task.data))
-    if rows * plant.n_outputs < _FOR_EACH_UNKNOWN * unknowns:
-        raise DataError(
-            f"{counted(rows, 'row')} to fit ({everything.n_samples} in all, some held out) of "
-            f"{counted(plant.n_outputs, 'output')} are too few for {unknowns} unknowns: "
-            f"{len(task.parameters)} parameters, and {plant.n_states} states and {len(task.offsets)} offsets in "
-            f"each of {len(task.data)} stretches; at least {_FOR_EACH_UNKNOWN} numbers for each are needed"
-        )
-    y = np.vstack(task.data)[:, -plant.n_outputs :]
-    still = np.ptp(y, axis=0) <= DATA_ROUNDING * np.abs(y).max(axis=0)
-    if still.any():
-        raise DataError(
-            f"{some(n for n, s in zip(plant.outputs, still, strict=True) if s)} never moves in the {len(y)} fitted "
-            "rows: a constant sensor determines no parameter; leave the output out of the plant"
-        )
-
-
 def _outcome(task: Task, found: Found, held_out: list[Matrix], notes: tuple[str, ...]) -> GreyBox:
-    """Return the estimate with its covariance and checks, or say what the data do not tell."""
+    """Return the estimate with its covariance and checks, or name the parameters that the data leave open."""
     names = tuple(p.name for p in task.parameters)
     S = task.sensitivities(found.z, found.weights)
     facts = identifiability(S, names, task.widths)
     rows = task.prior_rows(found.z)[1]
-    notes += found.notes + _unknown_combinations(facts, S, rows, task.widths)
-    errors = task.left(found.z, found.weights)
+    both = identifiability([*S, rows[:, None, :]], names, task.widths) if len(rows) else facts
+    if facts.unknown and both.unknown:
+        nothing = "; ".join(both.sentence(i) for i in both.unknown)
+        raise DataError(
+            f"{nothing}. Fix a parameter of the combination, give a prior "
+            "(priors={name: (mean, standard deviation)}), or a recording in which the inputs move more"
+        )
+    notes += (*found.notes, *(f"{facts.sentence(i)}; the priors do" for i in facts.unknown))
+    errors = task.errors(found.z).left(found.weights)
     sandwich, plain, lags = sandwich_covariance(S, errors, rows.T @ rows)
     scale = np.outer(task.widths, task.widths)
-    values = task.values(found.z)
-    function = _with_noise(task, found)
+    values, covariance = task.values(found.z), found.covariance
+
+    def function(values: Mapping[str, float]) -> Plant:
+        """Return the plant, with measurement noise where it has no noise."""
+        plant = task.plant_at.plant(values)
+        noise = covariance if plant.is_discrete else covariance * task.dt
+        return plant if plant.noises else plant.with_noise(measurement=noise)
+
     plant = function(values)
     checked = held_out if sum(map(len, held_out)) > _LAGS else task.data
     prediction, simulation, whiteness = _checks(task, plant, checked, found)
@@ -365,7 +499,7 @@ def _outcome(task: Task, found: Found, held_out: list[Matrix], notes: tuple[str,
         frozen(sandwich * scale),
         frozen(plain * scale),
         plant,
-        frozen(found.covariance),
+        frozen(covariance),
         facts,
         at_bounds,
         prediction,
@@ -376,35 +510,6 @@ def _outcome(task: Task, found: Found, held_out: list[Matrix], notes: tuple[str,
         notes,
         function,
     )
-
-
-def _unknown_combinations(
-    facts: Identifiability, S: list[NDArray[np.float64]], rows: Matrix, widths: NDArray[np.float64]
-) -> tuple[str, ...]:
-    """Return notes on combinations that only the priors tell; raise where these do not either."""
-    if not facts.unknown:
-        return ()
-    both = identifiability([*S, rows[:, None, :]], facts.parameters, widths) if len(rows) else facts
-    if both.unknown:
-        nothing = "; ".join(both.sentence(i) for i in both.unknown)
-        raise DataError(
-            f"{nothing}. Fix a parameter of the combination, give a prior "
-            "(priors={name: (mean, standard deviation)}), or a recording in which the inputs move more"
-        )
-    return tuple(f"{facts.sentence(i)}; the priors do" for i in facts.unknown)
-
-
-def _with_noise(task: Task, found: Found) -> Callable[[Mapping[str, float]], Plant]:
-    """Return the function of the parameters, with measurement noise where its plants have none."""
-    covariance = found.covariance
-
-    def plant_with_noise(values: Mapping[str, float]) -> Plant:
-        plant = task.plant_at.plant(values)
-        if plant.noises:
-            return plant
-        return plant.with_noise(measurement=covariance if plant.is_discrete else covariance * task.dt)
-
-    return plant_with_noise
 
 
 def _checks(
@@ -430,11 +535,11 @@ def _checks(
 def _whiteness(errors: list[Matrix]) -> NDArray[np.float64]:
     """Return the probability of the correlation over time in each column if it was white."""
     samples = sum(map(len, errors))
-    sums = LaggedSums(max(min(_LAGS, int(_LAG_SHARE * samples)), 1), errors[0].shape[1])
-    for e in errors:
-        sums.add(e)
-    power = sums.products[0]
-    return ljung_box(sums.products[1:] / np.where(power > 0, power, 1.0), sums.pairs[1:], samples)
+    lags = range(max(min(_LAGS, int(_LAG_SHARE * samples)), 1) + 1)
+    products = np.array([sum((e[lag:] * e[: max(len(e) - lag, 0)]).sum(axis=0) for e in errors) for lag in lags])
+    pairs = np.array([sum(max(len(e) - lag, 0) for e in errors) for lag in lags])
+    power = np.where(products[0] > 0, products[0], 1.0)
+    return ljung_box(products[1:] / power, pairs[1:], samples)
 
 
 def _remarks(
@@ -445,7 +550,7 @@ def _remarks(
     ratio: NDArray[np.float64],
     lags: int,
 ) -> tuple[str, ...]:
-    """Return what should be known of the estimate."""
+    """Return notes on the estimate."""
     out = []
     if at_bounds:
         out.append(f"{some(at_bounds)}: the estimate is a bound, and its standard error holds only inside")
@@ -472,10 +577,6 @@ def _remarks(
                 f"the variance of the prediction errors is not what the noise of the plant gives, but times {some(off)}"
             )
     return tuple(out)
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.1f} %" if np.isfinite(share) else number(share)
 
 
 def _table(rows: list[list[str]]) -> list[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,6 +23,8 @@ _ROWS_PER_COLUMN = 24
 _WELL_CONDITIONED = 1e-5
 #: How far from orthonormal the first factorisation may leave the columns, for the second one to be exact to rounding.
 _NEARLY_ORTHOGONAL = 0.1
+#: A prediction error below this part of an output's standard deviation counts as none.
+NOISE_FREE = 1e-7
 #: Parts of the data whose factors are kept, for the spread of estimates between them.
 PARTS = 16
 
@@ -47,7 +49,7 @@ class HankelFactor:
         Rows of the recording in a window, ``L``.
     n_inputs, n_outputs : int
     reference, units : ndarray, shape (channels,)
-        What was subtracted from each channel, and then divided by.
+        The values subtracted from each channel, and the divisors.
     """
 
     R: NDArray[np.float64]
@@ -76,45 +78,25 @@ class HankelFactor:
         """Return the columns of inputs and outputs at times of the window, in the order of the times."""
         return [1 + time * self.n_channels + i for time in times for i in range(self.n_channels)]
 
-    def without_each_part(self) -> Iterator[HankelFactor]:
-        """Yield the factors of all parts of the data but one."""
-        for left_out in range(len(self.parts)):
-            rest = [one for k, one in enumerate(self.parts) if k != left_out]
-            windows = round(self.windows * len(rest) / len(self.parts))
-            yield replace(self, R=_triangle(np.vstack(rest)), parts=(), windows=windows)
 
+def regress(targets: NDArray, regressors: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the least-squares fit of columns by others, in units that make the regressors equally large.
 
-@dataclass(frozen=True, eq=False)
-class Regression:
-    """A least-squares fit among columns of the factor.
-
-    Attributes
-    ----------
+    Returns
+    -------
     coefficients : ndarray, shape (targets, regressors)
+        The smallest ones where the regressors determine one another.
     residual : ndarray, shape (rows of the factor, targets)
         Its products are those of the residual of the data.
-    rank : int
-        Of the regressors; the coefficients are the smallest ones where it is not full.
     """
-
-    coefficients: NDArray[np.float64]
-    residual: NDArray[np.float64]
-    rank: int
-
-
-def regress(targets: NDArray, regressors: NDArray) -> Regression:
-    """Return the least-squares fit of columns by others, in units that make the regressors equally large."""
-    k = regressors.shape[1]
-    if not k:
-        return Regression(np.zeros((targets.shape[1], 0)), targets, 0)
     size = np.linalg.norm(regressors, axis=0)
     size = np.where(size > 0, size, 1.0)
-    solution, _, rank, _ = np.linalg.lstsq(regressors / size, targets, rcond=RANK)
-    return Regression((solution / size[:, None]).T, targets - regressors / size @ solution, int(rank))
+    solution = np.linalg.lstsq(regressors / size, targets, rcond=RANK)[0]
+    return (solution / size[:, None]).T, targets - regressors / size @ solution
 
 
 def count_windows(gathered: Gathered, length: int) -> int:
-    """Return how many windows of a length the data have."""
+    """Return the number of windows of a length in the data."""
     return sum(max(len(one) - length + 1, 0) for one in gathered.segments)
 
 
@@ -140,19 +122,18 @@ def hankel_factor(
     reference, units = facts.mean, facts.units
     size = max(_ROWS_PER_COLUMN * columns, 512)
     parts, done = [], 0
-    pieces = _pieces(gathered.segments, length, borders, size)
     current: NDArray | None = None
-    for segment, start, stop, ends in pieces:
+    for segment, start, stop, ends in _pieces(gathered.segments, length, borders, size):
         Z = (segment.rows(start, stop + length - 1) - reference) / units
         block = _hankel_rows(Z, stop - start, length, current)
-        current = _triangle(block)
+        current = triangle(block)
         done += stop - start
         if progress is not None:
             progress("Hankel matrix", done, windows)
         if ends:
             parts.append(current)
             current = None
-    R = _triangle(np.vstack(parts)) if len(parts) > 1 else parts[0]
+    R = triangle(np.vstack(parts)) if len(parts) > 1 else parts[0]
     return HankelFactor(R, tuple(parts), windows, length, len(gathered.inputs), len(gathered.outputs), reference, units)
 
 
@@ -170,14 +151,14 @@ def discounted_factor(factor: HankelFactor, gathered: Gathered, forgetting: floa
             weights = np.sqrt(forgetting) ** np.arange(stop - start, -1, -1)
             block[: len(R)] *= weights[0]
             block[len(R) :] *= weights[1:, None]
-        R = _triangle(block)
+        R = triangle(block)
     return replace(factor, R=R, parts=(), windows=factor.windows + new)
 
 
 def _pieces(
     segments: Sequence[Segment], length: int, borders: NDArray[np.int_], size: int
 ) -> Iterable[tuple[Segment, int, int, bool]]:
-    """Yield (segment, first window, last window, whether a part of the data ends with it)."""
+    """Yield (segment, first window, last window, True where a part of the data ends with it)."""
     done, part = 0, 1
     for segment in segments:
         start, stop = 0, len(segment) - length + 1
@@ -203,7 +184,7 @@ def _hankel_rows(Z: NDArray, windows: int, length: int, above: NDArray | None) -
     return block
 
 
-def _triangle(block: NDArray) -> NDArray[np.float64]:
+def triangle(block: NDArray) -> NDArray[np.float64]:
     """Return the triangular factor of a matrix, square even if it has fewer rows than columns.
 
     By the Cholesky factor of the matrix of products, where its condition is small; beyond that by the factor of what
@@ -222,16 +203,6 @@ def _triangle(block: NDArray) -> NDArray[np.float64]:
                 return np.linalg.cholesky(products).T @ first
         except np.linalg.LinAlgError:  # not positive definite to rounding
             pass
-    return _reflected(block)
-
-
-def _reflected(block: NDArray) -> NDArray[np.float64]:
-    """Return the triangular factor by Householder's reflections."""
-    geqrf, query = get_lapack_funcs(("geqrf", "geqrf_lwork"), (block,))
-    work, _ = query(*block.shape)
-    factor, _, _, _ = geqrf(np.asfortranarray(block), lwork=int(work), overwrite_a=True)
-    n = block.shape[1]
-    R = np.zeros((n, n))
-    rows = min(n, len(block))
-    R[:rows] = np.triu(factor[:rows])
+    R = np.zeros((block.shape[1], block.shape[1]))
+    R[: min(block.shape)] = np.linalg.qr(block, mode="r")
     return R

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import DataError, SettingError
-from residua.identify.model_report import IdentificationReport
-from residua.identify.realisation import Innovations, one_step_predictor
+from residua.identify.fit_report import IdentificationReport
+from residua.identify.prediction import Innovations, one_step_predictor
 from residua.identify.segments import gather
 from residua.linear.subspaces.rank import range_basis
 from residua.plant import OperatingPoint, Perturbation, Plant, UncertainPlant
@@ -29,7 +29,7 @@ class Prediction:
     Attributes
     ----------
     source : str
-        What the recording is called.
+        Name of the recording.
     measured : ndarray, shape (T, outputs)
         In plant units; NaN in rows with a missing value.
     predicted : ndarray, shape (T, outputs)
@@ -42,13 +42,13 @@ class Prediction:
 
     @property
     def error(self) -> NDArray[np.float64]:
-        """What was measured less what was predicted, shape (T, outputs)."""
+        """Measured less predicted outputs, shape (T, outputs)."""
         return self.measured - self.predicted
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class IdentifiedModel:
-    """A plant from recordings, in innovation form, and what is known of it.
+    """A plant from recordings, in innovation form, with its report and uncertainty.
 
     Attributes
     ----------
@@ -102,7 +102,7 @@ class IdentifiedModel:
 
         Notes
         -----
-        What the directions that are left out would add is not covered.
+        The directions that are left out are not covered.
 
         Examples
         --------
@@ -159,19 +159,7 @@ class IdentifiedModel:
         >>> float(np.nanstd(seen.error).round(1))
         0.1
         """
-        plant = self.plant
-        gathered = gather(recordings, y, inputs=plant.inputs, outputs=plant.outputs)
-        if gathered.timed and abs(gathered.dt - plant.dt) > REGULAR * plant.dt:
-            raise DataError(f"the model has a step of {plant.dt:g} s, the recordings have {gathered.dt:g} s")
-        point, m = np.array([*plant.operating_point.inputs, *plant.operating_point.outputs]), len(plant.inputs)
-        shapes = [(rows, plant.n_outputs) for rows in gathered.samples]
-        measured, predicted = ([np.full(shape, np.nan) for shape in shapes] for _ in range(2))
-        for segment in gathered.segments:
-            Z = segment.rows(0, len(segment))
-            rows = slice(segment.start, segment.stop)
-            measured[segment.recording][rows] = Z[:, m:]
-            predicted[segment.recording][rows] = self._predicted(Z - point) + point[m:]
-        return tuple(map(Prediction, gathered.sources, measured, predicted))
+        return one_step_predictions(self.plant, recordings, y, self._predicted)
 
     def _predicted(self, Z: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the predictions for inputs and outputs without gaps, all in deviations."""
@@ -196,7 +184,7 @@ class IdentifiedModel:
         return predicted
 
     def _spread(self, directions: int) -> tuple[NDArray[np.float64], list[dict[str, NDArray[np.float64]]]]:
-        """Return the sizes of the leading directions of the jackknife's covariance, and what each does to a matrix."""
+        """Return the sizes of the leading directions of the jackknife's covariance, and their effects on matrices."""
         names = ("A", "B", "C", "D")
         nominal = [getattr(self.plant, name) for name in names]
         # entries are compared in units of their rows and columns: those of signals of mean square one
@@ -215,6 +203,24 @@ class IdentifiedModel:
 
     def __repr__(self) -> str:
         return f"IdentifiedModel(order {self.report.order} by {self.report.method}, {self.plant!r})"
+
+
+def one_step_predictions(
+    plant: Plant, recordings: Any, y: ArrayLike | None, predict: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+) -> tuple[Prediction, ...]:
+    """Return the predictions of recordings by a function of each stretch without gaps, in deviations from the point."""
+    gathered = gather(recordings, y, inputs=plant.inputs, outputs=plant.outputs)
+    if gathered.timed and abs(gathered.dt - plant.dt) > REGULAR * plant.dt:
+        raise DataError(f"the model has a step of {plant.dt:g} s, the recordings have {gathered.dt:g} s")
+    point, m = np.array([*plant.operating_point.inputs, *plant.operating_point.outputs]), len(plant.inputs)
+    shapes = [(rows, plant.n_outputs) for rows in gathered.samples]
+    measured, predicted = ([np.full(shape, np.nan) for shape in shapes] for _ in range(2))
+    for segment in gathered.segments:
+        Z = segment.rows(0, len(segment))
+        rows = slice(segment.start, segment.stop)
+        measured[segment.recording][rows] = Z[:, m:]
+        predicted[segment.recording][rows] = predict(Z - point) + point[m:]
+    return tuple(map(Prediction, gathered.sources, measured, predicted))
 
 
 def with_faults_of(nominal: Plant, plant: Plant | None) -> Plant:
@@ -244,28 +250,18 @@ def uncertain_along(
         raise SettingError(f"level must be a probability between 0 and 1, got {level!r}")
     quantile = float(-ndtri((1 - level ** (1 / max(len(sizes), 1))) / 2))
     deltas: list[Perturbation] = []
-    for k, (size, vector) in enumerate(zip(sizes, directions, strict=True)):
-        deltas += _perturbations(nominal, vector, quantile * size, f"model {k + 1}")
+    for k, (size, matrices) in enumerate(zip(sizes, directions, strict=True), 1):
+        Bf, Df = np.zeros(nominal.Bf.shape), np.zeros(nominal.Df.shape)
+        for column, fault in enumerate(nominal.fault_list):
+            if fault.kind == "actuator":
+                given = nominal.inputs.index(fault.component)
+                Bf[:, column], Df[:, column] = matrices["B"][:, given], matrices["D"][:, given]
+        most = quantile * size
+        for letter, M in {**matrices, "Bf": Bf, "Df": Df}.items():
+            if M.any():  # a channel for each singular value
+                U, _ = range_basis(M)
+                deltas.append(Perturbation(letter, -U, U.T @ M, -most, most, [f"model {k}"] * U.shape[1]))
     return UncertainPlant(nominal, deltas)
-
-
-def _perturbations(
-    plant: Plant, direction: dict[str, NDArray[np.float64]], size: float, name: str
-) -> list[Perturbation]:
-    """Return what one parameter does to the matrices: a channel for each singular value."""
-    actuators = [(i, plant.inputs.index(f.component)) for i, f in enumerate(plant.fault_list) if f.kind == "actuator"]
-    Bf, Df = np.zeros(plant.Bf.shape), np.zeros(plant.Df.shape)
-    for column, given in actuators:
-        Bf[:, column], Df[:, column] = direction["B"][:, given], direction["D"][:, given]
-    matrices = {"A": direction["A"], "B": direction["B"], "C": direction["C"], "D": direction["D"]}
-    matrices |= {"Bf": Bf, "Df": Df}
-    deltas = []
-    for letter, M in matrices.items():
-        if not M.any():
-            continue
-        U, _ = range_basis(M)
-        deltas.append(Perturbation(letter, -U, U.T @ M, -size, size, [name] * U.shape[1]))
-    return deltas
 
 
 def plant_of(
@@ -341,3 +337,16 @@ def with_input_delays(plant: Plant, delays: Mapping[str, int]) -> Plant:
     if not plant.Bw.shape[1]:
         return made
     return made.with_noise_input(np.vstack([plant.Bw, np.zeros((total, plant.Bw.shape[1]))]), plant.Dw)
+
+
+def with_channel_faults(plant: Plant, *, sensors: bool, actuators: bool) -> Plant:
+    """Return the plant with a fault of every output, of every input that has an effect, or both."""
+    plant = plant.with_sensor_faults() if sensors else plant
+    idle = idle_inputs(plant)
+    effective = [name for name in plant.inputs if name not in idle]
+    return plant.with_actuator_faults(effective) if actuators and effective else plant
+
+
+def idle_inputs(plant: Plant) -> list[str]:
+    """Return the inputs that do nothing in the model."""
+    return [name for name, b, d in zip(plant.inputs, plant.B.T, plant.D.T, strict=True) if not (b.any() or d.any())]

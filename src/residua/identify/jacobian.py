@@ -54,7 +54,7 @@ class Jacobian:
     terms : ndarray, shape (rows,)
         The sum of the sizes of what each row is made of.
     complex_step : bool
-        Whether the derivative is that of a complex step, exact but for rounding.
+        True for the derivative of a complex step, exact but for rounding.
     notes : tuple of str
     """
 
@@ -93,7 +93,7 @@ def jacobian(
         From a vector to a vector with one entry for each row.
     point : array_like, shape (columns,)
     rows, columns : tuple of str
-        What to call them in messages.
+        Names for messages.
     sizes : mapping of str to float, optional
         Column to the size of its variable, where its value does not tell.
 
@@ -115,15 +115,34 @@ def jacobian(
     z = np.array(point, dtype=float)
     f = checked(function, rows)
     look = first_look(f, z, columns, sizes)
-    picked = [_best_column(f, z, j, candidates, look) for j, candidates in enumerate(look.candidates)]
-    chosen = np.array([column.size for column in picked])
-    matrix = np.column_stack([np.zeros((len(rows), 0)), *(column.slope for column in picked)])
-    error = np.column_stack([np.zeros((len(rows), 0)), *(column.error for column in picked)])
-    terms = np.maximum(look.terms, (np.abs(matrix) * chosen).sum(axis=1))
-    _refuse_kinks(picked, rows, columns, z)
-    matrix, error, exact, reason = _complex_or_not(function, z, chosen, matrix, error, terms)
-    out = Jacobian(matrix, error, chosen, terms, exact, (*look.notes, *reason))
-    relative = error * chosen / np.maximum(terms, TINY)[:, None]
+    size, wrong = look.sizes, []
+    matrix, error = np.zeros((len(rows), len(z))), np.zeros((len(rows), len(z)))
+    for j in range(len(z)):
+        matrix[:, j], error[:, j], kinks = _extrapolated(f, z, j, look, rows, columns)
+        wrong += kinks
+    if wrong:
+        raise ModelError(
+            f"no linear model exists at this point: {some(wrong, 4)}. Such places come from abs, sign, limits or the "
+            "root of zero (or from a function with numerical noise): linearise at a point beside it, or use a "
+            "smooth form"
+        )
+    terms = np.maximum(look.terms, (np.abs(matrix) * size).sum(axis=1))
+    exact, why = False, "its complex derivative is another one (abs, sign or real parts do that)"
+    by_complex = np.zeros(matrix.shape)
+    try:
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("error", np.exceptions.ComplexWarning)
+            for j, step in enumerate(_IMAGINARY * size):
+                moved = z + 1j * step * (np.arange(len(z)) == j)
+                values = np.asarray(function(moved))  # pyright: ignore[reportArgumentType]
+                by_complex[:, j] = np.imag(np.atleast_1d(values)) / step
+        off = np.abs(by_complex - matrix)
+        allowed = _CLEAR * error + IDENTITY * terms[:, None] / size
+        exact = bool(np.isfinite(by_complex).all() and np.all(off <= allowed))
+        matrix, error = (by_complex, off) if exact else (matrix, error)
+    except Exception as problem:  # whatever a user's function raises when it meets a complex number
+        why = f"it takes no complex numbers ({type(problem).__name__})"
+    relative = error * size / np.maximum(terms, TINY)[:, None]
     if relative.max(initial=0.0) > _ACCEPTED:
         i, j = np.unravel_index(int(relative.argmax()), relative.shape)
         raise AccuracyError(
@@ -131,12 +150,10 @@ def jacobian(
             f"{number(error[i, j], 2)}, {number(relative[i, j], 2)} of the terms of its row (limit {_ACCEPTED:g}): the "
             f"function is noisy or nearly not smooth there; give sizes={{{columns[j]!r}: ...}}, its usual change"
         )
-    nothing = np.abs(matrix) * chosen <= RESIDUE * terms[:, None]
+    nothing = np.abs(matrix) * size <= RESIDUE * terms[:, None]
     matrix = np.where(nothing if exact else nothing | (np.abs(matrix) <= error), 0.0, matrix)
-    return Jacobian(matrix, error, out.sizes, out.terms, exact, out.notes)
-
-
-# --------------------------------------------------------------- the function
+    notes = look.notes if exact else (*look.notes, f"the derivative is by differences: {why}")
+    return Jacobian(matrix, error, size, terms, exact, notes)
 
 
 def checked(function: Function, rows: tuple[str, ...]) -> Callable[[Vector], Vector]:
@@ -167,8 +184,6 @@ class FirstLook:
     value, terms : ndarray, shape (rows,)
     slopes : ndarray, shape (rows, columns)
     sizes : ndarray, shape (columns,)
-    candidates : list of tuple of float
-        The sizes that each variable may have.
     notes : tuple of str
     """
 
@@ -176,40 +191,16 @@ class FirstLook:
     terms: Vector
     slopes: Matrix
     sizes: Vector
-    candidates: list[tuple[float, ...]]
     notes: tuple[str, ...]
 
 
 def first_look(
     f: Callable[[Vector], Vector], z: Vector, columns: tuple[str, ...], sizes: Mapping[str, float] | None = None
 ) -> FirstLook:
-    """Return what a function and its variables are like near a point, at two evaluations for each variable."""
+    """Return rough slopes of a function near a point, and the sizes of its variables, by two evaluations for each."""
     value = f(z)
     if not np.isfinite(value).all():
         raise ModelError(f"the function gives {echo(value.tolist())} at {echo(z.tolist())}: no finite numbers")
-    given = _given_sizes(sizes, columns)
-    slopes = np.zeros((len(value), len(z)))
-    known = np.where(given > 0, given, np.abs(z))
-    for j in np.flatnonzero(known):
-        slopes[:, j] = _rough_slope(f, z, value, int(j), known[j])
-    terms = np.maximum((np.abs(slopes) * known).sum(axis=1), np.abs(value))
-    candidates, notes = [], []
-    for j, own in enumerate(known):
-        little = bool((np.abs(slopes[:, j]) * own <= _NEGLIGIBLE * terms).all())
-        if given[j] > 0 or not little:
-            candidates.append((float(own),))
-            continue
-        effect = _size_of_effect(f, z, j, terms)
-        if not effect and not own:
-            notes.append(columns[j])
-        candidates.append(tuple(dict.fromkeys((effect, own) if effect and own else (effect or own or 1.0,))))
-        known[j] = candidates[-1][0]
-        slopes[:, j] = _rough_slope(f, z, value, j, known[j])
-    said = (f"no size is known of {some(notes)}: steps are fractions of 1; sizes={{name: size}} tells it",)
-    return FirstLook(value, terms, slopes, known, candidates, said if notes else ())
-
-
-def _given_sizes(sizes: Mapping[str, float] | None, columns: tuple[str, ...]) -> Vector:
     given = np.zeros(len(columns))
     for name, size in (sizes or {}).items():
         if name not in columns:
@@ -217,7 +208,20 @@ def _given_sizes(sizes: Mapping[str, float] | None, columns: tuple[str, ...]) ->
         if not (isinstance(size, (int, float, np.number)) and np.isfinite(size) and size > 0):
             raise ModelError(f"sizes[{name!r}] must be a positive number, got {echo(size)}")
         given[columns.index(name)] = float(size)
-    return given
+    slopes = np.zeros((len(value), len(z)))
+    known = np.where(given > 0, given, np.abs(z))
+    for j in np.flatnonzero(known):
+        slopes[:, j] = _rough_slope(f, z, value, int(j), known[j])
+    terms = np.maximum((np.abs(slopes) * known).sum(axis=1), np.abs(value))
+    sizeless = []
+    for j in np.flatnonzero((given == 0) & (np.abs(slopes) * known <= _NEGLIGIBLE * terms[:, None]).all(axis=0)):
+        effect = _size_of_effect(f, z, int(j), terms)
+        if not effect and not known[j]:
+            sizeless.append(columns[j])
+        known[j] = effect or known[j] or 1.0
+        slopes[:, j] = _rough_slope(f, z, value, int(j), known[j])
+    said = (f"no size is known of {some(sizeless)}: steps are fractions of 1; sizes={{name: size}} tells it",)
+    return FirstLook(value, terms, slopes, known, said if sizeless else ())
 
 
 def _moved(z: Vector, j: int, step: float) -> Vector:
@@ -254,119 +258,46 @@ def _size_of_effect(f: Callable[[Vector], Vector], z: Vector, j: int, terms: Vec
     return size if share > 0 or not np.isfinite(share) else 0.0
 
 
-# ---------------------------------------------------------------- differences
+def _extrapolated(
+    f: Callable[[Vector], Vector], z: Vector, j: int, look: FirstLook, rows: tuple[str, ...], columns: tuple[str, ...]
+) -> tuple[Vector, Vector, list[str]]:
+    """Extrapolate central differences to a step of zero, and compare the slopes to both sides.
 
-
-@dataclass(frozen=True, eq=False)
-class _Column:
-    """Slopes over one variable: extrapolated, their errors, and rows whose one-sided slopes disagree."""
-
-    size: float
-    slope: Vector
-    error: Vector
-    kinks: NDArray[np.bool_]
-    ahead: Vector
-    behind: Vector
-    outside: bool
-
-
-def _best_column(
-    f: Callable[[Vector], Vector], z: Vector, j: int, candidates: tuple[float, ...], look: FirstLook
-) -> _Column:
-    """Return the column by the size that gives the smallest error; one with a kink only where every size does."""
-    made = [_extrapolated(f, z, look, j, size) for size in candidates]
-    terms = np.maximum(look.terms, TINY)
-    return min(made, key=lambda c: (c.kinks.any() or c.outside, float((c.error * c.size / terms).max(initial=0.0))))
-
-
-def _extrapolated(f: Callable[[Vector], Vector], z: Vector, look: FirstLook, j: int, size: float) -> _Column:
-    """Extrapolate central differences to a step of zero, and compare the slopes to both sides."""
-    value, steps = look.value, size * 2.0**-_POWERS
+    Returns
+    -------
+    slope, error : ndarray, shape (rows,)
+        The entries of the extrapolation table (Romberg's) with the least estimated error.
+    kinks : list of str
+        The rows whose one-sided slopes disagree, in words.
+    """
+    value, steps = look.value, look.sizes[j] * 2.0**-_POWERS
     up, down = (np.array([f(_moved(z, j, sign * h)) for h in steps]) for sign in (1, -1))
     # what was added is a little different from the step
     width_up, width_down = (z[j] + steps) - z[j], z[j] - (z[j] - steps)
-    h = steps[:, None]
     with np.errstate(all="ignore"):
         ahead, behind = (up - value) / width_up[:, None], (value - down) / width_down[:, None]
-        central = (up - down) / (width_up + width_down)[:, None]
+        table = (up - down) / (width_up + width_down)[:, None]
         every = np.abs(np.vstack([up, down, value]))
         most = np.maximum(np.where(np.isfinite(every), every, 0.0).max(axis=0), look.terms)
-        noise = _EPS * most / h
-        slope, error = _romberg(central, noise)
+        noise, every_row = _EPS * most / steps[:, None], np.arange(len(value))
+        slope, error = table[-1].copy(), np.full(len(value), np.inf)
+        for order in range(1, _ORDERS + 1):
+            better = (4.0**order * table[1:] - table[:-1]) / (4.0**order - 1)
+            estimate = np.maximum(np.abs(better - table[1:]), np.abs(better - table[:-1])) + noise[order:]
+            estimate = np.where(np.isfinite(estimate), estimate, np.inf)
+            least = estimate.argmin(axis=0)
+            smallest = estimate[least, every_row]
+            slope = np.where(smallest < error, better[least, every_row], slope)
+            error, table = np.minimum(error, smallest), better
         spread = np.fmax(np.abs(ahead - slope), np.abs(behind - slope))
-    last, before = spread[-1], spread[-1 - _KINK_STEPS]
-    kinks = (last > _KINK * before) & (last > _CLEAR * noise[-1])
-    outside = not (np.isfinite(up[-1]).all() and np.isfinite(down[-1]).all())
-    return _Column(size, slope, error, kinks, ahead[-1], behind[-1], outside)
-
-
-def _romberg(central: Matrix, noise: Matrix) -> tuple[Vector, Vector]:
-    """Return for each row of the function the entry of the extrapolation table with the least estimated error."""
-    table = [central]
-    best, least = central[-1].copy(), np.full(central.shape[1], np.inf)
-    for order in range(1, _ORDERS + 1):
-        before = table[-1]
-        factor = 4.0**order
-        better = (factor * before[1:] - before[:-1]) / (factor - 1)
-        estimate = np.maximum(np.abs(better - before[1:]), np.abs(better - before[:-1])) + noise[order:]
-        estimate = np.where(np.isfinite(estimate), estimate, np.inf)
-        row = estimate.argmin(axis=0)
-        smallest = estimate[row, np.arange(len(row))]
-        take = smallest < least
-        best = np.where(take, better[row, np.arange(len(row))], best)
-        least = np.where(take, smallest, least)
-        table.append(better)
-    return best, least
-
-
-def _refuse_kinks(picked: list[_Column], rows: tuple[str, ...], columns: tuple[str, ...], z: Vector) -> None:
-    """Raise where a function has no derivative, with the slopes to both sides."""
-    out = []
-    for j, column in enumerate(picked):
-        if column.outside:
-            out.append(f"{columns[j]} = {number(z[j])} is at the edge of where the function gives finite numbers")
-            continue
-        for i in np.flatnonzero(column.kinks):
-            behind, ahead = column.behind[i], column.ahead[i]
-            sides = f"{number(behind)} to the left and {number(ahead)} to the right"
-            if abs(ahead - behind) <= _SAME_SIDES * max(abs(ahead), abs(behind)):
-                sides = f"{number(ahead)} over the smallest step and {number(column.slope[i])} over larger ones"
-            out.append(f"the slope of {rows[i]} over {columns[j]} at {columns[j]} = {number(z[j])} is {sides}")
-    if out:
-        raise ModelError(
-            f"no linear model exists at this point: {some(out, 4)}. Such places come from abs, sign, limits or the "
-            "root of zero (or from a function with numerical noise): linearise at a point beside it, or use a "
-            "smooth form"
-        )
-
-
-# --------------------------------------------------------------- complex step
-
-
-def _complex_or_not(
-    function: Function, z: Vector, sizes: Vector, matrix: Matrix, error: Matrix, terms: Vector
-) -> tuple[Matrix, Matrix, bool, tuple[str, ...]]:
-    """Return the derivative by complex step where it agrees with that by differences, or the latter and why."""
-    try:
-        exact = _by_complex_step(function, z, sizes, matrix.shape)
-    except Exception as problem:  # whatever a user's function raises when it meets a complex number
-        why = f"it takes no complex numbers ({type(problem).__name__})"
-        return matrix, error, False, (f"the derivative is by differences: {why}",)
-    off = np.abs(exact - matrix)
-    allowed = _CLEAR * error + IDENTITY * terms[:, None] / sizes
-    if not (np.isfinite(exact).all() and np.all(off <= allowed)):
-        why = "its complex derivative is another one (abs, sign or real parts do that)"
-        return matrix, error, False, (f"the derivative is by differences: {why}",)
-    return exact, off, True, ()
-
-
-def _by_complex_step(function: Function, z: Vector, sizes: Vector, shape: tuple[int, int]) -> Matrix:
-    out = np.zeros(shape)
-    with warnings.catch_warnings(), np.errstate(all="ignore"):
-        warnings.simplefilter("error", np.exceptions.ComplexWarning)
-        for j, size in enumerate(sizes):
-            step = _IMAGINARY * size
-            moved = z.astype(complex)
-            moved[j] += 1j * step
-            out[:, j] = np.imag(np.atleast_1d(np.asarray(function(moved)))) / step  # pyright: ignore[reportArgumentType]
-    return out
+    name, at = columns[j], number(z[j])
+    if not (np.isfinite(up[-1]).all() and np.isfinite(down[-1]).all()):
+        return slope, error, [f"{name} = {at} is at the edge of where the function gives finite numbers"]
+    kinks = []
+    for i in np.flatnonzero((spread[-1] > _KINK * spread[-1 - _KINK_STEPS]) & (spread[-1] > _CLEAR * noise[-1])):
+        left, right = behind[-1, i], ahead[-1, i]
+        sides = f"{number(left)} to the left and {number(right)} to the right"
+        if abs(right - left) <= _SAME_SIDES * max(abs(right), abs(left)):
+            sides = f"{number(right)} over the smallest step and {number(slope[i])} over larger ones"
+        kinks.append(f"the slope of {rows[i]} over {name} at {name} = {at} is {sides}")
+    return slope, error, kinks

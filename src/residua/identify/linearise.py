@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.arrays import frozen, names, sample_step, unique
-from residua.errors import ModelError
-from residua.identify.jacobian import Jacobian, jacobian
-from residua.identify.steady_state import SteadyState, steady_state
+from residua.errors import AccuracyError, ModelError
+from residua.identify.jacobian import Function, checked, first_look, jacobian
+from residua.linear.subspaces.rank import decide_rank
 from residua.plant import Plant
 from residua.plant.channels import channel_values
 from residua.shown import Shown
+from residua.tolerances import ROUNDING, SAME, TINY
 from residua.visible import echo
 from residua.words import number, some
 
@@ -23,11 +24,14 @@ Vector = NDArray[np.float64]
 Equations = Callable[..., ArrayLike]
 #: From so large a ratio of the sizes of states on, it is noted.
 _UNLIKE = 1e6
+_MOST_STEPS, _MOST_HALVINGS = 100, 40
+#: Singular values this far below the largest are zero: slopes of a first look are known to some 2^-30.
+_ROUGH_RANK = 2.0**-23
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TangentModel(Shown):
-    """The linear model of nonlinear equations at a point, with what is known of its accuracy.
+    """The linear model of nonlinear equations at a point, with its accuracy.
 
     Attributes
     ----------
@@ -35,14 +39,14 @@ class TangentModel(Shown):
     inputs, states, outputs : dict of str to float
         The point. That of inputs and outputs is the plant's operating point.
     residual : float
-        How far from rest the states are there: the largest rate (sampled: the largest change over a step), relative
+        Distance of the states from rest there: the largest rate (sampled: the largest change over a step), relative
         to the terms that it is the sum of.
     drift : dict of str to float
         The rate of each state there, in the user's units; rounding, unless the point was taken as it is.
     jacobian_error : float
         The largest estimated error of a slope, relative to the terms of its row.
     complex_step : bool
-        Whether the slopes are those of a complex step, checked by differences; otherwise extrapolated differences.
+        True for slopes of a complex step, checked by differences; otherwise by extrapolated differences.
     sizes : dict of str to float
         The size of each input, state and fault, which steps are fractions of.
     notes : tuple of str
@@ -109,9 +113,9 @@ def linearise(
     output : callable, optional
         ``output(x, u)`` or ``output(x, u, f)``; the states are measured when omitted.
     at : (states, inputs)
-        Where to linearise, or where to start looking: vectors, or mappings of names to numbers.
+        The point, or the start of the search for it: vectors, or mappings of names to numbers.
     hold : {"inputs", "point"} or mapping of str to float
-        What stands while the steady state is looked for. The inputs: states are looked for. A mapping of outputs
+        The values held while the steady state is looked for. The inputs: states are looked for. A mapping of outputs
         (and inputs) to values: states, and the inputs that are not named, are looked for; as many outputs as inputs
         that may move. ``"point"``: nothing moves; what the states drift there is left out of the plant, and said in its
         description.
@@ -242,17 +246,24 @@ def tangent_model(
     model = _model(
         rate, output, at, tuple([faults] if isinstance(faults, str) else faults), dt, inputs, outputs, states
     )
-    point, rest = model.point(hold, sizes)
-    z = np.concatenate([point, np.zeros(len(model.faults))])
+    n, m = len(model.states), len(model.inputs)
+    point = model.start if hold == "point" else model.rest(hold, sizes)
+    x0, u0, z = point[:n], point[n:], np.concatenate([point, np.zeros(len(model.faults))])
     rows = (*(f"the rate of {echo(x)}" for x in model.states), *(f"the output {echo(y)}" for y in model.outputs))
-    slopes = jacobian(model.everything, z, rows, (*model.states, *model.inputs, *model.faults), sizes)
-    plant = _plant(model, slopes, point, units, name)
-    x0, u0 = model.parts(point)
-    drift = np.asarray(model.everything(z), dtype=float)[: len(x0)] - (x0 if model.dt else 0.0)
-    terms = slopes.terms[: len(x0)]
+    variables = (*model.states, *model.inputs, *model.faults)
+    slopes = jacobian(model.everything, z, rows, variables, sizes)
+    values = np.asarray(model.everything(z), dtype=float)
+    drift, terms = values[:n] - (x0 if model.dt else 0.0), slopes.terms[:n]
     residual = float((np.abs(drift) / np.where(terms > 0, terms, 1.0)).max(initial=0.0))
-    notes = (*slopes.notes, *_scaling(model.states, slopes.sizes))
-    if rest is None and np.any(drift):
+    notes, own = slopes.notes, slopes.sizes[:n]
+    if n and own.max() >= _UNLIKE * own.min():
+        most, least = int(own.argmax()), int(own.argmin())
+        notes += (
+            f"states are of very different sizes: {model.states[most]} {number(own[most], 2)}, {model.states[least]} "
+            f"{number(own[least], 2)}; designs work in units of their own, but tables are easier to read in other "
+            "units",
+        )
+    if hold == "point" and np.any(drift):
         said = some(f"{state} by {number(v, 3)}" for state, v in zip(model.states, drift, strict=True) if v)
         notes += (f"the states do not rest at the point, which was taken as it is; they drift {said} per unit of time",)
     way = "a complex step" if slopes.complex_step else "differences"
@@ -260,7 +271,16 @@ def tangent_model(
         f"Linearised at {_point(_named(model.states, x0))} and {_point(_named(model.inputs, u0))} by {way}, slopes "
         f"known to {number(slopes.relative_error, 2)}, at rest to {number(residual, 2)} of the terms."
     )
-    plant = plant._with(description=" ".join(filter(None, [description, about])))
+    upper, lower = slopes.matrix[:n], slopes.matrix[n:]
+    matrices = (upper[:, :n], upper[:, n : n + m], lower[:, :n], lower[:, n : n + m])
+    text = " ".join(filter(None, [description, about]))
+    plant = Plant(
+        *matrices, dt=model.dt, inputs=model.inputs, outputs=model.outputs, states=model.states, units=units, name=name
+    )
+    plant = plant._with(description=text)
+    plant = plant.with_operating_point(inputs=u0, outputs=values[n:])
+    for k, fault in enumerate(model.faults, n + m):
+        plant = plant.with_faults({fault: (frozen(upper[:, k]), frozen(lower[:, k]))})
     return TangentModel(
         plant,
         _named(model.inputs, u0),
@@ -270,7 +290,7 @@ def tangent_model(
         _named(model.states, drift),
         slopes.relative_error,
         slopes.complex_step,
-        _named((*model.states, *model.inputs, *model.faults), slopes.sizes),
+        _named(variables, slopes.sizes),
         notes,
     )
 
@@ -288,15 +308,10 @@ class _Model:
     faults: tuple[str, ...]
     dt: float
 
-    def parts(self, z: Vector) -> tuple[Vector, Vector]:
-        """Return states and inputs."""
-        n, m = len(self.states), len(self.inputs)
-        return z[:n], z[n : n + m]
-
     def everything(self, z: Vector) -> Vector:
         """Return rates and outputs at states, inputs and faults, one after another."""
-        f = z[len(self.states) + len(self.inputs) :]
-        parts = (*self.parts(z), *((f,) if self.faults else ()))
+        parts = np.split(z, np.cumsum([len(self.states), len(self.inputs)]))
+        parts = parts if self.faults else parts[:2]
         # copies for each: a function may change its arguments
         rates = np.atleast_1d(np.asarray(self.rate(*(part.copy() for part in parts))))
         measured = parts[0] if self.output is None else self.output(*(part.copy() for part in parts))
@@ -307,31 +322,14 @@ class _Model:
             raise ModelError(f"output must give one number for each output, got shape {measured.shape}")
         return np.concatenate([rates, measured])
 
-    def point(self, hold: str | Mapping[str, float], sizes: Mapping[str, float] | None) -> tuple[Vector, Any]:
-        """Return states and inputs at rest, and how they were reached (None where nothing was to move)."""
-        if hold == "point":
-            return self.start, None
+    def rest(self, hold: str | Mapping[str, float], sizes: Mapping[str, float] | None) -> Vector:
+        """Return states and inputs at rest, with the outputs and inputs at the values that are held."""
         held = {} if hold == "inputs" else hold
         if not isinstance(held, Mapping):
             raise ModelError(f"hold must be 'inputs', 'point' or a mapping of outputs to values, got {echo(hold)}")
-        start, free, targets = self._moving(held)
-        n = len(self.states)
-
-        def left(z: Vector) -> Vector:
-            values = self.everything(np.concatenate([z, np.zeros(len(self.faults))]))
-            rest = values[:n] - z[:n] if self.dt else values[:n]
-            return np.concatenate([rest, [values[n + i] - value for i, value in targets.items()]])
-
-        rows = (*(f"the rate of {x}" for x in self.states), *(f"the miss of {self.outputs[i]}" for i in targets))
-        known = {k: v for k, v in (sizes or {}).items() if k not in self.faults}
-        reached: SteadyState = steady_state(left, start, free, rows, (*self.states, *self.inputs), known)
-        return reached.point, reached
-
-    def _moving(self, held: Mapping[str, float]) -> tuple[Vector, NDArray[np.bool_], dict[int, float]]:
-        """Return where to start, what may move, and the outputs that have a value to reach."""
         n, start = len(self.states), self.start.copy()
         free = np.concatenate([np.ones(n, bool), np.full(len(self.inputs), bool(held))])
-        targets = {}
+        targets: dict[int, float] = {}
         for key, value in held.items():
             if not isinstance(value, (int, float, np.number)) or not np.isfinite(value):
                 raise ModelError(f"hold[{echo(key)}] must be a finite number, got {echo(value)}")
@@ -348,7 +346,15 @@ class _Model:
                 f"{len(targets)} outputs are held and {len(moving)} inputs may move ({some(moving) or 'none'}): give "
                 "as many of the one as of the other, by naming inputs with their values"
             )
-        return start, free, targets
+
+        def left(z: Vector) -> Vector:
+            values = self.everything(np.concatenate([z, np.zeros(len(self.faults))]))
+            rest = values[:n] - z[:n] if self.dt else values[:n]
+            return np.concatenate([rest, [values[n + i] - value for i, value in targets.items()]])
+
+        rows = (*(f"the rate of {x}" for x in self.states), *(f"the miss of {self.outputs[i]}" for i in targets))
+        known = {k: v for k, v in (sizes or {}).items() if k not in self.faults}
+        return steady_state(left, start, free, rows, (*self.states, *self.inputs), known)
 
 
 def _model(
@@ -361,7 +367,7 @@ def _model(
     outputs: Iterable[str] | str | None,
     states: Iterable[str] | str | None,
 ) -> _Model:
-    """Return the functions with names for all that they take and give, or say what does not fit."""
+    """Return the functions with names for their arguments and values, or raise where something does not fit."""
     if not callable(rate) or not (output is None or callable(output)):
         raise ModelError("rate and output must be functions of (x, u), or of (x, u, f) with faults")
     if not isinstance(at, (tuple, list)) or len(at) != 2:
@@ -414,42 +420,59 @@ def _values(value: Any, given: Iterable[str] | str | None, prefix: str, what: st
     return np.array(channel_values(np.reshape(value, (count, 1)), known, (), f"at, {what}")), known
 
 
-def _plant(model: _Model, slopes: Jacobian, point: Vector, units: Mapping[str, str] | None, name: str) -> Plant:
-    n, m = len(model.states), len(model.inputs)
-    upper, lower = slopes.matrix[:n], slopes.matrix[n:]
-    plant = Plant(
-        upper[:, :n],
-        upper[:, n : n + m],
-        lower[:, :n],
-        lower[:, n : n + m],
-        dt=model.dt,
-        inputs=model.inputs,
-        outputs=model.outputs,
-        states=model.states,
-        units=units,
-        name=name,
-    )
-    values = np.asarray(model.everything(np.concatenate([point, np.zeros(len(model.faults))])), dtype=float)
-    plant = plant.with_operating_point(inputs=point[n:], outputs=values[n:])
-    for k, fault in enumerate(model.faults):
-        plant = plant.with_faults({fault: (frozen(upper[:, n + m + k]), frozen(lower[:, n + m + k]))})
-    return plant
-
-
-def _scaling(states: tuple[str, ...], sizes: Vector) -> tuple[str, ...]:
-    own = sizes[: len(states)]
-    if not len(own) or own.max() < _UNLIKE * own.min():
-        return ()
-    most, least = int(own.argmax()), int(own.argmin())
-    return (
-        f"states are of very different sizes: {states[most]} {number(own[most], 2)}, {states[least]} "
-        f"{number(own[least], 2)}; designs work in units of their own, but tables are easier to read in other units",
-    )
-
-
 def _named(keys: tuple[str, ...], values: Iterable[float]) -> dict[str, float]:
     return {key: float(value) for key, value in zip(keys, values, strict=True)}
 
 
 def _point(values: Mapping[str, float]) -> str:
     return some(f"{name} = {number(value)}" for name, value in values.items()) or "nothing"
+
+
+def steady_state(
+    function: Function,
+    start: Vector,
+    free: NDArray[np.bool_],
+    rows: tuple[str, ...],
+    columns: tuple[str, ...],
+    sizes: Mapping[str, float] | None = None,
+) -> Vector:
+    """Return a point where the function is zero, moving the free variables only.
+
+    Newton's method with halved steps. Equations are measured by their terms (the sum over variables of slope times
+    size), variables by their sizes, so that units have no say; where the equations leave a variable open, as an
+    integrator does, the step is the shortest.
+
+    Raises
+    ------
+    AccuracyError
+        If no such point was reached from the start; the message says where it ended and what was left.
+    """
+    f = checked(function, rows)
+    z = start.copy()
+    look = first_look(f, z, columns, sizes)
+    for steps in range(_MOST_STEPS + 1):
+        scale, size = np.maximum(look.terms, TINY), np.where(free, look.sizes, 0.0)
+        left, slopes = look.value / scale, look.slopes * size / scale[:, None]
+        if steps == _MOST_STEPS or np.abs(left).max(initial=0.0) <= ROUNDING:
+            break
+        move = np.asarray(size * np.linalg.lstsq(slopes, -left, rcond=_ROUGH_RANK)[0], dtype=np.float64)
+        shorter = (z + move * 2.0**-halvings for halvings in range(_MOST_HALVINGS))
+        before = np.linalg.norm(left)
+        better = next((at for at in shorter if np.linalg.norm(f(at) / scale) < before), None)  # NaN is no better
+        if better is None:
+            break
+        z = better
+        look = first_look(f, z, columns, sizes)
+    if np.abs(left).max(initial=0.0) > SAME:
+        worst = int(np.abs(left).argmax())
+        rank = decide_rank(slopes, rtol=_ROUGH_RANK).rank
+        where = some(f"{name} = {number(x)}" for name, x in zip(columns, z, strict=True))
+        why = ""
+        if rank < len(rows):
+            why = f"; there the {len(rows)} equations can be moved in {rank} directions only, so there may be none"
+        raise AccuracyError(
+            f"no steady state was reached from this start: after {steps} steps of Newton's method {rows[worst]} is "
+            f"still {number(look.value[worst])}, {number(abs(left[worst]), 2)} of its terms, at {where}{why}. Give a "
+            "start that is nearer, or inputs for which the plant can rest"
+        )
+    return z

@@ -12,8 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import DataError, ModelError, SettingError
-from residua.identify.nonlinear_model import NonlinearModel, model_errors, plant_of
-from residua.identify.prediction_errors import Errors, error_covariance, weights_of
+from residua.identify.prediction_errors import (
+    Errors,
+    NonlinearModel,
+    error_covariance,
+    model_errors,
+    plant_of,
+    weights_of,
+)
 from residua.plant import Plant
 from residua.progress import Progress
 from residua.tolerances import RESPONSE_ROUNDING
@@ -47,7 +53,7 @@ class Parameter(NamedTuple):
 
 
 def parameters_of(parameters: Mapping[str, Sequence[float]]) -> tuple[tuple[Parameter, ...], bool]:
-    """Return checked parameters, and whether a start was given for some."""
+    """Return checked parameters, and True where a start was given for some."""
     if not isinstance(parameters, Mapping) or not parameters:
         raise SettingError("name at least one parameter: {name: (low, high)} or {name: (low, start, high)}")
     out, started = [], False
@@ -75,28 +81,14 @@ class PlantAt:
         if not callable(function):
             raise ModelError(f"plant_at must be a function of the parameters, got {type(function).__name__}")
         self.function, self.names = function, names
-        self.by_keywords = self._takes_keywords()
         self.like: Plant | None = None
-
-    def _takes_keywords(self) -> bool:
+        self.by_keywords = True
         try:
-            signature = inspect.signature(self.function)
-        except (TypeError, ValueError):  # not written in Python
-            return True
-        shared = set(self.names) & set(signature.parameters)
-        for arguments, words, answer in (((), dict.fromkeys(self.names), True), ((None,), {}, False)):
-            try:
-                signature.bind(*arguments, **words)
-            except TypeError:
-                continue
-            if answer or not shared:  # what has a parameter's name is no mapping of all
-                return answer
-        raise ModelError(f"plant_at takes {signature}, {self._wanted()}")
-
-    def _wanted(self) -> str:
-        return (
-            f"the parameters are {some(self.names)}: it must take these as keywords, or one mapping of names to values"
-        )
+            inspect.signature(function).bind(**dict.fromkeys(names))
+        except TypeError:
+            self.by_keywords = False
+        except ValueError:  # not written in Python
+            pass
 
     def __call__(self, values: Mapping[str, float]) -> Plant | NonlinearModel:
         """Return the model with these parameters."""
@@ -109,7 +101,8 @@ class PlantAt:
                 raise ModelError(f"{self.said(given)} {raised}") from error
             called = f"plant_at{inspect.signature(self.function)} was called with the mapping {{{self._given(given)}}}"
             raise ModelError(
-                f"{called}, since it takes no keyword of these names, and {raised}; {self._wanted()}"
+                f"{called}, since it takes no keyword of these names, and {raised}; the parameters are "
+                f"{some(self.names)}: it must take these as keywords, or one mapping of names to values"
             ) from error
         if not isinstance(model, (Plant, NonlinearModel)):
             raise ModelError(f"{self.said(given)} must return a Plant or NonlinearModel, got {type(model).__name__}")
@@ -138,7 +131,7 @@ class PlantAt:
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """What is fitted: parameters of a plant, on stretches of data.
+    """A fit of parameters of a plant to stretches of data.
 
     Attributes
     ----------
@@ -193,10 +186,6 @@ class Task:
         except Exception as error:  # of a user's equations too
             raise ModelError(f"{self.plant_at.said(values)}: {error}") from error
 
-    def left(self, z: Vector, weights: Matrix) -> list[Matrix]:
-        """Return the weighted errors without what start and offsets explain."""
-        return self.errors(z).left(weights)
-
     def sensitivities(self, z: Vector, weights: Matrix) -> list[NDArray[np.float64]]:
         """Return the derivatives of the weighted errors by differences of second order, one-sided at a bound."""
         low, high = self.bounds()
@@ -210,7 +199,7 @@ class Task:
                 h = h if z[i] + 2 * h <= high[i] else -h
                 places, factors = (0.0, h, 2 * h), (-1.5, 2.0, -0.5)
             step = np.eye(len(z))[i]
-            at = [self.left(z + place * step, weights) for place in places]
+            at = [self.errors(z + place * step).left(weights) for place in places]
             columns.append(
                 [sum(f * e for f, e in zip(factors, parts, strict=True)) / h for parts in zip(*at, strict=True)]
             )
@@ -224,7 +213,7 @@ class Task:
 
 
 class Found(NamedTuple):
-    """Where a search has ended."""
+    """The end of a search."""
 
     z: Vector
     weights: Matrix
@@ -254,7 +243,7 @@ def search(task: Task, starts: int, tell: Progress) -> Found:
 
         def residuals(at: Vector, W: Matrix = weights, n: int = turn, tried: Iterator[int] = tried) -> Vector:
             tell(f"search, turn {n + 1}", min(next(tried), _MOST_TRIED), _MOST_TRIED)
-            return np.concatenate([*(e.ravel() for e in task.left(at, W)), task.prior_rows(at)[0]])
+            return np.concatenate([*(e.ravel() for e in task.errors(at).left(W)), task.prior_rows(at)[0]])
 
         def slopes(at: Vector, W: Matrix = weights) -> Matrix:
             rows = [S.reshape(-1, len(at)) for S in task.sensitivities(at, W)]

@@ -2,23 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from residua.arrays import runs
+from residua.decide.alarm import Alarm
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator
 from residua.errors import DataError, SettingError
-from residua.identify.channel_facts import channel_facts
-from residua.identify.channel_filter import channel_generator
-from residua.identify.drift_treatment import KEEP, Treated, treated, untreated
-from residua.identify.hankel_factor import count_windows
-from residua.identify.lagged_rows import LaggedRows, channels_in, enough_windows, few_rows, lagged_of
-from residua.identify.parity_memory import Alarms, ParityMemory, checked_forgetting, without_alarms
-from residua.identify.segments import Names, checked_count, gather
+from residua.identify.channel_facts import ChannelFacts, channel_facts
+from residua.identify.channel_filter import (
+    KEEP,
+    LaggedRows,
+    Standard,
+    Treated,
+    channel_generator,
+    channels_in,
+    enough_windows,
+    few_rows,
+    lagged_of,
+    treated,
+    untreated,
+)
+from residua.identify.hankel_factor import HankelFactor, count_windows, discounted_factor
+from residua.identify.segments import Gathered, Names, checked_count, gather
 from residua.linear.subspaces.rank import RankDecision, null_basis
 from residua.progress import Progress, progress_of
 from residua.recording.time_axis import REGULAR
@@ -32,6 +43,8 @@ _CHANCE = 10.0
 #: A gap of the correlations below this factor is no clear one.
 _CLEAR = 2.0
 _METHOD = "parity relations from data"
+#: The alarms of one recording: for each row whether one stands, or the alarms of a diagnosis.
+Alarms = ArrayLike | Sequence[Alarm] | None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -41,7 +54,7 @@ class DataParity:
     Attributes
     ----------
     generator : ResidualGenerator
-        What a :class:`residua.Monitor` runs.
+        The filter that a :class:`residua.Monitor` runs.
     order : int
         ``s``: samples before the present one in each relation.
     relations : int
@@ -58,9 +71,9 @@ class DataParity:
     samples : int
         Windows that they are from; after forgetting, as many as are worth as much.
     memory : ParityMemory
-        What :meth:`updated` goes on from.
+        The state from which :meth:`updated` goes on.
     drifts : mapping of str to str
-        What was done with each channel that drifts, or was named.
+        The treatment of each channel that drifts, or was named.
     """
 
     generator: ResidualGenerator
@@ -148,7 +161,12 @@ class DataParity:
         0.8
         0.6
         """
-        memory, weight = self.memory, checked_forgetting(forgetting)
+        memory = self.memory
+        number = isinstance(forgetting, (int, float, np.integer, np.floating)) and not isinstance(forgetting, bool)
+        if not number or not 0 < forgetting <= 1:
+            raise SettingError(
+                f"forgetting must be above 0 and at most 1 (nothing is forgotten), got {echo(forgetting)}"
+            )
         other = [name for name, way in self.drifts.items() if way != KEEP]
         if other:
             raise SettingError(
@@ -166,10 +184,14 @@ class DataParity:
             return replace(self, generator=replace(self.generator, evidence=evidence))
         facts = channel_facts(gathered)
         facts.check_size()
-        after = memory.updated(gathered, weight)
+        after = memory.updated(gathered, float(forgetting))
         units = after.standard(facts)
         kept = replace(untreated(gathered, units), ways=self.drifts)
-        made = _parity(after, kept, after.lagged(units), self.relations, notes)
+        # as many rows as the weights are worth
+        known = after.windows.effective
+        stacked = lagged_of(after.hankel, units, round(known))
+        stacked = replace(stacked, factor=stacked.factor * np.sqrt(known / after.windows.total))
+        made = _parity(after, kept, stacked, self.relations, notes)
         if made.supported <= made.relations:  # where it is less, there is a note already
             return made
         note = f"the data now support {counted(made.supported, 'relation')}, and {made.relations} are kept as before"
@@ -230,13 +252,13 @@ def parity_from_data(
     order : int
         ``s``, at least the order of the plant, or of the part of it that a relation is to describe.
     relations : int, optional
-        How many are used, those that hold best first; when omitted, all that the data support: those whose correlation
+        Number, those that hold best first; when omitted, all that the data support: those whose correlation
         with past and inputs is that of chance.
     poles : sequence of complex, optional
         ``order`` stable poles, closed under conjugation, that all residuals have; all zero, the moving average, when
         omitted.
     drifts : {"keep", "leave out", "difference"} or mapping of str to these
-        What is done with channels that do not keep their level (:func:`residua.identify.drifting_channels`): nothing,
+        Treatment of channels that do not keep their level (:func:`residua.identify.drifting_channels`): nothing,
         besides a note with numbers; they are read by no residual, and have no fault, though they stay a column of the
         recordings; or they are read by their changes from row to row, which show their faults only while these change.
         A mapping says it for each channel by name, whether it drifts or not; those that it does not name are kept.
@@ -300,10 +322,174 @@ def parity_from_data(
     try:
         hankel = enough_windows(channels.gathered, channels.units, 2 * s + 1, tell)
         stacked = lagged_of(hankel, channels.units, hankel.windows)
-        memory = ParityMemory.of(hankel, channels.gathered, channels.units, poles)
+        gathered, count, rows = channels.gathered, float(hankel.windows), float(channels.gathered.n_samples)
+        memory = ParityMemory(
+            replace(hankel, parts=()),
+            Weights(count, count),
+            Weights(rows, rows),
+            channels.units.mean,
+            channels.units.facts.deviation**2 * rows,
+            gathered.inputs,
+            gathered.outputs,
+            gathered.dt,
+            None if poles is None else tuple(complex(one) for one in np.atleast_1d(np.asarray(poles, dtype=complex))),
+        )
         return _parity(memory, channels, stacked, relations, tell=tell)
     finally:
         close()
+
+
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """The sum of weights, and of their squares: both the number of items where all weights are one."""
+
+    total: float
+    squares: float
+
+    @property
+    def effective(self) -> float:
+        """As many equal weights would know a mean as well."""
+        return self.total**2 / self.squares
+
+    def and_new(self, count: int, forgetting: float) -> Weights:
+        """Return the weights after so many new ones, the last of which is one."""
+        new = forgetting ** np.arange(count)
+        old = forgetting**count
+        return Weights(old * self.total + float(new.sum()), old**2 * self.squares + float((new**2).sum()))
+
+
+@dataclass(frozen=True, eq=False)
+class ParityMemory:
+    r"""The factor of all windows so far, each with the weight that forgetting leaves it, and the channels' moments.
+
+    .. math:: R^T R = \sum_k \lambda^{K - k} h_k h_k^T
+
+    Attributes
+    ----------
+    hankel : HankelFactor
+        ``R``, with the units and the reference of the first recordings.
+    windows, rows : Weights
+    mean, scatter : ndarray, shape (channels,)
+        Weighted mean of each channel, and the sum of weighted squares about it.
+    inputs, outputs : tuple of str
+    dt : float
+    poles : tuple of complex or None
+        Of the residuals.
+    """
+
+    hankel: HankelFactor
+    windows: Weights
+    rows: Weights
+    mean: NDArray[np.float64]
+    scatter: NDArray[np.float64]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    dt: float
+    poles: tuple[complex, ...] | None
+
+    def standard(self, facts: ChannelFacts) -> Standard:
+        """Return mean and standard deviation of each channel over all that is remembered.
+
+        Raises
+        ------
+        DataError
+            If a channel no longer changes.
+        """
+        known = self.rows.effective
+        spread = np.sqrt(self.scatter / self.rows.total * known / (known - 1))
+        channels = self.inputs + self.outputs
+        still = [
+            name
+            for name, one, mean in zip(channels, spread, self.mean, strict=True)
+            if one <= DATA_ROUNDING * abs(mean)
+        ]
+        if still:
+            raise DataError(
+                f"{listed(still)} no longer {'changes' if len(still) == 1 else 'change'} in what is remembered: take a "
+                "forgetting nearer to 1, or a recording in which they move"
+            )
+        return Standard(facts, self.mean, spread)
+
+    def updated(self, gathered: Gathered, forgetting: float) -> ParityMemory:
+        """Return the memory after new rows: each window takes ``forgetting`` of the weight of those before it.
+
+        Raises
+        ------
+        DataError
+            If what is remembered is worth fewer windows than the relations have columns.
+        """
+        length = self.hankel.length
+        new = count_windows(gathered, length)
+        windows = self.windows.and_new(new, forgetting)
+        columns = length * self.hankel.n_channels
+        if windows.effective <= columns + 1:
+            raise DataError(
+                f"with forgetting={forgetting:g} {counted(round(windows.effective), 'window')} are remembered, and "
+                f"relations over {length} rows of {self.hankel.n_channels} channels need more than {columns + 1}: take "
+                f"at least {1 - 2 / (columns + 3):.6g}, or {1 - 2 / (10 * columns):.6g} to know them well"
+            )
+        hankel = discounted_factor(self.hankel, gathered, forgetting)
+        count, seen = gathered.n_samples, 0
+        first, second = np.zeros_like(self.mean), np.zeros_like(self.mean)  # moments about the mean before
+        for *_, block in gathered.blocks():
+            seen += len(block)
+            weights = forgetting ** (count - seen + np.arange(len(block) - 1, -1, -1))
+            apart = block - self.mean
+            first += weights @ apart
+            second += weights @ apart**2
+        rows = self.rows.and_new(count, forgetting)
+        scatter = forgetting**count * self.scatter + second - first**2 / rows.total
+        mean = self.mean + first / rows.total
+        return replace(self, hankel=hankel, windows=windows, rows=rows, mean=mean, scatter=np.maximum(scatter, 0.0))
+
+
+def without_alarms(gathered: Gathered, alarms: Alarms | Sequence[Alarms]) -> tuple[Gathered, int]:
+    """Return recordings cut where an alarm stands, as where a value is missing, and the number of rows left out.
+
+    Parameters
+    ----------
+    gathered : Gathered
+    alarms : array_like of bool, sequence of Alarm, or a sequence of these
+        One for each recording where there are several.
+
+    Raises
+    ------
+    SettingError
+        If there is not one for each recording, or not a value for each row.
+    """
+    if alarms is None:
+        return gathered, 0
+    several = len(gathered.samples) > 1
+    each: list[Any] = list(alarms) if several and isinstance(alarms, Iterable) else [alarms]
+    if len(each) != len(gathered.samples):
+        raise SettingError(
+            f"alarms must have one entry for each of {counted(len(gathered.samples), 'recording')}, got {len(each)}"
+        )
+    standing = [np.zeros(rows, dtype=bool) for rows in gathered.samples]
+    for one, rows in zip(each, standing, strict=True):
+        if one is None:
+            continue
+        if isinstance(one, Sequence) and all(isinstance(alarm, Alarm) for alarm in one):
+            for alarm in one:
+                began, first = alarm.began, 0  # the row from which its cause may have begun, where that is known
+                if began is None or began.earliest is not None:
+                    since = alarm.onset if began is None else min(began.earliest or 0.0, alarm.onset)
+                    first = max(alarm.start - int(np.ceil((alarm.raised - since) / gathered.dt)), 0)
+                rows[first : alarm.stop] = True
+            continue
+        given = np.asarray(one)
+        if given.dtype != bool or given.shape != rows.shape:
+            raise SettingError(
+                f"alarms must be {len(rows)} booleans, one for each row of the recording, or the alarms of a "
+                f"diagnosis; got values of type {given.dtype} in the shape {given.shape}"
+            )
+        rows[:] = given
+    segments = []
+    for segment in gathered.segments:
+        quiet = ~standing[segment.recording][segment.start : segment.stop]
+        segments += [segment.cut(start, stop) for start, stop in runs(quiet).tolist()]
+    kept = gathered.with_segments(segments)
+    return kept, gathered.n_samples - kept.n_samples
 
 
 def _parity(
@@ -314,31 +500,46 @@ def _parity(
     notes: tuple[str, ...] = (),
     tell: Progress = lambda stage, done, total: None,
 ) -> DataParity:
-    """Return the relations of what is remembered, with their generator."""
+    """Return the relations of a memory, with their generator."""
     tell("relations", 0, 2)
     s, m, q = stacked.lags // 2, len(memory.inputs), stacked.channels
     poles = memory.poles
     correlations, directions, chance = _correlations(stacked, s, m, memory.inputs)
     most = (q - m) * (s + 1)
     supported = min(most, int(np.count_nonzero(correlations <= chance)))
-    k = _count(relations, supported, most, correlations, chance, s)
+    k = supported if relations is None else checked_count(relations, "relations", 1)
+    if not k:
+        raise DataError(
+            f"past and inputs foretell every combination of {s + 1} samples better than by chance (smallest "
+            f"correlation {correlations[-1]:.3g}, by chance {chance:.3g}): no relation of order {s} holds; raise "
+            "order, name inputs that are missing, or ask for those that hold best, relations=..."
+        )
+    if k > most:
+        raise SettingError(f"relations of order {s} are {most} at most, got {k}")
     basis = np.linalg.qr(directions[:, ::-1][:, :k])[0]
     basis *= np.sign(basis[np.abs(basis).argmax(axis=0), np.arange(k)])
     vectors = basis.T.reshape(k, s + 1, q)
     weights = vectors.transpose(1, 0, 2)
     kept = len(correlations) - k
     gap = float(correlations[kept - 1] / max(correlations[kept], DATA_ROUNDING)) if kept else np.inf
+    if k > supported:
+        notes = (
+            f"{k} relations were asked for, and {supported} hold: past and inputs foretell the others with a "
+            f"correlation of up to {correlations[kept]:.3g}, by chance {chance:.3g}",
+            *notes,
+        )
+    elif k == supported and gap < _CLEAR:
+        notes = (
+            f"no clear gap: the combinations beside the relations have a correlation of {gap:.3g} times theirs; "
+            "other numbers of relations are as good, relations=...",
+            *notes,
+        )
     evidence = Evidence(
         _METHOD,
         requested_poles=np.asarray(poles or (), dtype=complex),
         ranks={"inputs and states": RankDecision(kept, correlations, chance)},
         conditions={"gap of the correlations": gap},
-        notes=(
-            *few_rows(stacked.count, len(stacked.factor)),
-            *channels.units.facts.repeated_outputs(),
-            *_about_the_gap(correlations, k, supported, gap, chance),
-            *notes,
-        ),
+        notes=(*few_rows(stacked.count, len(stacked.factor)), *channels.units.facts.repeated_outputs(), *notes),
         references=("Ding (2014), chapter 9",),
     )
     denominator = _denominator(poles, s)
@@ -361,8 +562,14 @@ def _correlations(
     outputs = stacked.columns(window, range(m, q))
     R = stacked.rearranged([*known, *outputs]) / np.sqrt(stacked.count)
     n, n_past = len(known), (s + 1) * q
-    if m:
-        _check_excitation(R[:n, n_past:n], inputs, s)
+    still, decision = null_basis(R[:n, n_past:n], rtol=DATA_ROUNDING, scale=1.0)
+    if m and still.size:  # a relation may be one of inputs alone
+        raise DataError(
+            f"{s + 1} samples of {listed(channels_in(still, inputs, DATA_ROUNDING))} determine one another (smallest "
+            f"singular value {decision.singular_values[-1]:.2g} of their spread): the recording does not excite the "
+            "plant enough for relations of this order; record with inputs that move more freely, lower order, or "
+            "leave an input out"
+        )
     ours = R[:, n_past:]  # inputs of the window, then its outputs
     T = np.linalg.qr(np.vstack([ours, DATA_ROUNDING * np.eye(ours.shape[1])]), mode="r")
     inverse = np.linalg.inv(T)
@@ -374,55 +581,6 @@ def _correlations(
     order = [place[column] for column in stacked.columns(window)]
     limit = _CHANCE * n / (_CHANCE * n + stacked.count - n)
     return correlations, combinations[order], float(np.sqrt(limit))
-
-
-def _check_excitation(factor: NDArray[np.float64], inputs: tuple[str, ...], s: int) -> None:
-    """Raise where samples of the inputs determine one another: then a relation may be one of inputs alone."""
-    still, decision = null_basis(factor, rtol=DATA_ROUNDING, scale=1.0)
-    if not still.size:
-        return
-    names = channels_in(still, inputs, DATA_ROUNDING)
-    smallest = decision.singular_values[-1]
-    raise DataError(
-        f"{s + 1} samples of {listed(names)} determine one another (smallest singular value {smallest:.2g} of their "
-        "spread): the recording does not excite the plant enough for relations of this order; record with inputs that "
-        "move more freely, lower order, or leave an input out"
-    )
-
-
-def _count(
-    relations: int | None, supported: int, most: int, correlations: NDArray[np.float64], chance: float, s: int
-) -> int:
-    """Return how many relations are used."""
-    if relations is None:
-        if supported:
-            return supported
-        raise DataError(
-            f"past and inputs foretell every combination of {s + 1} samples better than by chance (smallest "
-            f"correlation {correlations[-1]:.3g}, by chance {chance:.3g}): no relation of order {s} holds; raise "
-            "order, name inputs that are missing, or ask for those that hold best, relations=..."
-        )
-    k = checked_count(relations, "relations", 1)
-    if k > most:
-        raise SettingError(f"relations of order {s} are {most} at most, got {k}")
-    return k
-
-
-def _about_the_gap(
-    correlations: NDArray[np.float64], k: int, supported: int, gap: float, chance: float
-) -> tuple[str, ...]:
-    """Return notes where more relations are used than hold, or the number of them is not clear."""
-    if k > supported:
-        return (
-            f"{k} relations were asked for, and {supported} hold: past and inputs foretell the others with a "
-            f"correlation of up to {correlations[len(correlations) - k]:.3g}, by chance {chance:.3g}",
-        )
-    if k == supported and gap < _CLEAR:
-        return (
-            f"no clear gap: the combinations beside the relations have a correlation of {gap:.3g} times theirs; "
-            "other numbers of relations are as good, relations=...",
-        )
-    return ()
 
 
 def _denominator(poles: Any, order: int) -> list[float]:

@@ -1,4 +1,4 @@
-"""One-step predictions of a model on data, and what their errors say: fit, whiteness, feedback."""
+"""Models in innovation form, their one-step predictions of data, and the errors: fit, whiteness, feedback."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.identify.realisation import Innovations
 from residua.identify.segments import BLOCK, Gathered
 from residua.linear import StateSpace
 from residua.linear.poles.spectrum import spectral_radius
-from residua.tolerances import TINY
+from residua.tolerances import IDENTITY, TINY
 
+Matrix = NDArray[np.float64]
 #: Rows by which errors are compared with themselves and with inputs.
 LAGS = 20
 #: Correlations that chance gives once in so many data sets count as real, all lags and channels together.
@@ -21,8 +21,63 @@ CHANCE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
+class Innovations:
+    r"""A model in innovation form, in units of the factor.
+
+    .. math:: x_{k+1} = A x_k + B u_k + K e_k + c_x, \qquad y_k = C x_k + D u_k + c_y + e_k
+
+    Attributes
+    ----------
+    A, B, C, D, K : ndarray
+    state_constant, output_constant : ndarray
+    covariance : ndarray
+        Of the innovations.
+    states : ndarray, shape (n, past rows x channels)
+        The map from the past to the states.
+    past : int
+    note : str
+        The repair of the gain, if it needed one.
+    """
+
+    A: Matrix
+    B: Matrix
+    C: Matrix
+    D: Matrix
+    K: Matrix
+    state_constant: Matrix
+    output_constant: Matrix
+    covariance: Matrix
+    states: Matrix
+    past: int
+    note: str = ""
+
+    @property
+    def order(self) -> int:
+        """Number of states."""
+        return len(self.A)
+
+    def at_rest(self) -> tuple[Matrix, Matrix, float]:
+        """Return states and outputs at rest for inputs of zero, and the part of the constants that no rest balances."""
+        n = self.order
+        if not n:
+            return np.zeros(0), self.output_constant, 0.0
+        M = np.eye(n) - self.A
+        x, _, _, _ = np.linalg.lstsq(M, self.state_constant, rcond=IDENTITY)
+        left = float(np.abs(M @ x - self.state_constant).max(initial=0.0))
+        return np.asarray(x, dtype=float), self.C @ x + self.output_constant, left
+
+
+def one_step_predictor(A: Matrix, B: Matrix, C: Matrix, D: Matrix, K: Matrix, *, dt: float) -> StateSpace:
+    r"""Return the filter from inputs and outputs to the outputs predicted one row ahead, of a model with a gain.
+
+    .. math:: x_{k+1} = (A - K C) x_k + (B - K D) u_k + K y_k, \qquad \hat y_k = C x_k + D u_k
+    """
+    return StateSpace(A - K @ C, np.hstack([B - K @ D, K]), C, np.hstack([D, np.zeros((len(C), len(C)))]), dt=dt)
+
+
+@dataclass(frozen=True, eq=False)
 class ErrorFacts:
-    """What prediction errors on data say of a model.
+    """Statistics of the prediction errors of a model on data.
 
     Attributes
     ----------
@@ -58,7 +113,8 @@ def predictions(
 
     The state at the start of each piece is that of the rows before it.
     """
-    predictor, m = model.predictor(), len(gathered.inputs)
+    m = len(gathered.inputs)
+    predictor = one_step_predictor(model.A, model.B, model.C, model.D, model.K, dt=1.0)
     rest, level, _ = model.at_rest()
     for segment in gathered.segments:
         for start in range(0, len(segment) - model.past, BLOCK):
@@ -69,80 +125,48 @@ def predictions(
             yield Z[:, :m], Z[:, m:], predictor.simulate(Z, x)
 
 
-class ErrorSums:
-    """Sums over pieces of data of which the size of prediction errors, and of the outputs, follows."""
-
-    def __init__(self, outputs: int) -> None:
-        self.rows, self._total = 0, np.zeros(outputs)
-        self._squares, self.errors = np.zeros(outputs), np.zeros(outputs)
-
-    def add(self, y: NDArray, errors: NDArray) -> None:
-        """Take a piece."""
-        self.rows += len(y)
-        self._total += y.sum(axis=0)
-        self._squares += (y**2).sum(axis=0)
-        self.errors += np.einsum("ij,ij->j", errors, errors)
-
-    @property
-    def variance(self) -> NDArray[np.float64]:
-        """Of the outputs, summed over the rows."""
-        return np.maximum(self._squares - self._total**2 / max(self.rows, 1), 0.0)
-
-    @property
-    def share(self) -> NDArray[np.float64]:
-        """The part of the outputs' variance that the errors have."""
-        return np.asarray(self.errors / np.where(self.variance > 0, self.variance, 1.0))
-
-
-class LaggedSums:
-    """Sums of products of errors with themselves some rows before, never across two pieces, and how many each has."""
-
-    def __init__(self, lags: int, outputs: int) -> None:
-        self.products, self.pairs = np.zeros((lags + 1, outputs)), np.zeros(lags + 1)
-
-    def add(self, errors: NDArray) -> None:
-        """Take a piece."""
-        for lag in range(min(len(self.pairs), len(errors))):
-            self.pairs[lag] += len(errors) - lag
-            self.products[lag] += np.einsum("ij,ij->j", errors[lag:], errors[: len(errors) - lag])
-
-
 def error_facts(model: Innovations, gathered: Gathered, reference: NDArray, units: NDArray) -> ErrorFacts | None:
-    """Return what the prediction errors on data say; ``None`` where no segment is long enough to predict any row."""
+    """Return the statistics of the errors on data; ``None`` where no segment is long enough to predict any row."""
     m, p = len(gathered.inputs), len(gathered.outputs)
-    sums, lagged, inputs = ErrorSums(p), LaggedSums(LAGS, p), np.zeros(m)
-    mean_error, mean_input = np.zeros(p), np.zeros(m)
-    crossed, before = np.zeros((LAGS + 1, p, m)), np.zeros((LAGS + 1, p, m))
-    simulated = _Simulated(model, m, p)
+    radius = float(spectral_radius(model.A))
+    simulable = bool(m) and radius < 1
+    skip = rows_to_forget(radius) if simulable else BLOCK
+    system = StateSpace(model.A, model.B, model.C, model.D, dt=1.0)
+    rows, counts, products = 0, np.zeros(LAGS + 1), np.zeros((LAGS + 1, p))
+    after, before = np.zeros((LAGS + 1, p, m)), np.zeros((LAGS + 1, p, m))
+    totals, squares = np.zeros(2 * p + m), np.zeros(2 * p + m)  # of inputs, outputs and errors
+    simulated, simulated_rows = np.zeros(p), 0
     for u, y, predicted in predictions(model, gathered, reference, units):
         e = y - predicted
-        sums.add(y, e)
-        lagged.add(e)
-        mean_error += e.sum(axis=0)
-        mean_input += u.sum(axis=0)
-        inputs += (u**2).sum(axis=0)
+        rows += len(y)
+        totals += np.concatenate([one.sum(axis=0) for one in (u, y, e)])
+        squares += np.concatenate([np.einsum("ij,ij->j", one, one) for one in (u, y, e)])
         for lag in range(min(LAGS + 1, len(e))):
-            crossed[lag] += e[: len(e) - lag].T @ u[lag:]
+            counts[lag] += len(e) - lag
+            products[lag] += np.einsum("ij,ij->j", e[lag:], e[: len(e) - lag])
+            after[lag] += e[: len(e) - lag].T @ u[lag:]
             before[lag] += e[lag:].T @ u[: len(e) - lag]
-        simulated.add(u, y)
-    if not sums.rows:
+        if simulable and len(u) > 2 * skip:
+            simulated += ((y - system.simulate(u))[skip:] ** 2).sum(axis=0)
+            simulated_rows += len(u) - skip
+    if not rows:
         return None
-    rows, counts, products = sums.rows, lagged.pairs, lagged.products
+    centred = np.maximum(squares - totals**2 / rows, 0.0)
+    inputs, variance = centred[:m], np.where(centred[m : m + p] > 0, centred[m : m + p], 1.0)
     # without their means: a level that is off is no correlation
-    e_mean, u_mean = mean_error / rows, mean_input / rows
-    products = products - counts[:, None] * e_mean**2
-    level = counts[:, None, None] * np.outer(e_mean, u_mean)
-    power = products[0], np.maximum(inputs - rows * u_mean**2, 0.0)
+    mean = totals / rows
+    products = products - counts[:, None] * mean[m + p :] ** 2
+    level = counts[:, None, None] * np.outer(mean[m + p :], mean[:m])
     # many short pieces have fewer pairs of rows at a lag than rows
     share = np.maximum(counts, 1.0)[:, None] / rows
-    own = products[1:] / np.where(power[0] > 0, power[0], 1.0)
-    scale = np.sqrt(np.maximum(np.outer(*power), TINY)) * share[:, None]
-    after, before = (crossed - level) / scale, (before - level)[1:] / scale[1:]
+    own = products[1:] / np.where(products[0] > 0, products[0], 1.0)
+    scale = np.sqrt(np.maximum(np.outer(products[0], inputs), TINY)) * share[:, None]
+    after, before = (after - level) / scale, (before - level)[1:] / scale[1:]
     return ErrorFacts(
         rows,
-        np.sqrt(sums.errors / rows) * units[m:],
-        1 - np.sqrt(sums.share),
-        simulated.fit(sums.variance / rows),
+        np.sqrt(squares[m + p :] / rows) * units[m:],
+        1 - np.sqrt(squares[m + p :] / variance),
+        1 - np.sqrt(simulated / simulated_rows / (variance / rows)) if simulated_rows else None,
         np.abs(own / share[1:]).max(axis=0),
         ljung_box(own, counts[1:], rows),
         _significant(after, before, counts, gathered.outputs, gathered.inputs),
@@ -190,29 +214,6 @@ def _significant(
 
 
 def rows_to_forget(radius: float) -> int:
-    """Return after how many rows 1 % is left of the start of a simulation, for a spectral radius below one."""
+    """Return the number of rows until 1 % of the start of a simulation is left, for a spectral radius below one."""
     with np.errstate(divide="ignore"):
         return int(min(np.ceil(np.log(0.01) / np.log(radius)), BLOCK))
-
-
-class _Simulated:
-    """Errors of outputs that are simulated from the inputs alone, piece by piece, the start of each left out."""
-
-    def __init__(self, model: Innovations, m: int, p: int) -> None:
-        radius = float(spectral_radius(model.A))
-        self._runs = bool(m) and radius < 1
-        self._skip = rows_to_forget(radius) if self._runs else BLOCK
-        self._system = StateSpace(model.A, model.B, model.C, model.D, dt=1.0)
-        self._squares, self._rows = np.zeros(p), 0
-
-    def add(self, u: NDArray, y: NDArray) -> None:
-        """Take a piece of the data, in deviations from rest."""
-        if self._runs and len(u) > 2 * self._skip:
-            self._squares += ((y - self._system.simulate(u))[self._skip :] ** 2).sum(axis=0)
-            self._rows += len(u) - self._skip
-
-    def fit(self, variance: NDArray) -> NDArray[np.float64] | None:
-        """Return the fit for outputs of a variance."""
-        if not self._rows:
-            return None
-        return np.asarray(1 - np.sqrt(self._squares / self._rows / np.where(variance > 0, variance, 1.0)))

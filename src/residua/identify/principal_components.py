@@ -1,4 +1,4 @@
-"""Static and dynamic principal components of recorded channels: scores, and what they leave."""
+"""Static and dynamic principal components of recorded channels: scores and residuals."""
 
 from __future__ import annotations
 
@@ -13,9 +13,16 @@ from residua.decide.norm_threshold import NormThreshold
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator
 from residua.errors import DataError, SettingError
-from residua.identify.channel_filter import channel_generator, names_of_groups
-from residua.identify.drift_treatment import treated
-from residua.identify.lagged_rows import KNOWN, channels_in, few_rows, lagged_rows
+from residua.identify.channel_filter import (
+    KNOWN,
+    channel_generator,
+    channels_in,
+    few_rows,
+    lagged_rows,
+    names_of_groups,
+    treated,
+    with_signs,
+)
 from residua.identify.segments import Names, checked_count, gather
 from residua.linear.subspaces.rank import RankDecision
 from residua.tolerances import RANK
@@ -34,9 +41,9 @@ class PrincipalComponents:
     Attributes
     ----------
     generator : ResidualGenerator
-        What a :class:`residua.Monitor` runs.
+        The filter that a :class:`residua.Monitor` runs.
     test : NormThreshold
-        What a monitor tests when it gets no other test: the norm of each group, as it is.
+        The default test of a monitor: the norm of each group, as it is.
     groups : mapping of str to tuple of str
         ``"T2"`` and ``"Q"``, with the residuals of each.
     lags, components : int
@@ -49,7 +56,7 @@ class PrincipalComponents:
     samples : int
         Rows that they are from.
     drifts : mapping of str to str
-        What was done with each channel that drifts, or was named.
+        The treatment of each channel that drifts, or was named.
     """
 
     generator: ResidualGenerator
@@ -128,7 +135,7 @@ def principal_components(
         omitted, those of more variance than the largest that ``N`` rows of ``d`` independent columns would show,
         :math:`(1 + \sqrt{d / N})^2`.
     drifts : {"keep", "leave out", "difference"} or mapping of str to these
-        What is done with channels that do not keep their level (:func:`residua.identify.drifting_channels`): nothing,
+        Treatment of channels that do not keep their level (:func:`residua.identify.drifting_channels`): nothing,
         besides a note with numbers; they are read by no residual, and have no fault, though they stay a column of the
         recordings; or they are read by their changes from row to row, which show their faults only while these change.
         A mapping says it for each channel by name, whether it drifts or not; those that it does not name are kept.
@@ -199,22 +206,30 @@ def principal_components(
             "be trusted: give a longer recording, fewer lags, or fewer channels"
         )
     values, vectors = np.linalg.eigh(stacked.factor.T @ stacked.factor / (stacked.count - 1))
-    variances, loadings = np.maximum(values[::-1], 0.0), _with_signs(vectors[:, ::-1])
+    variances, loadings = np.maximum(values[::-1], 0.0), with_signs(vectors[:, ::-1])
     edge = (1 + np.sqrt(d / stacked.count)) ** 2
     kept = _kept(components, variances, edge)
     scale = np.ones(d)
     scale[:kept] = 1 / np.sqrt(variances[:kept])
     weights = (loadings * scale).T.reshape(d, lags + 1, q).transpose(1, 0, 2)
     groups = {"T2": kept} | ({"Q": d - kept} if kept < d else {})
+    exact = np.flatnonzero(variances <= RANK)
+    notes = few_rows(stacked.count, d)
+    if len(exact):
+        names = listed(channels_in(loadings[:, exact], gathered.channels, RANK))
+        notes += (
+            f"{counted(len(exact), 'combination')} of {names} never moved: these channels determine one another "
+            "exactly (one may be there twice), and the smallest deviation from that counts in Q with its plain size",
+        )
     evidence = Evidence(
         _METHOD if lags == 0 else f"dynamic {_METHOD}",
         ranks={"components": RankDecision(kept, variances, float(variances[kept - 1]))},
         conditions={"share of the variance": float(variances[:kept].sum() / variances.sum())},
-        notes=(*few_rows(stacked.count, d), *_exact_relations(variances, loadings, gathered.channels)),
+        notes=notes,
         references=("Jackson and Mudholkar (1979)", "Ku, Storer and Georgakis (1995)", "Dunia and Qin (1998)"),
     )
     generator = channel_generator(channels, weights, groups, evidence)
-    members = names_of_groups(groups, generator)
+    members = names_of_groups(generator)
     return PrincipalComponents(
         generator,
         NormThreshold(groups=members, whiten="none"),
@@ -230,14 +245,8 @@ def principal_components(
     )
 
 
-def _with_signs(directions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return directions with their largest entries positive."""
-    largest = directions[np.abs(directions).argmax(axis=0), np.arange(directions.shape[1])]
-    return directions * np.where(largest < 0, -1.0, 1.0)
-
-
 def _kept(components: object, variances: NDArray[np.float64], edge: float) -> int:
-    """Return how many components are kept."""
+    """Return the number of components to keep."""
     d = len(variances)
     wanted = f"components must be a whole number from 1 to {d}, or a share of the variance between 0 and 1"
     if components is None:
@@ -255,17 +264,3 @@ def _kept(components: object, variances: NDArray[np.float64], edge: float) -> in
         raise SettingError(f"{wanted}, got {echo(components)}")
     shares = np.cumsum(variances) / variances.sum()
     return min(int(np.count_nonzero(shares < components)) + 1, int(np.count_nonzero(variances > RANK)))
-
-
-def _exact_relations(
-    variances: NDArray[np.float64], loadings: NDArray[np.float64], channels: tuple[str, ...]
-) -> tuple[str, ...]:
-    """Return a note where some channels determine others to the last digit, such as a channel that is there twice."""
-    exact = np.flatnonzero(variances <= RANK)
-    if not len(exact):
-        return ()
-    names = channels_in(loadings[:, exact], channels, RANK)
-    return (
-        f"{counted(len(exact), 'combination')} of {listed(names)} never moved: these channels determine one another "
-        "exactly (one may be there twice), and the smallest deviation from that counts in Q with its plain size",
-    )

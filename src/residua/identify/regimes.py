@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, NoReturn
 
 import numpy as np
@@ -13,25 +13,170 @@ from residua.arrays import runs
 from residua.design import kalman_filter
 from residua.design.core.brought import for_monitor
 from residua.errors import AccuracyError, DataError, DesignError, ModelError, SettingError
-from residua.identify.arx_model import ArxModel
+from residua.identify.arx import ArxModel
 from residua.identify.channel_facts import channel_facts
+from residua.identify.channel_filter import KNOWN
 from residua.identify.identified_model import IdentifiedModel
-from residua.identify.lagged_rows import KNOWN
-from residua.identify.operating_modes import (
-    Key,
-    ModeSignals,
-    ages,
-    check_few_values,
-    distinct,
-    mode_signals,
-    rows_in,
-    transient_rows,
-)
 from residua.identify.principal_components import principal_components
 from residua.identify.segments import Gathered, Names, Segment, checked_count, gather
 from residua.shown import Shown
+from residua.tolerances import DATA_ROUNDING
 from residua.visible import echo, listed
 from residua.words import counted
+
+#: More different values than these are no modes but a quantity.
+MOST_VALUES = 20
+#: The age of a mode at the start of a recording: nobody knows how long it has lasted.
+UNKNOWN_AGE = np.iinfo(np.int64).max
+#: Mean squared distance from the settled rows, relative to that of these rows, from which on rows are unlike them.
+_UNLIKE = 2.0
+
+Key = tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class ModeSignals:
+    """The signals whose joint value is the operating mode.
+
+    Attributes
+    ----------
+    names : tuple of str
+    edges : tuple of (tuple of float or None)
+        For each signal ``None``: each of its values is a mode of its own; or the values that divide it: a mode goes
+        from one of them, included, to the next.
+    """
+
+    names: tuple[str, ...]
+    edges: tuple[tuple[float, ...] | None, ...]
+
+    def keys(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the mode of each row of these signals, shape (time, signals); NaN where one is missing."""
+        keys = np.array(rows, dtype=float)
+        keys[~np.isfinite(keys).all(axis=1)] = np.nan
+        for j, edges in enumerate(self.edges):
+            if edges is not None:
+                here = np.isfinite(keys[:, j])
+                keys[here, j] = np.searchsorted(edges, keys[here, j], side="right")
+        return keys + 0.0  # no -0.0
+
+    def label(self, key: Key) -> str:
+        """Return a mode in words."""
+        said = []
+        for name, value, edges in zip(self.names, key, self.edges, strict=True):
+            k = int(value) if edges is not None else 0
+            if edges is None:
+                said.append(f"{name} = {_text(value)}")
+            elif k == 0:
+                said.append(f"{name} < {_text(edges[0])}")
+            elif k == len(edges):
+                said.append(f"{name} >= {_text(edges[-1])}")
+            else:
+                said.append(f"{_text(edges[k - 1])} <= {name} < {_text(edges[k])}")
+        return ", ".join(said)
+
+
+def _text(value: float) -> str:
+    """Return a number, with all digits where fewer are another one: two modes have two names."""
+    short = f"{value:.10g}"
+    return short if float(short) == value else repr(value)
+
+
+def mode_signals(by: Any) -> ModeSignals:
+    """Return the signals of modes, from a list of names or a mapping of names to edges.
+
+    Raises
+    ------
+    SettingError
+        If there is none, one is there twice, or edges are no increasing numbers.
+    """
+    if isinstance(by, str):
+        by = [by]
+    if not isinstance(by, Iterable):
+        raise SettingError(f"by must name the signals of the modes, or map them to edges, got {echo(by)}")
+    names = tuple(by)
+    if not names or not all(isinstance(name, str) and name for name in names) or len(set(names)) < len(names):
+        raise SettingError(f"by must name at least one signal, each once, got {echo(by)}")
+    if not isinstance(by, Mapping):
+        return ModeSignals(names, (None,) * len(names))
+    borders: list[tuple[float, ...] | None] = []
+    for name in names:
+        if by[name] is None:
+            borders.append(None)
+            continue
+        values = np.atleast_1d(np.asarray(by[name]))
+        if values.dtype.kind not in "iuf" or values.ndim != 1 or not len(values) or not np.isfinite(values).all():
+            raise SettingError(f"by: the edges of {echo(name)} must be numbers, or None, got {echo(by[name])}")
+        if not (np.diff(values) > 0).all():
+            raise SettingError(f"by: the edges of {echo(name)} must increase, got {echo(by[name])}")
+        borders.append(tuple(float(value) for value in values))
+    return ModeSignals(names, tuple(borders))
+
+
+def distinct(keys: Iterable[NDArray[np.float64]]) -> list[Key]:
+    """Return the modes that occur, sorted."""
+    found = {tuple(row) for one in keys for row in np.unique(one[np.isfinite(one).all(axis=1)], axis=0).tolist()}
+    return sorted(found)
+
+
+def rows_in(keys: NDArray[np.float64], key: Key) -> NDArray[np.bool_]:
+    """Return which rows are in a mode."""
+    return np.asarray((keys == np.array(key)).all(axis=1))
+
+
+def ages(keys: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return the number of rows that each row's mode has lasted; missing modes count as one mode.
+
+    ``UNKNOWN_AGE`` for the mode at the start of a recording.
+    """
+    n = len(keys)
+    filled = np.where(np.isnan(keys), np.inf, keys)
+    changes = np.concatenate([[0], np.flatnonzero((filled[1:] != filled[:-1]).any(axis=1)) + 1]) if n else []
+    start = np.zeros(n, dtype=np.int64)
+    start[changes] = changes
+    start = np.maximum.accumulate(start)
+    out = np.arange(n) - start
+    if n and np.isfinite(keys[0]).all():
+        out[start == 0] = UNKNOWN_AGE
+    return out
+
+
+def transient_rows(visits: Sequence[NDArray[np.float64]]) -> int:
+    r"""Return the length of the transient after a mode is entered, from the recorded visits to it.
+
+    .. math:: d^2(x) = (x - \mu)^T S^{-1} (x - \mu)
+
+    with mean and covariance of the second half of every visit. Ages are taken together as 0, 1, 2 to 3, 4 to 7 and so
+    on; a transient ends before the first two of these in a row whose mean :math:`d^2` is not above twice that of the
+    second halves. It takes half of the longest visit at most.
+
+    Parameters
+    ----------
+    visits : sequence of ndarray, shape (rows, channels)
+        Each from its first row, after a change of mode.
+    """
+    settled = np.vstack([one[len(one) // 2 :] for one in visits])
+    spread = settled.std(axis=0)
+    moves = spread > 0
+    if not moves.any():
+        return 0
+    mean = settled.mean(axis=0)
+    z = (settled - mean)[:, moves] / spread[moves]
+    values, vectors = np.linalg.eigh(z.T @ z / len(z))
+    kept = values > DATA_ROUNDING * values[-1]
+    whiten = vectors[:, kept] / np.sqrt(values[kept])
+    entered = [((one[: len(one) // 2] - mean)[:, moves] / spread[moves]) @ whiten for one in visits]
+    distances = [np.mean(one**2, axis=1) for one in entered]
+    end, start, alike = 0, 0, 0
+    while alike < 2:
+        stop = max(1, 2 * start)
+        rows = np.concatenate([one[start:stop] for one in distances])
+        if not len(rows):
+            break
+        unlike = rows.mean() > _UNLIKE
+        alike = 0 if unlike else alike + 1
+        end = min(stop, max(map(len, distances))) if unlike else end
+        start = stop
+    return end
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +190,7 @@ class OperatingMode:
     name : str
         In words: ``"fan on = 1, heating = 0"``.
     design : object
-        What a :class:`residua.Monitor` takes: what the method returned for this mode.
+        The value of the method for this mode, for a :class:`residua.Monitor`.
     samples : int
         Rows that it was made from.
     transient : int
@@ -104,24 +249,17 @@ class Regimes(Shown):
         )
 
     def _headline(self) -> str:
-        return f"{self._counts()} by {listed(self.signals.names)}"
-
-    def _counts(self) -> str:
-        out = counted(len(self.modes), "mode")
-        return f"{out}, {len(self.without_model)} without a model," if self.without_model else out
+        count, without = counted(len(self.modes), "mode"), len(self.without_model)
+        return f"{count}{f', {without} without a model,' if without else ''} by {listed(self.signals.names)}"
 
     def __str__(self) -> str:
-        lines = [
-            f"{one.name}: {counted(one.samples, 'row')}, {one.transient} after a change left out"
-            + (f"; {listed(one.still)} never moved, and {_is(one.still)} not looked at" if one.still else "")
-            for one in self.modes.values()
-        ]
+        lines = []
+        for one in self.modes.values():
+            are = "is" if len(one.still) == 1 else "are"
+            still = f"; {listed(one.still)} never moved, and {are} not looked at" if one.still else ""
+            lines.append(f"{one.name}: {counted(one.samples, 'row')}, {one.transient} after a change left out{still}")
         lines += [f"{name}: no model, {why}" for name, why in self.without_model.items()]
         return "\n".join([repr(self), *lines, *self.notes])
-
-
-def _is(names: tuple[str, ...]) -> str:
-    return "is" if len(names) == 1 else "are"
 
 
 def regimes(
@@ -224,10 +362,29 @@ def regimes(
         known = {*listed_outputs, *((inputs,) if isinstance(inputs, str) else inputs or ())}
         outputs = (*listed_outputs, *(name for name in signals.names if name not in known))
     gathered = gather(recordings, y, inputs=inputs, outputs=outputs, dt=dt)
-    visited = _Visited.of(gathered, signals)
+    absent = [name for name in signals.names if name not in gathered.channels]
+    if absent:
+        raise DataError(
+            f"by: there is no channel {listed(absent)}; there are {listed(gathered.channels)} "
+            "(columns of arrays have the names that inputs= and outputs= say)"
+        )
+    place = [gathered.channels.index(name) for name in signals.names]
+    numbers = sorted({one.recording for one in gathered.segments})
+    rows = dict(zip(numbers, (one[:, place] for one in gathered.whole()), strict=True))
+    for j, (name, edges) in enumerate(zip(signals.names, signals.edges, strict=True)):
+        column = np.concatenate([one[:, j] for one in rows.values()])
+        values = np.unique(column[np.isfinite(column)])
+        if edges is None and len(values) > MOST_VALUES:
+            raise SettingError(
+                f"by: {echo(name)} has {len(values)} different values from {values[0]:.4g} to {values[-1]:.4g}, which "
+                f"would be as many modes ({MOST_VALUES} at most): name the values that divide it, "
+                f"by={{{echo(name)}: [{float(np.median(values)):.3g}]}}, or leave it to the channels"
+            )
+    keys = {number: signals.keys(one) for number, one in rows.items()}
+    visited = _Visited(gathered, signals, keys, {number: ages(one) for number, one in keys.items()})
     modes: dict[str, OperatingMode] = {}
     without: dict[str, str] = {}
-    for key in distinct(visited.keys.values()):
+    for key in distinct(keys.values()):
         name = signals.label(key)
         made = _mode(visited, key, name, method, wait, enough)
         if isinstance(made, str):
@@ -249,37 +406,13 @@ class _Visited:
     keys: Mapping[int, NDArray[np.float64]]
     ages: Mapping[int, NDArray[np.int64]]
 
-    @staticmethod
-    def of(gathered: Gathered, signals: ModeSignals) -> _Visited:
-        absent = [name for name in signals.names if name not in gathered.channels]
-        if absent:
-            raise DataError(
-                f"by: there is no channel {listed(absent)}; there are {listed(gathered.channels)} "
-                "(columns of arrays have the names that inputs= and outputs= say)"
-            )
-        place = [gathered.channels.index(name) for name in signals.names]
-        rows = {}
-        for one in gathered.segments:
-            if one.recording not in rows:
-                whole = replace(one, start=0, stop=len(one.y))
-                rows[one.recording] = whole.rows(0, len(one.y))[:, place]
-        check_few_values(signals, list(rows.values()))
-        keys = {number: signals.keys(one) for number, one in rows.items()}
-        return _Visited(gathered, signals, keys, {number: ages(one) for number, one in keys.items()})
-
     def parts(self, key: Key, transient: int) -> list[Segment]:
-        """Return the runs of complete rows in a mode, without what follows a change."""
+        """Return the runs of complete rows in a mode, without the transient after a change."""
         out = []
         for one in self.gathered.segments:
             here = rows_in(self.keys[one.recording], key) & (self.ages[one.recording] >= transient)
             out += [one.cut(start, stop) for start, stop in runs(here[one.start : one.stop]).tolist()]
         return out
-
-    def entered(self, key: Key, columns: list[int]) -> list[NDArray[np.float64]]:
-        """Return the visits to a mode that begin with a change, from their first row."""
-        parts = self.parts(key, 0)
-        whole = [one for one in parts if self.ages[one.recording][one.start] == 0 and len(one) > 1]
-        return [one.rows(0, len(one))[:, columns] for one in whole]
 
 
 def _mode(
@@ -293,8 +426,10 @@ def _mode(
     fixed = {one for one, edges in zip(signals.names, signals.edges, strict=True) if edges is None}
     candidates = [one for one in gathered.channels if one not in fixed]
     columns = [gathered.channels.index(one) for one in candidates]
-    entered = visited.entered(key, columns)
-    transient = wait if wait is not None else transient_rows(entered) if entered else 0
+    # visits that begin with a change
+    whole = [one for one in all_rows.segments if visited.ages[one.recording][one.start] == 0 and len(one) > 1]
+    entered = [one.rows(0, len(one))[:, columns] for one in whole] if wait is None else []
+    transient = transient_rows(entered) if entered else wait or 0
     settled = gathered.with_segments(visited.parts(key, transient))
     rows = settled.n_samples
     still = tuple(one for one in channel_facts(settled).constant() if one in candidates) if rows > 1 else ()

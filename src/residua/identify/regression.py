@@ -1,4 +1,4 @@
-"""What recorded outputs are, by linear regression on the inputs: each output less what the inputs say of it."""
+"""Linear regression of recorded outputs on the inputs; its errors are residuals."""
 
 from __future__ import annotations
 
@@ -11,9 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator
 from residua.errors import SettingError
-from residua.identify.channel_filter import channel_generator
-from residua.identify.drift_treatment import untreated
-from residua.identify.lagged_rows import channels_in, few_rows, lagged_rows, standard
+from residua.identify.channel_filter import channel_generator, channels_in, few_rows, lagged_rows, standard, untreated
 from residua.identify.segments import Names, checked_count, gather
 from residua.linear.subspaces.rank import null_basis, range_basis
 from residua.tolerances import DATA_ROUNDING
@@ -30,7 +28,7 @@ class Regression:
     Attributes
     ----------
     generator : ResidualGenerator
-        What a :class:`residua.Monitor` runs.
+        The filter that a :class:`residua.Monitor` runs.
     lags : int
     coefficients : ndarray, shape (lags + 1, outputs, inputs)
         In the units of the channels; those of the present row first.
@@ -62,7 +60,7 @@ def regression(
     lags: int = 0,
     dt: float | None = None,
 ) -> Regression:
-    r"""Return what recorded outputs are beside a linear regression on the inputs, as a residual generator.
+    r"""Return the errors of a linear regression of recorded outputs on inputs, as a residual generator.
 
     .. math:: r_k = y_k - \bar y - \sum_{i=0}^{L} \Theta_i\, (u_{k-i} - \bar u), \qquad
               \min_\Theta \sum_k \| r_k \|^2
@@ -144,26 +142,22 @@ def regression(
     weights = np.zeros((lags + 1, q - m, q))
     weights[0, :, m:] = np.diag(size)
     weights[:, :, :m] = -theta.reshape(lags + 1, m, q - m).transpose(0, 2, 1) * size[:, None]
+    still, _ = null_basis(X, rtol=DATA_ROUNDING)
+    shared = ()
+    if still.size:
+        names = listed(channels_in(still, gathered.inputs, DATA_ROUNDING))
+        shared = (
+            f"{counted(still.shape[1], 'combination')} of {names} never moved: they determine one another, and share "
+            "their coefficients",
+        )
     evidence = Evidence(
         _METHOD,
         ranks={"inputs": decision},
         conditions={"least part explained": float(explained.min())},
-        notes=(*few_rows(stacked.count, len(known) + 1), *units.facts.repeated_outputs(), *_shared(X, gathered.inputs)),
+        notes=(*few_rows(stacked.count, len(known) + 1), *units.facts.repeated_outputs(), *shared),
         references=("Draper and Smith (1998)",),
     )
     groups = dict.fromkeys(gathered.outputs, 1)
     generator = channel_generator(untreated(gathered, units, units.facts.notes(gathered)), weights, groups, evidence)
     coefficients = -weights[:, :, :m] / units.spread[:m]
     return Regression(generator, lags, coefficients, explained, units.mean, stacked.count)
-
-
-def _shared(factor: NDArray[np.float64], inputs: tuple[str, ...]) -> tuple[str, ...]:
-    """Return a note where inputs determine one another."""
-    still, _ = null_basis(factor, rtol=DATA_ROUNDING)
-    if not still.size:
-        return ()
-    names = channels_in(still, inputs, DATA_ROUNDING)
-    return (
-        f"{counted(still.shape[1], 'combination')} of {listed(names)} never moved: they determine one another, and "
-        "share their coefficients",
-    )

@@ -16,7 +16,7 @@ from residua.errors import DataError, ModelError
 from residua.linear import StateSpace
 from residua.plant import Plant
 
-#: What a signature matrix does not say.
+#: The limit of a signature matrix.
 _CODES = "a signature matrix says which residuals answer to a fault, not by how much: isolate by code (Structured)"
 
 
@@ -41,7 +41,7 @@ def given_residuals(
     Parameters
     ----------
     residuals : int or sequence of str
-        How many there are (``r1``, ``r2``, ...), or their names: the columns of the data.
+        Their number (``r1``, ``r2``, ...), or their names: the columns of the data.
     structure : array_like of bool, shape (residuals, faults), or mapping of str to sequence of str, optional
         The fault signature matrix: which residuals answer to which fault. A mapping has the residuals of each fault, by
         name. Without it faults are detected and not named.
@@ -108,6 +108,11 @@ def given_residuals(
     nothing = np.zeros((0, 0))
     system = StateSpace(nothing, np.zeros((0, k)), np.zeros((k, 0)), np.eye(k), dt=dt, inputs=columns, outputs=columns)
     table = None if codes is None else np.array(list(codes.values()), dtype=bool).T
+    members = (
+        ()
+        if table is None
+        else tuple(Member(columns[i], (i,), tuple(np.array(plant.faults)[row].tolist())) for i, row in enumerate(table))
+    )
     return make_generator(
         system,
         plant,
@@ -115,13 +120,9 @@ def given_residuals(
         Evidence("residuals computed elsewhere", notes=() if codes is None else (_CODES,)),
         decouples=Decoupled(),
         state_map=nothing,
-        members=() if table is None else tuple(_member(i, columns, plant, row) for i, row in enumerate(table)),
+        members=members,
         codes=table,
     )
-
-
-def _member(i: int, residuals: tuple[str, ...], plant: Plant, row: NDArray[np.bool_]) -> Member:
-    return Member(residuals[i], (i,), tuple(fault for fault, on in zip(plant.faults, row, strict=True) if on))
 
 
 def _codes(structure: Any, faults: Iterable[str] | None, residuals: tuple[str, ...]) -> dict[str, NDArray[np.bool_]]:
@@ -149,6 +150,3 @@ def _codes(structure: Any, faults: Iterable[str] | None, residuals: tuple[str, .
             f"no residual answers to {', '.join(map(repr, silent))}: leave {them} out, nothing can show {them}"
         )
     return columns
-
-
-__all__ = ["given_residuals"]

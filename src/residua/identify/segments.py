@@ -37,8 +37,8 @@ class Segment:
     ----------
     u, y : ndarray, shape (time, columns)
         The arrays of the recording, all rows of it: nothing is copied.
-    input_columns, output_columns : tuple of int
-        The columns of ``u``, then of ``y``, that are the inputs; and the outputs.
+    columns : tuple of int
+        The columns of ``u``, then of ``y``, that are the inputs, then the outputs.
     start, stop : int
         The rows of this segment.
     recording : int
@@ -51,8 +51,7 @@ class Segment:
 
     u: NDArray
     y: NDArray
-    input_columns: tuple[int, ...]
-    output_columns: tuple[int, ...]
+    columns: tuple[int, ...]
     start: int
     stop: int
     recording: int
@@ -64,12 +63,12 @@ class Segment:
 
     def rows(self, start: int, stop: int) -> NDArray[np.float64]:
         """Return rows of the segment, counted from its start: inputs, then outputs, in their own units."""
-        before, columns = max(self.delays, default=0), self.input_columns + self.output_columns
-        changing = np.flatnonzero(self.differenced)
-        first = before + bool(len(changing))
-        block = _columns(self.u, self.y, columns, self.start + start - first, self.start + stop)
-        if not first:
-            return block
+        before, changing = max(self.delays, default=0), np.flatnonzero(self.differenced)
+        first, last = self.start + start - before - bool(len(changing)), self.start + stop
+        block = np.hstack([self.u[first:last], self.y[first:last]]) if self.u.shape[1] else self.y[first:last]
+        if self.columns != tuple(range(block.shape[1])):
+            block = block[:, list(self.columns)]
+        block = np.asarray(block, dtype=float)
         if before:
             block = np.column_stack([block[before - d : len(block) - d, i] for i, d in enumerate(self.delays)])
         if not len(changing):
@@ -78,13 +77,14 @@ class Segment:
         out[:, changing] -= block[:-1, changing]
         return out
 
+    def blocks(self) -> Iterator[tuple[int, NDArray[np.float64]]]:
+        """Yield the rows some at a time, with the first one's number in the segment."""
+        for start in range(0, len(self), BLOCK):
+            yield start, self.rows(start, min(start + BLOCK, len(self)))
+
     def cut(self, start: int, stop: int) -> Segment:
         """Return a part of it, counted from its start."""
         return replace(self, start=self.start + start, stop=self.start + stop)
-
-    def delayed(self, delays: tuple[int, ...]) -> Segment:
-        """Return the segment with some channels read some rows earlier; what that takes from its start is left out."""
-        return replace(self, start=min(self.start + max(delays), self.stop), delays=delays)
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,12 +99,12 @@ class Gathered:
     segments : tuple of Segment
         Nothing is interpolated between them.
     sources : tuple of str
-        What each recording is called.
+        Name of each recording.
     samples : tuple of int
         Rows of each recording, those with missing values included.
     notes : tuple of str
     timed : bool
-        Whether the recordings said themselves how far apart their rows are.
+        True where the recordings have a step of their own.
     """
 
     inputs: tuple[str, ...]
@@ -126,11 +126,11 @@ class Gathered:
         """Rows without a missing value."""
         return sum(len(one) for one in self.segments)
 
-    def blocks(self, size: int = BLOCK) -> Iterator[tuple[Segment, NDArray[np.float64]]]:
-        """Yield the rows of every segment, at most so many at a time: inputs, then outputs, in their own units."""
+    def blocks(self) -> Iterator[tuple[Segment, int, NDArray[np.float64]]]:
+        """Yield the segments block by block, each with the number of its first row in the segment."""
         for segment in self.segments:
-            for start in range(0, len(segment), size):
-                yield segment, segment.rows(start, min(start + size, len(segment)))
+            for start, block in segment.blocks():
+                yield segment, start, block
 
     def data(self) -> list[NDArray[np.float64]]:
         """Return every segment whole: inputs, then outputs, in their own units; for methods that need it in memory."""
@@ -138,20 +138,29 @@ class Gathered:
 
     def whole(self) -> list[NDArray[np.float64]]:
         """Return every recording that has a complete row, with all its rows: inputs, then outputs; NaN is missing."""
-        first = {one.recording: one for one in reversed(self.segments)}
-        return [
-            _columns(one.u, one.y, one.input_columns + one.output_columns, 0, len(one.y))
-            for _, one in sorted(first.items())
-        ]
+        first = {one.recording: replace(one, start=0, stop=len(one.y), delays=()) for one in self.segments}
+        return [one.rows(0, len(one)) for _, one in sorted(first.items())]
 
     def divided(self, held_out: float) -> tuple[Gathered, Gathered]:
-        """Return the first part of each recording, and its last, which is the fraction ``held_out`` of its rows."""
+        """Return the first part of each recording, and its last, which is the fraction ``held_out`` of its rows.
+
+        Raises
+        ------
+        SettingError
+            If that is no fraction from 0 to below 1.
+        DataError
+            If the first part is empty.
+        """
+        if not (isinstance(held_out, (int, float, np.integer, np.floating)) and 0 <= held_out < 1):
+            raise SettingError(f"held_out must be a fraction from 0 to below 1, got {echo(held_out)}")
         first, last = [], []
         for segment in self.segments:
             border = int(np.ceil((1 - held_out) * self.samples[segment.recording])) - segment.start
             border = min(max(border, 0), len(segment))
             first += [segment.cut(0, border)] if border else []
             last += [segment.cut(border, len(segment))] if border < len(segment) else []
+        if not first:
+            raise DataError("nothing is left to identify from: hold out less")
         return self.with_segments(first), self.with_segments(last)
 
     def shortened(self, rows: int, least: int = 1) -> Gathered:
@@ -184,7 +193,9 @@ class Gathered:
         rows_of = tuple(checked_count(delays.get(name, 0), f"delays: {echo(name)}") for name in self.channels)
         if not any(rows_of):
             return self
-        return self.with_segments([one for one in (part.delayed(rows_of) for part in self.segments) if len(one)])
+        late = max(rows_of)
+        parts = [replace(one, start=one.start + late, delays=rows_of) for one in self.segments if len(one) > late]
+        return self.with_segments(parts)
 
     def of_channels(self, kept: Sequence[str], differenced: Collection[str] = ()) -> Gathered:
         """Return some of the channels, of which some are read as their changes from row to row.
@@ -194,21 +205,17 @@ class Gathered:
         wanted = [i for i, name in enumerate(self.channels) if name in kept]
         m = len(self.inputs)
         changing = tuple(self.channels[i] in differenced for i in wanted) if differenced else ()
-        segments = []
-        for one in self.segments:
-            columns = one.input_columns + one.output_columns
-            start = one.start + bool(changing)
-            if start < one.stop:
-                segments.append(
-                    replace(
-                        one,
-                        input_columns=tuple(columns[i] for i in wanted if i < m),
-                        output_columns=tuple(columns[i] for i in wanted if i >= m),
-                        start=start,
-                        delays=tuple(one.delays[i] for i in wanted) if one.delays else (),
-                        differenced=changing,
-                    )
-                )
+        segments = [
+            replace(
+                one,
+                columns=tuple(one.columns[i] for i in wanted),
+                start=one.start + bool(changing),
+                delays=tuple(one.delays[i] for i in wanted) if one.delays else (),
+                differenced=changing,
+            )
+            for one in self.segments
+            if len(one) > bool(changing)
+        ]
         return replace(
             self,
             inputs=tuple(self.channels[i] for i in wanted if i < m),
@@ -222,7 +229,7 @@ class Gathered:
 
 
 def checked_count(value: object, name: str, least: int = 0, instead: str = "") -> int:
-    """Return a whole number, or say what is wrong with it, and what could stand ``instead`` of one."""
+    """Return a whole number, or raise with the text that could stand ``instead`` of one."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
         other = f", or {instead}" if instead else ""
         raise SettingError(f"{name} must be a whole number, at least {least}{other}, got {echo(value)}")
@@ -261,12 +268,21 @@ def gather(
     """
     if dt is not None and not (isinstance(dt, (int, float, np.number)) and np.isfinite(dt) and dt > 0):
         raise SettingError(f"dt must be a positive step in seconds, got {echo(dt)}")
-    wanted = _wanted(inputs, "inputs"), _wanted(outputs, "outputs")
-    several = [(recordings, y)] if y is not None else _listed(recordings)
+    wanted = []
+    for channels, what in ((inputs, "inputs"), (outputs, "outputs")):
+        named = None if channels is None else (channels,) if isinstance(channels, str) else tuple(channels)
+        if not all(isinstance(one, str) and one for one in named or ()):
+            raise SettingError(f"{what} must be names, got {echo(channels)}")
+        wanted.append(named)
+    if y is not None or _is_pair(recordings):
+        several = [recordings if y is None else (recordings, y)]
+    else:
+        listed_ones = recordings if isinstance(recordings, (list, tuple)) else [recordings]
+        several = [one if _is_pair(one) else (one, None) for one in listed_ones]
     if not several:
         raise DataError("the list of recordings is empty")
-    tables = [_table(one, *wanted, dt, number) for number, one in enumerate(several, 1)]
-    tables, still = _without_still(tables) if outputs is None and y is None else (tables, ())
+    tables = [_table(pair, wanted[0], wanted[1], dt, number) for number, pair in enumerate(several)]
+    tables, notes = _without_still(tables) if outputs is None and y is None else (tables, ())
     first = tables[0]
     if not first.outputs:
         raise DataError("there are no outputs: name them, outputs=[...]")
@@ -276,46 +292,44 @@ def gather(
                 f"recording {number} has the channels {listed(one.inputs + one.outputs)}, the first one "
                 f"{listed(first.inputs + first.outputs)}: name those to use, inputs=[...], outputs=[...]"
             )
-    step, notes = _common_step(tables, dt)
-    return _cut(tables, step, (*notes, *still))
+    steps = [one.dt for one in tables if one.dt is not None]
+    step = dt if dt is not None and steps else [*steps, 1.0][0]
+    for number, one in enumerate(tables, 1):
+        if one.dt is not None and abs(one.dt - step) > _SAME_STEP * step:
+            raise DataError(f"recording {number} ({one.source}) has a step of {one.dt:g} s, expected {step:g} s")
+        if not len(one.rows):
+            raise DataError(f"recording {number} ({one.source}) is empty")
+    segments = [one.rows.cut(start, stop) for one in tables for start, stop in _complete_runs(one.rows)]
+    if not segments:
+        raise DataError(f"no row is complete: {_emptiest(tables)}")
+    samples = tuple(len(one.rows) for one in tables)
+    missing = sum(samples) - sum(map(len, segments))
+    notes = (*(() if steps else (UNTIMED,)), *notes)
+    if missing:
+        notes += (
+            f"{counted(missing, 'row')} of {sum(samples)} with a missing value left out, which cuts the data into "
+            f"{counted(len(segments), 'segment')}",
+        )
+    notes += tuple(dict.fromkeys(f"{one.source}: {note}" for one in tables for note in one.notes))
+    sources = tuple(one.source for one in tables)
+    return Gathered(first.inputs, first.outputs, float(step), tuple(segments), sources, samples, notes, bool(steps))
+
+
+def _is_pair(one: Any) -> bool:
+    return isinstance(one, tuple) and len(one) == 2 and (one[0] is None or np.ndim(one[0]) > 0)
 
 
 @dataclass(frozen=True, eq=False)
 class _Table:
-    """One recording: its arrays, and which of their columns are which channels."""
+    """One recording: all its rows, complete or not, and their channels."""
 
-    u: NDArray
-    y: NDArray
-    input_columns: tuple[int, ...]
-    output_columns: tuple[int, ...]
+    rows: Segment
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     dt: float | None
     source: str
     notes: tuple[str, ...] = ()
     named: bool = False
-
-
-def _wanted(channels: Names, what: str) -> tuple[str, ...] | None:
-    if channels is None:
-        return None
-    listed_names = (channels,) if isinstance(channels, str) else tuple(channels)
-    if not all(isinstance(one, str) and one for one in listed_names):
-        raise SettingError(f"{what} must be names, got {echo(channels)}")
-    return listed_names
-
-
-def _listed(recordings: Any) -> list[tuple[Any, Any]]:
-    """Return what was handed over as pairs, ``y`` being ``None`` where one thing has all channels."""
-
-    def is_pair(one: Any) -> bool:
-        return isinstance(one, tuple) and len(one) == 2 and (one[0] is None or np.ndim(one[0]) > 0)
-
-    if is_pair(recordings):
-        return [recordings]
-    if isinstance(recordings, (list, tuple)):
-        return [one if is_pair(one) else (one, None) for one in recordings]
-    return [(recordings, None)]
 
 
 def _table(
@@ -325,37 +339,28 @@ def _table(
     dt: float | None,
     number: int,
 ) -> _Table:
-    one, y = pair
+    (one, y), source = pair, f"recording {number + 1}"
     if y is not None or isinstance(one, np.ndarray):
-        return _table_of_arrays(one, y, inputs, outputs, dt, f"recording {number}")
+        return _table_of_arrays(one, y, inputs, outputs, dt, number)
     if isinstance(one, (str, Path)):
         one = read_recording(one, dt=dt)
     elif hasattr(one, "columns") and not isinstance(one, Recording):
-        one = recording_from_frame(one, dt=dt, source=f"recording {number}")
+        one = recording_from_frame(one, dt=dt, source=source)
     if not isinstance(one, Recording):
         raise DataError(
-            f"recording {number}: expected a recording, a data frame, a path or arrays (u, y), got {type(one).__name__}"
+            f"{source}: expected a recording, a data frame, a path or arrays (u, y), got {type(one).__name__}"
         )
-    channels, source = tuple(one.columns), one.source or f"recording {number}"
+    channels, source = tuple(one.columns), one.source or source
     chosen_inputs = channels[: one.u.shape[1]] if inputs is None else inputs
     advice = "give inputs and outputs the names of columns"
     found = required_columns((*chosen_inputs, *(outputs or ())), channels, source, advice=advice)
     chosen_outputs = tuple(name for name in channels if name not in found.values()) if outputs is None else outputs
     found |= {name: name for name in chosen_outputs if name not in found}
     _check_once(chosen_inputs, chosen_outputs)
-    place = {name: channels.index(column) for name, column in found.items()}
-    return _Table(
-        one.u,
-        one.y,
-        tuple(place[name] for name in chosen_inputs),
-        tuple(place[name] for name in chosen_outputs),
-        chosen_inputs,
-        chosen_outputs,
-        one.dt,
-        source,
-        (*one.notes, *spelling_notes(found)),
-        named=True,
-    )
+    columns = tuple(channels.index(found[name]) for name in chosen_inputs + chosen_outputs)
+    rows = Segment(one.u, one.y, columns, 0, len(one.y), number)
+    notes = (*one.notes, *spelling_notes(found))
+    return _Table(rows, chosen_inputs, chosen_outputs, one.dt, source, notes, named=True)
 
 
 def _without_still(tables: list[_Table]) -> tuple[list[_Table], tuple[str, ...]]:
@@ -364,40 +369,35 @@ def _without_still(tables: list[_Table]) -> tuple[list[_Table], tuple[str, ...]]
     Nobody has named them: all columns were taken, as far as they are no inputs. Columns of arrays stay.
     """
     first = tables[0]
+    m = len(first.inputs)
     if not all(one.named and one.outputs == first.outputs for one in tables):
         return tables, ()
-    told = {name: value for k, name in enumerate(first.outputs) if (value := _still_at(tables, k)) is not None}
-    if not told or len(told) == len(first.outputs):
+    low = high = np.full(m + len(first.outputs), np.nan)
+    for one in tables:
+        for _, block in one.rows.blocks():
+            known = np.where(np.isfinite(block), block, np.nan)
+            low, high = np.fmin(low, np.fmin.reduce(known)), np.fmax(high, np.fmax.reduce(known))
+    still = {k: low[m + k] for k in range(len(first.outputs)) if not low[m + k] < high[m + k]}
+    if not still or len(still) == len(first.outputs):
         return tables, ()
-    kept = [k for k, name in enumerate(first.outputs) if name not in told]
+    kept = [k for k in range(len(first.outputs)) if k not in still]
     left = [
         replace(
             one,
             outputs=tuple(one.outputs[k] for k in kept),
-            output_columns=tuple(one.output_columns[k] for k in kept),
+            rows=replace(one.rows, columns=one.rows.columns[:m] + tuple(one.rows.columns[m + k] for k in kept)),
         )
         for one in tables
     ]
-    named = listing(f"{echo(name)} ({value})" for name, value in told.items())
+    values = {first.outputs[k]: "no value" if np.isnan(value) else number_text(value) for k, value in still.items()}
+    named = listing(f"{echo(name)} ({value})" for name, value in values.items())
     return left, (f"columns that never change, left out: {named}",)
 
 
-def _still_at(tables: Sequence[_Table], output: int) -> str | None:
-    """Return the value that an output has all the time, in words; ``None`` where it moves."""
-    value = np.nan
-    for one in tables:
-        for start in range(0, len(one.y), BLOCK):
-            block = _columns(one.u, one.y, (one.output_columns[output],), start, start + BLOCK)
-            block = block[np.isfinite(block)]
-            value = block[0] if np.isnan(value) and len(block) else value
-            if (block != value).any():
-                return None
-    return "no value" if np.isnan(value) else number_text(value)
-
-
 def _table_of_arrays(
-    u: Any, y: Any, inputs: tuple[str, ...] | None, outputs: tuple[str, ...] | None, dt: float | None, source: str
+    u: Any, y: Any, inputs: tuple[str, ...] | None, outputs: tuple[str, ...] | None, dt: float | None, number: int
 ) -> _Table:
+    source = f"recording {number + 1}"
     if y is None:
         whole = _two_dimensional(u, source)
         m = len(inputs or ())
@@ -417,8 +417,8 @@ def _table_of_arrays(
     except ModelError as error:
         raise DataError(f"{source}: {error}") from error
     _check_once(input_names, output_names)
-    m, p = u.shape[1], y.shape[1]
-    return _Table(u, y, tuple(range(m)), tuple(range(m, m + p)), input_names, output_names, dt, source)
+    rows = Segment(u, y, tuple(range(u.shape[1] + y.shape[1])), 0, len(y), number)
+    return _Table(rows, input_names, output_names, dt, source)
 
 
 def _two_dimensional(data: Any, what: str) -> NDArray:
@@ -444,56 +444,10 @@ def _check_once(inputs: tuple[str, ...], outputs: tuple[str, ...]) -> None:
         raise SettingError(str(error)) from error
 
 
-def _common_step(tables: Sequence[_Table], dt: float | None) -> tuple[float, tuple[str, ...]]:
-    steps = [one.dt for one in tables if one.dt is not None]
-    if not steps:
-        return 1.0, (UNTIMED,)
-    step = dt if dt is not None else steps[0]
-    for number, one in enumerate(tables, 1):
-        if one.dt is not None and abs(one.dt - step) > _SAME_STEP * step:
-            raise DataError(f"recording {number} ({one.source}) has a step of {one.dt:g} s, expected {step:g} s")
-    return float(step), ()
-
-
-def _cut(tables: Sequence[_Table], dt: float, notes: tuple[str, ...]) -> Gathered:
-    segments: list[Segment] = []
-    missing = 0
-    for number, one in enumerate(tables):
-        if not len(one.y):
-            raise DataError(f"recording {number + 1} ({one.source}) is empty")
-        parts = _complete_runs(one)
-        missing += len(one.y) - sum(stop - start for start, stop in parts)
-        segments += [
-            Segment(one.u, one.y, one.input_columns, one.output_columns, start, stop, number) for start, stop in parts
-        ]
-    samples = tuple(len(one.y) for one in tables)
-    if not segments:
-        raise DataError(f"no row is complete: {_emptiest(tables)}")
-    if missing:
-        notes += (
-            f"{counted(missing, 'row')} of {sum(samples)} with a missing value left out, which cuts the data into "
-            f"{counted(len(segments), 'segment')}",
-        )
-    notes += tuple(dict.fromkeys(f"{one.source}: {note}" for one in tables for note in one.notes))
-    first = tables[0]
-    return Gathered(
-        first.inputs,
-        first.outputs,
-        dt,
-        tuple(segments),
-        tuple(one.source for one in tables),
-        samples,
-        notes,
-        UNTIMED not in notes,
-    )
-
-
-def _complete_runs(table: _Table) -> list[tuple[int, int]]:
+def _complete_runs(rows: Segment) -> list[tuple[int, int]]:
     """Return the runs of rows without a missing value, as (start, stop)."""
     out: list[tuple[int, int]] = []
-    for start in range(0, len(table.y), BLOCK):
-        stop = min(start + BLOCK, len(table.y))
-        block = _columns(table.u, table.y, table.input_columns + table.output_columns, start, stop)
+    for start, block in rows.blocks():
         for first, last in (runs(np.asarray(np.isfinite(block).all(axis=1))) + start).tolist():
             if out and out[-1][1] == first:
                 out[-1] = (out[-1][0], last)
@@ -504,20 +458,8 @@ def _complete_runs(table: _Table) -> list[tuple[int, int]]:
 
 def _emptiest(tables: Sequence[_Table]) -> str:
     """Name the channel with the most missing values."""
-    channels = tables[0].inputs + tables[0].outputs
-    absent = np.zeros(len(channels))
-    for one in tables:
-        for start in range(0, len(one.y), BLOCK):
-            block = _columns(one.u, one.y, one.input_columns + one.output_columns, start, start + BLOCK)
-            absent += (~np.isfinite(block)).sum(axis=0)
-    worst = int(absent.argmax())
-    total = sum(len(one.y) for one in tables)
-    return f"{channels[worst]!r} is missing in {int(absent[worst])} of {total} rows; leave it out, or other channels"
-
-
-def _columns(u: NDArray, y: NDArray, columns: tuple[int, ...], start: int, stop: int) -> NDArray[np.float64]:
-    """Return rows of some columns of two arrays side by side, as numbers."""
-    whole = np.hstack([u[start:stop], y[start:stop]]) if u.shape[1] else y[start:stop]
-    if columns == tuple(range(whole.shape[1])):
-        return np.asarray(whole, dtype=float)
-    return np.asarray(whole[:, list(columns)], dtype=float)
+    gaps = [(~np.isfinite(block)).sum(axis=0) for one in tables for _, block in one.rows.blocks()]
+    absent = np.sum(gaps, axis=0)
+    worst, total = int(np.argmax(absent)), sum(len(one.rows) for one in tables)
+    channel = (tables[0].inputs + tables[0].outputs)[worst]
+    return f"{channel!r} is missing in {int(absent[worst])} of {total} rows; leave it out, or other channels"

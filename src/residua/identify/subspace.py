@@ -3,48 +3,119 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import DataError, SettingError
-from residua.identify.canonical_weights import canonical_weights
 from residua.identify.channel_facts import ChannelFacts, channel_facts
-from residua.identify.excitation import Excitation, excitation
-from residua.identify.fit_report import SteadyGain
-from residua.identify.hankel_factor import HankelFactor, hankel_factor
-from residua.identify.horizon import choose_past, past_of_order
+from residua.identify.fit_report import IdentificationReport, SteadyGain, facts_of_fit
+from residua.identify.hankel_factor import NOISE_FREE, HankelFactor, count_windows, hankel_factor
 from residua.identify.identified_model import IdentifiedModel, plant_of, with_input_delays
-from residua.identify.model_report import IdentificationReport
-from residua.identify.moesp import moesp
-from residua.identify.n4sid import n4sid
-from residua.identify.order_choice import OrderChoice, choose_order
-from residua.identify.pbsid import pbsid
-from residua.identify.prediction import error_facts
-from residua.identify.realisation import Innovations, realise, resampled
+from residua.identify.prediction import Innovations, predictions
 from residua.identify.segments import Gathered, Names, checked_count, gather
-from residua.identify.state_map import StateMap
-from residua.linear.poles.spectrum import spectral_radius
-from residua.plant import Plant
+from residua.identify.subspace_methods import StateMap, realise, resampled, state_map
 from residua.progress import Progress, progress_of
 from residua.tolerances import POLE, RANK
 from residua.visible import echo
 from residua.words import counted, number
 
 Method = Literal["pbsid", "cva", "n4sid", "moesp"]
-#: The names of the methods in texts.
-_WRITTEN = {"pbsid": "PBSID", "cva": "CVA", "n4sid": "N4SID", "moesp": "MOESP"}
 #: Orders that are compared at most, unless the caller says otherwise.
 _MOST_ORDERS = 25
-#: Rows on which a model is judged at most, of its own and of those that are held out.
-_JUDGED = 500_000
 #: A spread is estimated from at least so many parts of the data.
 _LEAST_PARTS = 6
 #: Time constants of the slowest pole that a stretch of rows has to last for a steady gain.
 _SETTLED_IN = 5.0
-#: The part of their size by which states may move in a row at the operating point without a word.
-_UNBALANCED = 0.01
+#: Rows from which the past is chosen: that choice need not be exact.
+_ROWS_FOR_PAST = 100_000
+#: Columns of the Hankel matrix of the longest past that is tried, and rows for each of its columns.
+_MOST_COLUMNS, _LEAST_ROWS = 400, 4
+#: The longest past that is tried.
+_LONGEST = 60
+#: Rows on which orders are compared, of those that the model is from and of those held out.
+_ROWS = 50_000
+#: Orders below one that is asked for that it is compared with, where it is larger than those that are compared anyway.
+_BELOW = 3
+
+
+def choose_past(
+    gathered: Gathered, facts: ChannelFacts, order: int | Literal["auto"], least: int, *, feedthrough: bool
+) -> int:
+    """Return the rows of the past that predict the outputs best by Akaike's criterion, corrected for few samples.
+
+    They are as many as the order that is wanted needs, and ``least`` at least.
+
+    Raises
+    ------
+    DataError
+        If the data are too few for a single row of the past.
+    """
+    data = gathered.shortened(_ROWS_FOR_PAST)
+    n = len(gathered.channels)
+    most = min(_LONGEST, _MOST_COLUMNS // n)
+    while most > 1 and count_windows(data, most + 1) < _LEAST_ROWS * (1 + n * (most + 1)):
+        most -= 1
+    windows = count_windows(data, most + 1)
+    if windows < 2 * (1 + 2 * n):
+        rows = max((len(one) for one in data.segments), default=0)
+        raise DataError(
+            f"too few data for a model of {n} channels: the longest segment without a missing value has {rows} rows, "
+            f"{2 * (1 + 2 * n) + 1} in a row are the least; take fewer channels, or a longer recording"
+        )
+    factor = hankel_factor(data, most + 1, facts)
+    newest_first = [column for time in reversed(range(most)) for column in factor.signals([time])]
+    fixed = [0, *(factor.inputs(most) if feedthrough else [])]
+    T = np.asarray(np.linalg.qr(factor.R[:, [*fixed, *newest_first, *factor.outputs(most)]], mode="r"))
+    outputs = len(gathered.outputs)
+
+    def akaike(past: int) -> float:
+        regressors = len(fixed) + past * n
+        left = windows - regressors - outputs - 1
+        if left <= 0:
+            return np.inf
+        return windows * log_determinant(T[regressors:, -outputs:], windows) + 2 * outputs * regressors * windows / left
+
+    best = min(range(1, most + 1), key=akaike)
+    return max(best if order == "auto" else past_of_order(gathered, int(order), best), least)
+
+
+def past_of_order(gathered: Gathered, order: int, least: int) -> int:
+    """Return the rows of the past, ``least`` or more, in which so many states show, and one more for their shift.
+
+    Where the data are too few for the one more, and the least will do without it, it is the least.
+
+    Raises
+    ------
+    DataError
+        If the data have fewer than four windows for each column of that Hankel matrix.
+    """
+    n, p = len(gathered.channels), len(gathered.outputs)
+
+    def enough(past: int) -> int:
+        return _LEAST_ROWS * (1 + n * (past + 1))
+
+    past = max(-(-order // p) + 1, least)
+    windows = count_windows(gathered, past + 1)
+    if windows >= enough(past):
+        return past
+    if order <= least * p:
+        return least
+    smaller = ((k, -(-k // p) + 1) for k in range(order - 1, least * p, -1))
+    largest = next((k for k, rows in smaller if count_windows(gathered, rows + 1) >= enough(rows)), least * p)
+    raise DataError(
+        f"too few data for a model of order {order}: it needs {past} rows of the past of "
+        f"{counted(n, 'channel')}, and there are {windows} such windows where {enough(past)} are the "
+        f"least; the data are enough for order {largest}; choose a smaller order, or give the past yourself"
+    )
+
+
+def log_determinant(residual: NDArray, samples: int) -> float:
+    """Return the logarithm of the determinant of a covariance, from columns whose products over ``samples`` it is."""
+    s = np.linalg.svd(residual, compute_uv=False) / np.sqrt(samples)
+    return 2 * float(np.log(np.maximum(s, NOISE_FREE)).sum())
 
 
 def subspace(
@@ -97,7 +168,7 @@ def subspace(
     past : int or "auto"
         Rows of the past; by Akaike's criterion for autoregressions with inputs when omitted.
     feedthrough : bool
-        Whether an input moves an output within the same row. A controller that answers within the row looks the same,
+        True if an input moves an output within the same row. A controller that answers within the row looks the same,
         so that this is never guessed; the report says where the data look so.
     delays : mapping of str to int, optional
         Rows by which an input acts late, where that is known: the plant holds them as states.
@@ -153,172 +224,155 @@ def subspace(
     """
     if method not in get_args(Method):
         raise SettingError(f"method must be one of {', '.join(get_args(Method))}, got {echo(method)}")
-    _check_numbers(order, max_order, past, held_out)
-    gathered = gather(recordings, y, inputs=inputs, outputs=outputs, dt=dt)
-    whole = gathered.delayed(delays or {})
-    tell, close = progress_of(progress)
-    try:
-        first, last = whole.divided(held_out)
-        if not first.segments:
-            raise DataError("nothing is left to identify from: hold out less")
-        facts = channel_facts(first)
-        facts.check()
-        horizon = choose_past(first, facts, feedthrough=feedthrough) if past == "auto" else int(past)
-        if past == "auto" and order != "auto":
-            horizon = past_of_order(first, int(order), horizon)
-        if method == "moesp" and horizon < 2:
-            if past != "auto":
-                raise SettingError("past must be at least 2 for 'moesp', whose dynamics are a shift by a row, got 1")
-            horizon = 2
-        length = horizon + 1 if method == "pbsid" else 2 * horizon
-        factor = hankel_factor(first, length, facts, progress=tell)
-        states = _states(method, factor, horizon, feedthrough)
-        most = len(states.T) if max_order is None else min(max_order, len(states.T))
-        most = min(most, _MOST_ORDERS) if max_order is None else most
-        choice = choose_order(factor, states, most, first, last, order, feedthrough=feedthrough, progress=tell)
-        model = realise(factor, states, choice.order, feedthrough=feedthrough)
-        made = _Made(method, first, last, facts, factor, states, choice, model, feedthrough)
-        notes = (*gathered.notes, *facts.notes(gathered), *made.notes())
-        return made.result(delays or {}, notes, units=units, name=name)
-    finally:
-        close()
-
-
-def _check_numbers(order: Any, max_order: Any, past: Any, held_out: Any) -> None:
-    for value, what, least, other in (
-        (order, "order", 0, "auto"),
-        (max_order, "max_order", 0, None),
-        (past, "past", 1, "auto"),
-    ):
+    options = {"order": (order, 0, "auto"), "max_order": (max_order, 0, None), "past": (past, 1, "auto")}
+    for what, (value, smallest, other) in options.items():
         if not (type(value) is type(other) and value == other):
-            checked_count(value, what, least, repr(other))
+            checked_count(value, what, smallest, repr(other))
     if max_order is not None and order != "auto" and max_order < order:
         raise SettingError(f"max_order must be at least the order that is asked for, {order}, got {max_order}")
-    if not (isinstance(held_out, (int, float, np.integer, np.floating)) and 0 <= held_out <= 0.9):
-        raise SettingError(f"held_out must be a fraction from 0 to 0.9, got {echo(held_out)}")
+    least = 2 if method == "moesp" else 1
+    if past != "auto" and past < least:
+        raise SettingError("past must be at least 2 for 'moesp', whose dynamics are a shift by a row, got 1")
+    gathered = gather(recordings, y, inputs=inputs, outputs=outputs, dt=dt)
+    delayed = dict(delays or {})
+    first, last = gathered.delayed(delayed).divided(held_out)
+    facts = channel_facts(first)
+    facts.check()
+    tell, close = progress_of(progress)
+    try:
+        horizon = choose_past(first, facts, order, least, feedthrough=feedthrough) if past == "auto" else int(past)
+        length = horizon + 1 if method == "pbsid" else 2 * horizon
+        factor = hankel_factor(first, length, facts, progress=tell)
+        states = state_map(method, factor, horizon, feedthrough=feedthrough)
+        most = min(_MOST_ORDERS if max_order is None else max_order, len(states.T))
+        choice = choose_order(factor, states, most, first, last, order, feedthrough=feedthrough, progress=tell)
+        model = realise(factor, states, choice["order"], feedthrough=feedthrough)
+        made = facts_of_fit(model, first, last, facts, factor, feedthrough=feedthrough)
+        parts = len(factor.parts)
+        again = resampled(factor, states, model.order, method, feedthrough=feedthrough) if parts >= _LEAST_PARTS else []
+    finally:
+        close()
+    around = (first.inputs, first.outputs, first.dt, facts.mean, facts.units)
+    plant, K, V = plant_of(model, *around, units=units, name=name)
+    others = [plant_of(one, *around)[0] for one in again]
+    gain = None
+    if plant.inputs and np.abs(made["poles"] - 1).min(initial=np.inf) >= POLE:
+        gains = np.array([one.system("control").dc_gain() for one in others])
+        error = np.sqrt((len(gains) - 1) * gains.var(axis=0)) if len(gains) else None
+        if error is not None:
+            # all parts may agree on what no row of any of them shows
+            error[:, made["excitation"].unexplained < RANK] = np.inf
+        gain = SteadyGain(plant.system("control").dc_gain(), error)
+    report = IdentificationReport(
+        **made,
+        **choice,
+        method=method.upper(),
+        singular_values=states.singular_values,
+        predictor_poles=np.linalg.eigvals(model.A - model.K @ model.C).astype(complex),
+        steady_gain=gain,
+    )
+    about = _about_the_model(report, max(map(len, first.segments)), len(others), parts)
+    report = replace(report, notes=(*gathered.notes, *facts.notes(gathered), *report.notes, *about))
+    late, *others = (with_input_delays(one, delayed) for one in (plant, *others))
+    K = np.vstack([K, np.zeros((late.n_states - plant.n_states, len(V)))])
+    return IdentifiedModel(late.with_identification(report.identification), report, K, V, tuple(others))
 
 
-def _states(method: str, factor: HankelFactor, past: int, feedthrough: bool) -> StateMap:
-    if method == "pbsid":
-        return pbsid(factor, past, past, feedthrough=feedthrough)
-    return {"n4sid": n4sid, "moesp": moesp, "cva": canonical_weights}[method](factor, past)
-
-
-class _Made:
-    """A model with all that it was made of, for its report."""
-
-    def __init__(
-        self,
-        method: str,
-        first: Gathered,
-        last: Gathered,
-        facts: ChannelFacts,
-        factor: HankelFactor,
-        states: StateMap,
-        choice: OrderChoice,
-        model: Innovations,
-        feedthrough: bool,
-    ) -> None:
-        self.method, self.first, self.last, self.facts, self.factor = method, first, last, facts, factor
-        self.states, self.choice, self.model, self.feedthrough = states, choice, model, feedthrough
-        self.excitation = excitation(factor, states.past, feedthrough=feedthrough)
-
-    def notes(self) -> tuple[str, ...]:
-        """Return what is said of the model itself."""
-        first, model = self.first, self.model
-        notes = [model.note] if model.note else []
-        if not self.feedthrough:
-            pairs = [f"{first.outputs[i]!r} with {first.inputs[j]!r}" for i, j in self.excitation.instant]
-            if pairs:
-                notes.append(
-                    f"within a row {', '.join(pairs[:4])} move together: feedthrough=True if the plant answers within "
-                    "a row; leave it if a controller does"
-                )
-        if not model.order:
-            notes.append("the model has no states: nothing of the past, and no input, tells what the outputs will be")
-        rows = max((len(one) for one in self.last.segments), default=0)
-        if self.last.n_samples and rows <= model.past:
-            notes.append(
-                f"nothing is judged on held-out rows: {rows} in a row, and a prediction needs {model.past} before it"
-            )
-        radius = float(spectral_radius(model.A))
-        if radius >= 1:
-            notes.append(
-                f"the plant has a pole of size {radius:.6g}: it integrates, drifts, or was held by a controller"
-            )
-        slowest = float(np.abs(np.linalg.eigvals(model.A) - 1).min(initial=np.inf))
-        longest = max(len(one) for one in first.segments)
-        if first.inputs and slowest >= POLE and longest * slowest < _SETTLED_IN:
-            notes.append(
-                f"a pole lies near one, with a time constant of {number(first.dt / slowest)} s, and the longest "
-                f"stretch without a gap has {number(longest * first.dt)} s: the steady gains, and their standard "
-                "errors, are from transients alone and say little"
-            )
-        left = model.at_rest()[2]
-        if left > _UNBALANCED:
-            notes.append(f"no operating point balances the model: its states move by {left:.2g} a row at mean inputs")
-        return tuple(notes)
-
-    def result(self, delays: Mapping[str, int], notes: tuple[str, ...], **options: Any) -> IdentifiedModel:
-        """Return the model as users get it."""
-        first, facts, model = self.first, self.facts, self.model
-        around = (first.inputs, first.outputs, first.dt, facts.mean, facts.units)
-        plant, K, V = plant_of(model, *around, **options)
-        others: list[Plant] = []
-        count = len(self.factor.parts)
-        if count < _LEAST_PARTS:
-            notes += (
-                f"no standard errors: the rows make {counted(count, 'part')} of data, {_LEAST_PARTS} are needed; "
-                "identify from more rows, or with a shorter past",
-            )
-        else:
-
-            def find(factor: HankelFactor) -> StateMap:
-                return _states(self.method, factor, self.states.past, self.feedthrough)
-
-            parts = resampled(self.factor, self.states, model.order, find, feedthrough=self.feedthrough)
-            others = [plant_of(one, *around)[0] for one in parts]
-            if len(others) < count:
-                notes += (
-                    f"standard errors are from {len(others)} of {count} parts of the data: without one of the others "
-                    f"no stable model of order {model.order} can be made, so that they are too small, if anything",
-                )
-        fitted = error_facts(model, first.shortened(_JUDGED, 2 * model.past + 1), facts.mean, facts.units)
-        assert fitted is not None  # there are windows longer than the past
-        report = IdentificationReport(
-            method=_WRITTEN[self.method],
-            inputs=first.inputs,
-            outputs=first.outputs,
-            dt=first.dt,
-            order=model.order,
-            order_reason=self.choice.reason,
-            singular_values=self.states.singular_values,
-            orders=self.choice.orders,
-            criterion=self.choice.criterion,
-            held_out_errors=self.choice.held_out_errors,
-            past=self.states.past,
-            samples=first.n_samples,
-            held_out=error_facts(model, self.last.shortened(_JUDGED, 2 * model.past + 1), facts.mean, facts.units),
-            fitted=fitted,
-            excitation=self.excitation,
-            poles=np.linalg.eigvals(model.A).astype(complex),
-            predictor_poles=np.linalg.eigvals(model.A - model.K @ model.C).astype(complex),
-            steady_gain=_steady_gain(plant, others, self.excitation),
-            notes=notes,
+def _about_the_model(report: IdentificationReport, longest: int, others: int, parts: int) -> list[str]:
+    """Return notes on the model, and on its standard errors from the data without each of their parts."""
+    notes, dt = [], report.dt
+    if not report.order:
+        notes.append("the model has no states: nothing of the past, and no input, tells what the outputs will be")
+    slowest = float(np.abs(report.poles - 1).min(initial=np.inf))
+    if report.inputs and slowest >= POLE and longest * slowest < _SETTLED_IN:
+        notes.append(
+            f"a pole lies near one, with a time constant of {number(dt / slowest)} s, and the longest stretch without "
+            f"a gap has {number(longest * dt)} s: the steady gains, and their standard errors, are from transients "
+            "alone and say little"
         )
-        delayed = [with_input_delays(one, delays) for one in (plant, *others)]
-        rows = delayed[0].n_states - plant.n_states
-        noted = delayed[0].with_identification(report.identification)
-        return IdentifiedModel(noted, report, np.vstack([K, np.zeros((rows, len(V)))]), V, tuple(delayed[1:]))
+    if parts < _LEAST_PARTS:
+        notes.append(
+            f"no standard errors: the rows make {counted(parts, 'part')} of data, {_LEAST_PARTS} are needed; identify "
+            "from more rows, or with a shorter past"
+        )
+    elif others < parts:
+        notes.append(
+            f"standard errors are from {others} of {parts} parts of the data: without one of the others no stable "
+            f"model of order {report.order} can be made, so that they are too small, if anything"
+        )
+    return notes
 
 
-def _steady_gain(plant: Plant, others: list[Plant], excitation: Excitation) -> SteadyGain | None:
-    poles = np.linalg.eigvals(plant.A)
-    if not plant.inputs or (len(poles) and np.abs(poles - 1).min() < POLE):
-        return None
-    gains = np.array([one.system("control").dc_gain() for one in others])
-    count = len(gains)
-    error = np.sqrt((count - 1) / count * ((gains - gains.mean(axis=0)) ** 2).sum(axis=0)) if count else None
-    if error is not None:
-        error[:, excitation.unexplained < RANK] = np.inf  # all parts may agree on what no row of any of them shows
-    return SteadyGain(plant.system("control").dc_gain(), error)
+def choose_order(
+    factor: HankelFactor,
+    states: StateMap,
+    most: int,
+    fitted: Gathered,
+    held_out: Gathered,
+    wanted: int | Literal["auto"],
+    *,
+    feedthrough: bool,
+    progress: Progress,
+) -> dict[str, Any]:
+    """Return the order by Schwarz's criterion, or the one that is wanted, beside the others, as the report has them.
+
+    Raises
+    ------
+    DataError
+        If the data have fewer candidates for states than the order that is wanted.
+    """
+    orders = tuple(range(most + 1))
+    if wanted != "auto":
+        orders = tuple(sorted({*orders, *range(max(int(wanted) - _BELOW, 0), int(wanted) + 1)}))
+    if orders[-1] > len(states.T):
+        raise DataError(
+            f"the data support {len(states.T)} states at most with {states.past} rows of the past, {orders[-1]} are "
+            "asked for: give a longer past, or a smaller order"
+        )
+    enough = 2 * states.past + 1  # rows of a part: fewer than the past foretell none
+    seen, unseen = fitted.shortened(_ROWS, enough), held_out.shortened(_ROWS, enough)
+    values, errors = np.full(len(orders), np.inf), np.full(len(orders), np.nan)
+    for k, order in enumerate(orders):
+        progress("orders", k, len(orders))
+        try:
+            model = realise(factor, states, order, feedthrough=feedthrough)
+        except DataError:  # no stable predictor has its covariances
+            continue
+        values[k] = criterion(model, seen, factor, feedthrough=feedthrough)
+        rows, total, squares, left = 0, 0.0, 0.0, 0.0
+        for _, y, predicted in predictions(model, unseen, factor.reference, factor.units):
+            e, rows, total = y - predicted, rows + len(y), total + y.sum(axis=0)
+            squares, left = squares + np.einsum("ij,ij->j", y, y), left + np.einsum("ij,ij->j", e, e)
+        if rows:
+            spread = np.asarray(squares - total**2 / rows)
+            share = np.maximum(left / np.where(spread > 0, spread, 1.0), np.finfo(float).tiny)
+            errors[k] = np.exp(np.log(share).mean() / 2)
+    progress("orders", len(orders), len(orders))
+    values -= values.min()
+    best, reason = int(values.argmin()) if wanted == "auto" else int(wanted), "as asked for"
+    if wanted == "auto":
+        reason = "the smallest information criterion"
+        if best == most and best:
+            reason += ", which is still falling at the largest order that was compared (max_order)"
+        if np.isfinite(errors).any():
+            reason += f"; the held-out error is smallest at order {int(np.nanargmin(errors))}"
+    compared = {"orders": orders, "criterion": values, "held_out_errors": errors}
+    return {"order": best, "order_reason": reason, **compared}
+
+
+def criterion(model: Innovations, fitted: Gathered, factor: HankelFactor, *, feedthrough: bool) -> float:
+    r"""Return Schwarz's criterion of a model, by the errors of its own predictor on rows that it is from.
+
+    .. math:: N \log \det \hat V_n + n (2 p + m) \log N
+
+    The predictor runs on from row to row. Errors of the outputs given states that are taken anew from the past of each
+    row would not do: the leading combination of the past alone says nearly all of the next row of a slow output, and
+    nothing of the row after.
+    """
+    errors = np.vstack(
+        [y - predicted for _, y, predicted in predictions(model, fitted, factor.reference, factor.units)]
+    )
+    (rows, p), m = errors.shape, factor.n_inputs
+    parameters = model.order * (2 * p + m) + (p * m if feedthrough else 0)
+    root = np.asarray(np.linalg.qr(errors, mode="r"))
+    return rows * log_determinant(root, rows) + parameters * float(np.log(rows))

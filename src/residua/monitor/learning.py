@@ -18,10 +18,9 @@ from residua.decide.test import Block
 from residua.design import ResidualGenerator, kalman_filter
 from residua.errors import DataError, ResiduaError, SettingError
 from residua.identify.canonical_variates import canonical_variates
-from residua.identify.channel_faults import with_channel_faults
+from residua.identify.channel_facts import exact_channels, guessed_inputs
 from residua.identify.fit_report import FitReport
-from residua.identify.identified_model import IdentifiedModel
-from residua.identify.input_guess import exact_channels, guessed_inputs
+from residua.identify.identified_model import IdentifiedModel, with_channel_faults
 from residua.identify.segments import Gathered, Names, gather
 from residua.identify.subspace import subspace
 from residua.monitor.filtering import filter_block

@@ -8,8 +8,7 @@ from typing import Any
 
 from residua.errors import FileFormatError, ResiduaError
 from residua.files import other_version, read_bytes, write_text
-from residua.identify.operating_modes import ModeSignals, mode_signals
-from residua.identify.regimes import OperatingMode, Regimes
+from residua.identify.regimes import ModeSignals, OperatingMode, Regimes, mode_signals
 from residua.json_files import CHECKSUM, check_checksum, dumps, loads
 from residua.monitor.monitor import Monitor
 from residua.monitor.regime_monitor import SAME_STEP, RegimeMonitor

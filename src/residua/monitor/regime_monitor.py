@@ -14,8 +14,7 @@ from residua.arrays import runs
 from residua.decide.isolation import IsolationSettings
 from residua.decide.test import TestSettings
 from residua.errors import DataError, ModelError
-from residua.identify.operating_modes import ages, distinct, rows_in
-from residua.identify.regimes import OperatingMode, Regimes
+from residua.identify.regimes import OperatingMode, Regimes, ages, distinct, rows_in
 from residua.monitor.diagnosis import Diagnosis
 from residua.monitor.fault_learning import intervals_of
 from residua.monitor.inputs import Signals, several_signals, signals
