@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from residua.design.estimation.accommodation import Compensation, closed_loop, compensation_gain
     from residua.design.estimation.fault_estimator import FaultEstimator, fault_estimator
     from residua.design.estimation.sensor_fault_estimators import SensorFaultEstimators, sensor_fault_estimators
-    from residua.design.observers.descriptor_observer import descriptor_observer
     from residua.design.observers.general_residual_generator import (
         GeneralForm,
         general_form,
@@ -32,7 +31,7 @@ if TYPE_CHECKING:
     from residua.design.observers.luenberger_observer import luenberger_observer
     from residua.design.observers.observer import Observer
     from residua.design.observers.perfect_observer import PerfectObserver, perfect_observer
-    from residua.design.observers.reduced_order_observer import reduced_order_observer
+    from residua.design.observers.reduced_order_observer import descriptor_observer, reduced_order_observer
     from residua.design.observers.unknown_input_observer import unknown_input_observer
     from residua.design.parity.directional_parity import directional_parity
     from residua.design.parity.equivalence import Equivalence, RowTransformation
@@ -137,7 +136,6 @@ hand_on(
         "residua.design.estimation.accommodation": ("Compensation", "closed_loop", "compensation_gain"),
         "residua.design.estimation.fault_estimator": ("FaultEstimator", "fault_estimator"),
         "residua.design.estimation.sensor_fault_estimators": ("SensorFaultEstimators", "sensor_fault_estimators"),
-        "residua.design.observers.descriptor_observer": ("descriptor_observer",),
         "residua.design.observers.general_residual_generator": (
             "GeneralForm",
             "general_form",
@@ -148,7 +146,7 @@ hand_on(
         "residua.design.observers.luenberger_observer": ("luenberger_observer",),
         "residua.design.observers.observer": ("Observer",),
         "residua.design.observers.perfect_observer": ("PerfectObserver", "perfect_observer"),
-        "residua.design.observers.reduced_order_observer": ("reduced_order_observer",),
+        "residua.design.observers.reduced_order_observer": ("descriptor_observer", "reduced_order_observer"),
         "residua.design.observers.unknown_input_observer": ("unknown_input_observer",),
         "residua.design.parity.directional_parity": ("directional_parity",),
         "residua.design.parity.equivalence": ("Equivalence", "RowTransformation"),

@@ -9,9 +9,9 @@ from numpy.typing import ArrayLike
 from residua.design.banks.bank import MemberDesign
 from residua.design.banks.decoupled_residual import decoupled_residual
 from residua.design.core.generator import ResidualGenerator
-from residua.design.observers.descriptor_observer import descriptor_observer
 from residua.design.observers.observer_gain import checked_options
 from residua.design.observers.perfect_observer import perfect_observer
+from residua.design.observers.reduced_order_observer import descriptor_observer
 from residua.design.observers.unknown_input_observer import unknown_input_observer
 from residua.errors import DesignError
 from residua.plant import Plant

@@ -8,9 +8,13 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from residua.design.core.evidence import Evidence
 from residua.errors import DesignError
+from residua.linear.poles.observer_gain import ObserverGain, observer_gain
+from residua.linear.poles.spectrum import describe_modes
+from residua.linear.subspaces.quotient import ObservableSplit, observable_split
 from residua.plant import Plant
-from residua.plant.balanced import BalancedPlant
+from residua.plant.balanced import BalancedPlant, undetectable
 
 
 def checked_options(poles: Any, margin: float | None) -> tuple[Any, float | None]:
@@ -62,6 +66,41 @@ def default_weights(model: BalancedPlant) -> tuple[NDArray[np.float64], NDArray[
     return T * units.process_weight @ T.T, np.diag(outputs)
 
 
+def pair_gain(
+    model: BalancedPlant,
+    A: NDArray,
+    C: NDArray,
+    noise: tuple[NDArray, NDArray],
+    poles: Sequence[complex] | ArrayLike | None,
+    margin: float | None,
+    *,
+    split: ObservableSplit | None = None,
+) -> ObserverGain:
+    """Return the gain for a pair made of a balanced plant and its noise, with poles or margin in the plant's units."""
+    poles, margin = asked(model.plant, poles, margin)
+    return observer_gain(
+        A,
+        C,
+        observable_split(A, C) if split is None else split,
+        sampled=model.plant.is_discrete,
+        process=noise[0],
+        measurement=noise[1],
+        poles=poles,
+        margin=margin,
+        rate=model.units.rate,
+    )
+
+
+def require_detectable(model: BalancedPlant, outputs: list[int] | None = None) -> None:
+    """Raise where a mode that no output sees, or none of some outputs, is not stable."""
+    hidden = undetectable(model, outputs)
+    if hidden.size:
+        raise DesignError(
+            f"(C, A) is not detectable: no measurement that is used sees the mode {describe_modes(hidden)}, and it is "
+            "not stable; add a sensor that sees it"
+        )
+
+
 def gain_evidence(gain: Any, rate: float) -> dict[str, Any]:
     """Return the poles of a gain, and its note, as fields of an evidence."""
     return {
@@ -70,3 +109,9 @@ def gain_evidence(gain: Any, rate: float) -> dict[str, Any]:
         "fixed_poles": rate * gain.fixed,
         "notes": (gain.note,) if gain.note else (),
     }
+
+
+def with_gain(evidence: Evidence, gain: ObserverGain, model: BalancedPlant, name: str = "K") -> Evidence:
+    """Return evidence with the poles of a gain, their error and its size."""
+    conditions = {"pole error": gain.error, f"size of {name}": gain.norm}
+    return evidence.extended(conditions=conditions, **gain_evidence(gain, model.units.rate))
