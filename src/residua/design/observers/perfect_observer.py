@@ -222,10 +222,21 @@ class PerfectObserver:
             power, size = N @ power, np.abs(N) @ size
         return out
 
-    def _trimmed(self, found: list[Terms]) -> list[NDArray[np.float64]]:
-        """Return coefficients without rounding, in the plant's unit of time."""
-        rate = self.gain.pencil.rate
-        return [P / rate**i for i, P in enumerate(_trimmed(found, self.gain.pencil.beta))]
+    def _trimmed(self, terms: list[Terms]) -> list[NDArray[np.float64]]:
+        """Return a polynomial without the highest coefficients that are rounding, and with zeros for entries that are.
+
+        A signal that was decoupled is then not read at all, where rounding of its terms would read it faintly. Of
+        balanced units, each with the sizes of its terms, it comes to the plant's unit of time.
+        """
+        beta, rate = self.gain.pencil.beta, self.gain.pencil.rate
+        total = sum(beta**i * size for i, (_, size) in enumerate(terms))
+        columns = np.max(total, axis=0, keepdims=True, initial=0.0)
+        columns = np.where(columns > 0, columns, 1.0)
+        floor = 1e-12 * np.max(total / columns, axis=1, keepdims=True, initial=0.0) * columns
+        out = [np.where(beta**i * np.abs(P) > floor, P, 0.0) / rate**i for i, (P, _) in enumerate(terms)]
+        while len(out) > 1 and not np.any(out[-1]):
+            out.pop()
+        return out
 
     def _estimate(self, part: slice) -> list[NDArray[np.float64]]:
         """Return the coefficients of some of the states and disturbances."""
@@ -315,7 +326,7 @@ def perfect_observer(
     DesignError
         If no such observer exists; the message says which condition fails, and where.
     AccuracyError
-        If no gain passes the checks: relative variation of the determinant below 1e-6.
+        If no gain is found to working precision, or its estimate is not the state.
     SettingError
         If the bandwidth is not a positive number, or the plant is sampled, or if ``K`` comes with
         disturbances or with ``least_order``.
@@ -349,19 +360,28 @@ def perfect_observer(
            [0.33333333]])
     """
     rows = arrays.different_positions(outputs, plant.outputs, "output")
-    if plant.dt and bandwidth is not None:
+    n, q, model = plant.n_states, len(plant.disturbances), plant.balanced
+    if bandwidth is None:
+        bandwidth = 5.0 * model.units.rate * default_margin(model.dynamics)
+    elif plant.dt:
         raise SettingError("bandwidth is for continuous plants; a sampled perfect observer is a finite sum of samples")
-    n, q, width = plant.n_states, len(plant.disturbances), _bandwidth(bandwidth, plant)
+    elif not np.isfinite(bandwidth) or bandwidth <= 0:
+        raise SettingError(f"bandwidth must be a positive number of rad/s, got {bandwidth!r}")
     _check_existence(plant, rows)
-    pencil = PlantPencil.of(plant, rows, width)
+    pencil = PlantPencil.of(plant, rows, bandwidth)
     if K is not None:
         if q or least_order:
             raise SettingError("a gain K is for plants without disturbances and without least_order")
         gain = given_gain(pencil, np.asarray(arrays.matrix(K, "K", (n, len(rows)))))
     elif least_order:
         gain = least_order_gain(pencil)
+    elif not q and not len(model.algebra):
+        raise DesignError(
+            "E is invertible and there are no disturbances: det(sE - A - KC) has degree n for every K, so no perfect "
+            "observer of this form exists; least_order=True differentiates the measurements instead, and a Luenberger "
+            "observer or kalman_filter estimates the state without derivatives"
+        )
     else:
-        _check_singular(plant)
         gain = full_rank_gain(pencil, seed)
     columns = pencil.columns[:, None]
     G = columns * gain.G * pencil.rows
@@ -372,33 +392,15 @@ def perfect_observer(
         G[:, n:],
         columns * gain.N / pencil.columns / pencil.rate,
         gain.index,
-        width,
+        float(bandwidth),
         not least_order,
         Evidence("perfect observer"),
         gain,
         pencil.left * pencil.rows if least_order else np.eye(len(rows)) * (pencil.rows[n:] if q else 1.0),
     )
     if q or least_order:
-        made = replace(made, left=_reduced_rows(made, len(rows) - q))
+        made = replace(made, left=_reduced_rows(made))
     return replace(made, evidence=_evidence(made))
-
-
-def _bandwidth(bandwidth: float | None, plant: Plant) -> float:
-    if bandwidth is None:
-        return 5.0 * plant.balanced.units.rate * default_margin(plant.balanced.dynamics)
-    if not np.isfinite(bandwidth) or bandwidth <= 0:
-        raise SettingError(f"bandwidth must be a positive number of rad/s, got {bandwidth!r}")
-    return float(bandwidth)
-
-
-def _check_singular(plant: Plant) -> None:
-    """Raise when ``E`` is invertible and nothing else makes the plant singular."""
-    if not plant.disturbances and not len(plant.balanced.algebra):
-        raise DesignError(
-            "E is invertible and there are no disturbances: det(sE - A - KC) has degree n for every K, so no perfect "
-            "observer of this form exists; least_order=True differentiates the measurements instead, and a Luenberger "
-            "observer or kalman_filter estimates the state without derivatives"
-        )
 
 
 def _check_existence(plant: Plant, rows: list[int]) -> None:
@@ -429,7 +431,7 @@ def _check_existence(plant: Plant, rows: list[int]) -> None:
         )
 
 
-def _reduced_rows(o: PerfectObserver, independent: int) -> NDArray[np.float64]:
+def _reduced_rows(o: PerfectObserver) -> NDArray[np.float64]:
     """Return the rows that the residual reads, combined so that as many as can be take few derivatives.
 
     Those without derivatives come first; each is scaled so that its largest coefficient of a measurement, derivatives
@@ -452,19 +454,21 @@ def _reduced_rows(o: PerfectObserver, independent: int) -> NDArray[np.float64]:
 
 def _evidence(o: PerfectObserver) -> Evidence:
     """Return the evidence of an observer, or raise when its estimate is not the state."""
-    p, gain, system = o.plant, o.gain, o.system
+    p, gain, system, pencil = o.plant, o.gain, o.system, o.gain.pencil
     of_outputs = system.select(inputs=range(len(p.inputs), system.n_inputs))
     M = (of_outputs.A, of_outputs.B, of_outputs.C, of_outputs.D)
     conditions = {
         "nilpotency index": float(o.index),
         "derivatives" if not p.dt else "steps of delay": float(o.derivatives),
-        "relative variation of det(sN - I)": gain.variation,
         "T [A Bd] + L [C Dd] - I": gain.missed,
         "dropped from N": gain.dropped,
         "estimate off the state": _estimate_off(o, system),
     }
     conditions |= {"condition of T": gain.condition} if o.complete else {}
-    conditions |= {"sum of |C N^i L|" if p.dt else "sum of |C (bandwidth N)^i L|": _noise_sum(o)}
+    # the coefficients that measurements have in their own estimate, those of derivatives at the bandwidth
+    C, own = pencil.R[pencil.n :] / pencil.rows[pencil.n :, None], np.eye(len(pencil.rows))[:, pencil.n :]
+    sizes = [pencil.beta**i * float(np.linalg.norm(C @ P, 2)) for i, (P, _) in enumerate(o._series(own))]
+    conditions["sum of |C N^i L|" if p.dt else "sum of |C (bandwidth N)^i L|"] = sum(sizes)
     notes: tuple[str, ...] = ()
     if p.dt:
         conditions["noise gain, outputs to estimate (H2)"] = h2_norm(*M, p.dt)
@@ -480,7 +484,7 @@ def _evidence(o: PerfectObserver) -> Evidence:
     return Evidence(
         method=method + (", disturbances estimated" if p.disturbances else ""),
         poles=system.poles(),
-        ranks={"rank[A Bd; C Dd]": decide_rank(gain.pencil.R, rtol=BALANCED_RANK, scale=1.0)},
+        ranks={"rank[A Bd; C Dd]": decide_rank(pencil.R, rtol=BALANCED_RANK, scale=1.0)},
         conditions=conditions,
         notes=notes,
         references=(REFERENCE,),
@@ -514,40 +518,6 @@ def _estimate_off(o: PerfectObserver, system: StateSpace) -> float:
             "weakly for a perfect observer; choose another bandwidth, or take unknown_input_observer"
         )
     return worst
-
-
-def _noise_sum(o: PerfectObserver) -> float:
-    """Return ``sum_i |C N^i L|``, the size of the coefficients that the measurements have in their own estimate.
-
-    Those of derivatives are seconds to a power: they count as in units of time of one over the bandwidth.
-    """
-    p, rows = o.gain.pencil, o.gain.pencil.rows[o.plant.n_states :]
-    C, F = p.R[p.n :] / rows[:, None], np.eye(len(p.rows))[:, p.n :]
-    return sum(p.beta**i * float(np.linalg.norm(C @ P, 2)) for i, (P, _) in enumerate(o._series(F)))
-
-
-def _trimmed(coefficients: Sequence[Terms], rate: float, rtol: float = 1e-12) -> list[NDArray[np.float64]]:
-    """Return a polynomial without the highest coefficients that are rounding, and with zeros for entries that are.
-
-    A signal that was decoupled is then not read at all, where rounding of its terms would read it faintly.
-
-    Parameters
-    ----------
-    coefficients : sequence of tuple of ndarray
-        ``P_0, P_1, ...`` in balanced units, each with the sizes of its terms.
-    rate : float
-        The rate at which derivatives are compared with one another.
-    rtol : float
-        Coefficients below this fraction of what their row and their column are made of count as rounding.
-    """
-    total = sum(rate**i * size for i, (_, size) in enumerate(coefficients))
-    columns = np.max(total, axis=0, keepdims=True, initial=0.0)
-    columns = np.where(columns > 0, columns, 1.0)
-    floor = rtol * np.max(total / columns, axis=1, keepdims=True, initial=0.0) * columns
-    out = [np.where(rate**i * np.abs(P) > floor, P, 0.0) for i, (P, _) in enumerate(coefficients)]
-    while len(out) > 1 and not np.any(out[-1]):
-        out.pop()
-    return out
 
 
 def differential_filter(
