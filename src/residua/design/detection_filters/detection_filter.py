@@ -16,26 +16,25 @@ from residua.design.core.generator import Member, ResidualGenerator, make_genera
 from residua.design.core.method import method
 from residua.design.core.needs import FAULTS
 from residua.design.detection_filters.directional_gain import (
-    DirectionalGain,
     FaultEvent,
     Poles,
     block_gain,
     entrances,
     fault_events,
-    gain_evidence,
     hidden_modes,
     partition,
+    with_poles_of_whole,
 )
-from residua.design.observers.observer_gain import balanced_options
+from residua.design.observers.observer_gain import balanced_options, require_detectable
 from residua.design.observers.unknown_input_observer import ErrorPair, error_pair
 from residua.errors import AccuracyError, DesignError
+from residua.linear.poles.observer_gain import ObserverGain
 from residua.linear.poles.placement import default_margin
 from residua.linear.poles.spectrum import describe_modes
 from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.quotient import observable_split
 from residua.linear.systems.state_space import stack_systems
 from residua.plant import Plant
-from residua.plant.balanced import undetectable
 from residua.tolerances import BALANCED_RANK, above_rounding
 
 #: The units in which a pseudoinverse is the smallest.
@@ -130,10 +129,7 @@ def detection_filter(
            [-0.2 ,  0.4 ]])
     """
     model = plant.explicit().balanced
-    bad = undetectable(model)
-    if bad.size:
-        modes = describe_modes(bad)
-        raise DesignError(f"no stable filter exists: no measurement sees the mode {modes}; add a sensor")
+    require_detectable(model)
     pair = error_pair(model, None, 0, scaling)
     return directional_filters(pair, poles, margin, faults, Evidence(method="detection filter", references=REFERENCES))
 
@@ -163,25 +159,25 @@ def directional_filters(
         notes.append(f"{', '.join(unseen)}: {why}")
     if not events:
         raise DesignError(f"none of the faults reaches the residual ({'; '.join(notes)})")
-    if isinstance(poles, Mapping):
-        _check_names(poles, events)
+    names = {name for event in events for name in event.faults} | {"rest"}
+    for name in poles if isinstance(poles, Mapping) else ():
+        if name not in names:
+            raise DesignError(f"poles: unknown fault {name!r}; known: {', '.join(sorted(names))}")
     pole = _scalar_pole(pair, poles, margin)
     if pole is not None:
         groups, gains = [events], [_scalar_gain(pair, pole, asked=poles is not None)]
     else:
         groups, gains = partition(pair, events, hidden)
-        if poles is not None or margin is not None:
-            gains = [block_gain(pair, group, hidden, _poles_for(poles, group), margin) for group in groups]
+    for k, group in enumerate(groups if pole is None and (poles is not None or margin is not None) else ()):
+        own = {name for event in group for name in event.faults} | {"rest"}
+        mine = {name: poles[name] for name in poles if name in own} if isinstance(poles, Mapping) else poles
+        gains[k] = block_gain(pair, group, hidden, mine, margin)
     if len(groups) > 1:
         notes.append(f"{len(groups)} filters: one cannot keep all faults apart")
-    near = [
-        f"near: {one}; double precision hardly decides this rank"
-        for event in events
-        for one in event.space.decisions
-        if not one.is_clear
-    ]
-    base = base.extended(notes=(*notes, *near[:1]))
-    parts = [pair.observer(gain.K, base.extended(**gain_evidence(pair, gain))).residual_generator() for gain in gains]
+    near = [one for event in events for one in event.space.decisions if not one.is_clear]
+    notes += [f"near: {one}; double precision hardly decides this rank" for one in near[:1]]
+    base = base.extended(notes=tuple(notes))
+    parts = [pair.observer(gain.K, with_poles_of_whole(base, pair, gain)).residual_generator() for gain in gains]
     return _stacked(parts, groups, pole is not None)
 
 
@@ -203,7 +199,7 @@ def _scalar_pole(pair: ErrorPair, poles: Poles, margin: float | None) -> float |
     return pole
 
 
-def _scalar_gain(pair: ErrorPair, pole: float, *, asked: bool) -> DirectionalGain:
+def _scalar_gain(pair: ErrorPair, pole: float, *, asked: bool) -> ObserverGain:
     r"""Return :math:`K = (A - \lambda I) C^+`, which makes :math:`A - KC = \lambda I` when rank C = n (eq. 25)."""
     A, C, n = pair.T @ pair.A0, pair.C0, len(pair.M)
     # sorted rows and pivoted columns keep outputs in small units accurate
@@ -216,22 +212,7 @@ def _scalar_gain(pair: ErrorPair, pole: float, *, asked: bool) -> DirectionalGai
     K = above_rounding(off @ inverse, np.abs(off) @ np.abs(inverse))
     error = float(np.abs(np.linalg.eigvals(A - K @ C) - pole).max(initial=0.0))
     requested = np.full(n if asked else 0, pole, dtype=complex)
-    return DirectionalGain(K, np.zeros(0, complex), requested, error, (note,))
-
-
-def _poles_for(poles: Poles, group: list[FaultEvent]) -> Poles:
-    """Return the part of named poles that concerns this group of faults."""
-    if not isinstance(poles, Mapping):
-        return poles
-    mine = {name for event in group for name in event.faults} | {"rest"}
-    return {name: values for name, values in poles.items() if name in mine}
-
-
-def _check_names(poles: Mapping, events: list[FaultEvent]) -> None:
-    known = [name for event in events for name in event.faults] + ["rest"]
-    for name in poles:
-        if name not in known:
-            raise DesignError(f"poles: unknown fault {name!r}; known: {', '.join(known)}")
+    return ObserverGain(K, requested, requested, np.zeros(0, complex), error, note)
 
 
 def _stacked(parts: list[ResidualGenerator], groups: list[list[FaultEvent]], ideal: bool) -> ResidualGenerator:

@@ -15,7 +15,7 @@ from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.design.core.method import method
 from residua.design.core.needs import disturbances
 from residua.design.core.signals import signal_names
-from residua.design.detection_filters.directional_gain import DirectionalGain, gain_evidence
+from residua.design.detection_filters.directional_gain import with_poles_of_whole
 from residua.design.detection_filters.ignored_columns import IgnoredColumns, ignored_columns, require_detectable
 from residua.design.detection_filters.left_eigenvectors import left_gain, left_rows
 from residua.design.detection_filters.right_eigenvectors import confinements, right_gain
@@ -23,6 +23,7 @@ from residua.design.observers.observer_gain import balanced_options
 from residua.errors import AccuracyError, DesignError, SettingError
 from residua.linear import StateSpace
 from residua.linear.norms.system_norms import hinf_norm
+from residua.linear.poles.observer_gain import ObserverGain
 from residua.linear.poles.placement import default_margin
 from residua.linear.poles.spectrum import describe_modes
 from residua.linear.subspaces.rank import RankDecision
@@ -181,7 +182,7 @@ def _generator(
     parts: IgnoredColumns,
     W: NDArray,
     seen: NDArray | None,
-    gain: DirectionalGain,
+    gain: ObserverGain,
     kind: str,
     note: str,
     ranks: dict[str, RankDecision],
@@ -200,9 +201,8 @@ def _generator(
     if not is_inside(poles, plant.is_discrete).all():
         raise AccuracyError(f"the observer is not stable: poles {describe_modes(units.rate * poles)}")
     notes = (*((f"ignores {parts.text}",) if parts.names else ()), *((note,) if note else ()))
-    evidence = Evidence(
-        method=f"eigenstructure assignment, {kind}", ranks=ranks, notes=notes, references=(REFERENCE,)
-    ).extended(**gain_evidence(pair, gain, asked=exact))
+    evidence = Evidence(method=f"eigenstructure assignment, {kind}", ranks=ranks, notes=notes, references=(REFERENCE,))
+    evidence = with_poles_of_whole(evidence, pair, gain if exact else replace(gain, requested=gain.requested[:0]))
     observer = replace(pair.observer(gain.K, evidence), decouples=exact, W=W)
     T, back = V.T @ pair.inverse / units.states, units.states[:, None] * pair.M @ V
     Ky, terms = T @ observer.K, np.abs(W) @ np.abs(plant.C) @ np.abs(back)

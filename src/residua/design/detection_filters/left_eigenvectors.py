@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.design.detection_filters.directional_gain import DirectionalGain, hidden_modes, share_poles
+from residua.design.detection_filters.directional_gain import hidden_modes, share_poles
 from residua.design.detection_filters.ignored_columns import IgnoredColumns
 from residua.errors import DesignError
-from residua.linear.poles.observer_gain import observer_gain
+from residua.linear.poles.observer_gain import ObserverGain, observer_gain
 from residua.linear.poles.pole_assignment import real_block_diagonal
 from residua.linear.subspaces.detection_space import complement
 from residua.linear.subspaces.quotient import observable_split, without_rounding
@@ -92,7 +92,7 @@ def _not_implementable(parts: IgnoredColumns, h: Matrix, ranks: dict[str, RankDe
     )
 
 
-def left_gain(parts: IgnoredColumns, rows: LeftRows, poles: Any, margin: float | None, first: float) -> DirectionalGain:
+def left_gain(parts: IgnoredColumns, rows: LeftRows, poles: Any, margin: float | None, first: float) -> ObserverGain:
     r"""Return a gain with :math:`H (A - K C) = \Lambda H`, the other poles placed on the null space of ``H``.
 
     :math:`H K C = H A - \Lambda H` fixes ``H K``; what is left of the gain acts inside the null space ``N`` of ``H``,
@@ -119,6 +119,9 @@ def left_gain(parts: IgnoredColumns, rows: LeftRows, poles: Any, margin: float |
         margin=margin,
         rate=rate,
     )
-    requested = np.concatenate([share, rest.requested])
-    notes = (rest.note,) if rest.note else ()
-    return DirectionalGain(pair.on_outputs(K_left + N @ rest.K), fixed, requested, rest.error, notes)
+    return replace(
+        rest,
+        K=pair.on_outputs(K_left + N @ rest.K),
+        requested=np.concatenate([share, rest.requested]),
+        fixed=fixed,
+    )

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.design.detection_filters.directional_gain import (
-    DirectionalGain,
     FaultEvent,
     block_gain,
     hidden_modes,
 )
 from residua.design.detection_filters.ignored_columns import IgnoredColumns
 from residua.errors import DesignError
+from residua.linear.poles.observer_gain import ObserverGain
 from residua.linear.poles.spectrum import describe_modes
 from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.detection_space import (
@@ -110,7 +110,7 @@ def _chains(parts: IgnoredColumns) -> list[FaultEvent]:
 
 def right_gain(
     parts: IgnoredColumns, confined: Confinement, poles: Any, margin: float | None, first: float
-) -> DirectionalGain:
+) -> ObserverGain:
     r"""Return a gain with every chain invariant: :math:`K C A^\mu f = p(A) f` with the polynomial of its poles.
 
     For a column that the outputs see, :math:`\mu = 0`, this is :math:`K C f = A f - \lambda f`, equation (5-7) of the
