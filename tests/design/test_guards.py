@@ -98,7 +98,7 @@ WRONG = [
         "design.detection_filters.detection_filter:block_gain",
         lambda gain: replace(gain, K=off(gain.K)),
         lambda: D.detection_filter(gertler(), poles=[0.25, 0.3, 0.6]),
-        marks=trips("design.detection_filters.directional_gain:gain_evidence"),
+        marks=trips("design.detection_filters.directional_gain:with_poles_of_whole"),
         id="gain of a detection filter",
     ),
     pytest.param(
@@ -287,7 +287,7 @@ def _silent(found: tuple[Bases, float]) -> tuple[Bases, float]:
     return {name: one[:, :0] for name, one in bases.items()}, off_them
 
 
-@trips("design.detection_filters.detection_filter:_check_directions")
+@trips("design.detection_filters.detection_filter:_stacked")
 def test_a_fault_that_leaves_its_direction_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     D.detection_filter(gertler())
     D.detection_filter(without_dynamics())

@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Literal
 
 import numpy as np
-import scipy.linalg
 
 from residua.arrays import index_of
 from residua.design.banks.bank import maps_of, measured_of_members
@@ -163,12 +162,9 @@ def directional_filters(
     for name in poles if isinstance(poles, Mapping) else ():
         if name not in names:
             raise DesignError(f"poles: unknown fault {name!r}; known: {', '.join(sorted(names))}")
-    pole = _scalar_pole(pair, poles, margin)
-    if pole is not None:
-        groups, gains = [events], [_scalar_gain(pair, pole, asked=poles is not None)]
-    else:
-        groups, gains = partition(pair, events, hidden)
-    for k, group in enumerate(groups if pole is None and (poles is not None or margin is not None) else ()):
+    ideal = _scalar_gain(pair, poles, margin)
+    groups, gains = partition(pair, events, hidden) if ideal is None else ([events], [ideal])
+    for k, group in enumerate(groups if ideal is None and (poles is not None or margin is not None) else ()):
         own = {name for event in group for name in event.faults} | {"rest"}
         mine = {name: poles[name] for name in poles if name in own} if isinstance(poles, Mapping) else poles
         gains[k] = block_gain(pair, group, hidden, mine, margin)
@@ -178,51 +174,50 @@ def directional_filters(
     notes += [f"near: {one}; double precision hardly decides this rank" for one in near[:1]]
     base = base.extended(notes=tuple(notes))
     parts = [pair.observer(gain.K, with_poles_of_whole(base, pair, gain)).residual_generator() for gain in gains]
-    return _stacked(parts, groups, pole is not None)
+    return _stacked(parts, groups, ideal is not None)
 
 
-def _scalar_pole(pair: ErrorPair, poles: Poles, margin: float | None) -> float | None:
-    """Return the single pole of the ideal case (rank C = n, all poles alike), or ``None`` otherwise."""
+def _scalar_gain(pair: ErrorPair, poles: Poles, margin: float | None) -> ObserverGain | None:
+    r"""Return the gain of eq. (25), :math:`A - KC = \lambda I`, or nothing unless rank C = n and poles are alike."""
     n, sampled, rate = len(pair.M), pair.model.plant.is_discrete, pair.model.units.rate
     if isinstance(poles, Mapping) or np.count_nonzero(np.linalg.svd(pair.C, compute_uv=False) > BALANCED_RANK) < n:
         return None
+    wanted = np.asarray([] if poles is None else poles, dtype=complex)
     if poles is None:
         distance = default_margin(pair.A, float(sampled)) if margin is None else margin
-        return float(np.exp(-distance)) if sampled else -float(distance)
-    wanted = np.asarray(poles, dtype=complex)
-    if len(wanted) != n or np.any(wanted != wanted[0]) or np.any(np.imag(wanted)):
+        pole = float(np.exp(-distance)) if sampled else -float(distance)
+    elif len(wanted) != n or np.any(wanted != wanted[0]) or np.any(np.imag(wanted)):
         return None
-    pole = float(np.real(wanted[0]))
+    else:
+        pole = float(np.real(wanted[0]))
     if not is_stable_mode(pole, float(sampled)):
         kind = "a sampled" if sampled else "a continuous"
         raise DesignError(f"the pole {describe_modes([rate * pole])} is not stable for {kind} plant")
-    return pole
-
-
-def _scalar_gain(pair: ErrorPair, pole: float, *, asked: bool) -> ObserverGain:
-    r"""Return :math:`K = (A - \lambda I) C^+`, which makes :math:`A - KC = \lambda I` when rank C = n (eq. 25)."""
-    A, C, n = pair.T @ pair.A0, pair.C0, len(pair.M)
-    # sorted rows and pivoted columns keep outputs in small units accurate
-    rows = np.argsort(-np.abs(C).max(axis=1, initial=0.0), kind="stable")
-    Q, R, columns = scipy.linalg.qr(C[rows], mode="economic", pivoting=True)
-    inverse = np.zeros((n, len(C)))
-    inverse[np.ix_(columns, rows)] = scipy.linalg.solve_triangular(R, Q.T)
-    note = "as many independent measurements as states: every fault keeps its direction or plane"
+    A, C = pair.T @ pair.A0, pair.C0
+    inverse = np.linalg.pinv(C)
     off = above_rounding(A - pole * np.eye(n), np.abs(A) + abs(pole) * np.eye(n))
     K = above_rounding(off @ inverse, np.abs(off) @ np.abs(inverse))
     error = float(np.abs(np.linalg.eigvals(A - K @ C) - pole).max(initial=0.0))
-    requested = np.full(n if asked else 0, pole, dtype=complex)
-    return ObserverGain(K, requested, requested, np.zeros(0, complex), error, note)
+    note = "as many independent measurements as states: every fault keeps its direction or plane"
+    return ObserverGain(K, wanted, wanted, np.zeros(0, complex), error, note)
 
 
 def _stacked(parts: list[ResidualGenerator], groups: list[list[FaultEvent]], ideal: bool) -> ResidualGenerator:
-    """Return the filters as one generator, after checking the directions that they promise."""
+    """Return the filters as one generator, or raise where a fault leaves the line or plane that the design gave it."""
     members, start = [], 0
     for k, (part, group) in enumerate(zip(parts, groups, strict=True), 1):
         rows = tuple(range(start, start + part.n_residuals))
         start += part.n_residuals
         members.append(Member(f"filter {k}", rows, tuple(name for event in group for name in event.faults)))
-        _check_directions(part, group, ideal)
+        for name, space in ((name, event.space) for event in group for name in event.faults):
+            direct = np.any(part.plant.Df[:, part.faults.index(name)])
+            promised = 1 + bool(direct) if ideal else space.outputs.shape[1]
+            if part.subspaces[name].shape[1] > promised:
+                raise AccuracyError(
+                    f"the residual of {name!r} leaves its direction (dimension {part.subspaces[name].shape[1]} instead "
+                    f"of {promised}): the plant is too badly conditioned for a directional filter with these "
+                    "poles; ask for slower ones, or add a sensor"
+                )
     first = parts[0]
     if len(parts) == 1:
         return replace(first, members=tuple(members))
@@ -242,19 +237,3 @@ def _stacked(parts: list[ResidualGenerator], groups: list[list[FaultEvent]], ide
         observer=first.observer,
         members=tuple(members),
     )
-
-
-def _check_directions(generator: ResidualGenerator, group: list[FaultEvent], ideal: bool) -> None:
-    """Raise when a fault leaves the line or plane that the design gave it."""
-    plant = generator.plant
-    for event in group:
-        for name in event.faults:
-            basis = generator.subspaces[name]
-            d = plant.Df[:, plant.faults.index(name)]
-            promised = 1 + bool(np.any(d)) if ideal else event.space.outputs.shape[1]
-            if basis.shape[1] > promised:
-                raise AccuracyError(
-                    f"the residual of {name!r} leaves its direction (dimension {basis.shape[1]} instead of "
-                    f"{promised}): the plant is too badly conditioned for a directional filter with these "
-                    "poles; ask for slower ones, or add a sensor"
-                )

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.design.core.evidence import Evidence
-from residua.design.observers.observer_gain import with_gain
+from residua.design.observers.observer_gain import pair_gain, with_gain
 from residua.design.observers.unknown_input_observer import ErrorPair
 from residua.errors import AccuracyError, DesignError
-from residua.linear.poles.observer_gain import ObserverGain, observer_gain
+from residua.linear.poles.observer_gain import ObserverGain
 from residua.linear.poles.spectrum import describe_modes, spectrum_error
 from residua.linear.subspaces.detection_space import (
     DetectionSpace,
@@ -201,25 +201,13 @@ def block_gain(
     ObserverGain
         On the outputs ``W y``, for the states of the balanced plant.
     """
-    rate, sampled = pair.model.units.rate, pair.model.plant.is_discrete
     blocks = split_blocks(pair.A, pair.C, [event.space for event in events])
     splits = [observable_split(F, G) for F, G in blocks.pairs]
     fixed = np.concatenate([*(hidden_modes(F, G) for F, G in blocks.pairs), [] if hidden is None else hidden])
     sizes = [split.seen.shape[1] for split in splits]
-    shares = share_poles(poles, [event.faults for event in events], sizes, fixed, rate)
+    shares = share_poles(poles, [event.faults for event in events], sizes, fixed, pair.model.units.rate)
     gains = [
-        observer_gain(
-            F,
-            G,
-            split,
-            sampled=sampled,
-            process=np.eye(len(F)),
-            measurement=read @ read.T,
-            poles=share,
-            margin=margin,
-            rate=rate,
-            faint=True,
-        )
+        pair_gain(pair.model, F, G, (np.eye(len(F)), read @ read.T), share, margin, split=split, faint=True)
         for (F, G), split, read, share in zip(blocks.pairs, splits, blocks.reads, shares, strict=True)
     ]
     return ObserverGain(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,14 +13,13 @@ from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.design.core.method import method
 from residua.design.core.needs import disturbances
-from residua.design.core.signals import signal_names
 from residua.design.detection_filters.directional_gain import with_poles_of_whole
 from residua.design.detection_filters.ignored_columns import IgnoredColumns, ignored_columns, require_detectable
-from residua.design.detection_filters.left_eigenvectors import left_gain, left_rows
+from residua.design.detection_filters.left_eigenvectors import left_design
 from residua.design.detection_filters.right_eigenvectors import confinements, right_gain
+from residua.design.observers.observer import plant_filter
 from residua.design.observers.observer_gain import balanced_options
 from residua.errors import AccuracyError, DesignError, SettingError
-from residua.linear import StateSpace
 from residua.linear.norms.system_norms import hinf_norm
 from residua.linear.poles.observer_gain import ObserverGain
 from residua.linear.poles.placement import default_margin
@@ -139,51 +137,32 @@ def eigenstructure_assignment(
     if approximate and side == "right":
         raise SettingError("approximate=True belongs to side='left': right eigenvectors are exact or do not exist")
     parts = ignored_columns(plant, insensitive_to)
-    poles, margin = balanced_options(parts.pair.model.plant, poles, margin)
+    pair, sampled = parts.pair, parts.pair.model.plant.is_discrete
+    poles, margin = balanced_options(pair.model.plant, poles, margin)
+    # of assigned eigenvectors when the user names no eigenvalue: as the paper, 0 in sampled time
+    first = 0.0 if sampled else -(default_margin(pair.A) if margin is None else margin)
     if side == "left":
-        return _left(parts, poles, margin, approximate)
-    return _right(parts, poles, margin, combine)
-
-
-def _first(parts: IgnoredColumns, margin: float | None) -> float:
-    """Return the eigenvalue of assigned eigenvectors when the user names none: as the paper, 0 in sampled time."""
-    if parts.pair.model.plant.is_discrete:
-        return 0.0
-    return -(default_margin(parts.pair.A) if margin is None else margin)
-
-
-def _right(parts: IgnoredColumns, poles: Any, margin: float | None, combine: bool) -> ResidualGenerator:
-    """Return the design with right eigenvectors: the columns themselves, then combinations."""
+        return _generator(parts, "left", *left_design(parts, poles, margin, first, approximate=approximate))
     S, seen, ways = confinements(parts, combine=combine)
     require_detectable(parts)
-    W, ranks = parts.rows(S), {"ignored in the outputs": parts.direct}
+    ranks = {"ignored in the outputs": parts.direct}
     failure: DesignError | AccuracyError | None = None
-    for way in ways:
+    for way in ways:  # the columns themselves, then combinations
         try:
-            gain = right_gain(parts, way, poles, margin, _first(parts, margin))
-            return _generator(parts, W, seen, gain, "right eigenvectors", way.note, ranks)
+            gain = right_gain(parts, way, poles, margin, first)
+            return _generator(parts, "right", S, seen, gain, way.note, ranks)
         except (DesignError, AccuracyError) as error:
             failure = failure or error
     assert failure is not None  # there is at least one way
     raise failure
 
 
-def _left(parts: IgnoredColumns, poles: Any, margin: float | None, approximate: bool) -> ResidualGenerator:
-    """Return the design with left eigenvectors."""
-    rows = left_rows(parts, approximate=approximate)
-    require_detectable(parts)
-    W, seen = parts.rows(np.vstack([rows.moving, rows.still])), (rows.moving @ parts.pair.C).T
-    note = "" if rows.exact else "approximate: h A is no row of C, what is ignored leaks"
-    gain = left_gain(parts, rows, poles, margin, _first(parts, margin))
-    return _generator(parts, W, seen if rows.exact else None, gain, "left eigenvectors", note, rows.ranks)
-
-
 def _generator(
     parts: IgnoredColumns,
-    W: NDArray,
+    side: str,
+    S: NDArray,
     seen: NDArray | None,
     gain: ObserverGain,
-    kind: str,
     note: str,
     ranks: dict[str, RankDecision],
 ) -> ResidualGenerator:
@@ -193,48 +172,36 @@ def _generator(
     what is ignored, are left out, so that rounding does not bring them back. Without such columns the gain is an
     approximate one, and what is ignored leaks.
     """
-    pair, exact = parts.pair, seen is not None
-    plant, units, n = pair.model.plant, pair.model.units, len(pair.A)
-    V = np.eye(n) if seen is None else seen
+    pair, exact, W = parts.pair, seen is not None, parts.rows(S)
+    plant, units = pair.model.plant, pair.model.units
+    V = np.eye(len(pair.A)) if seen is None else seen
     F = pair.A0 - gain.K @ pair.C0
     poles = np.asarray(np.linalg.eigvals(F), dtype=complex)
     if not is_inside(poles, plant.is_discrete).all():
         raise AccuracyError(f"the observer is not stable: poles {describe_modes(units.rate * poles)}")
     notes = (*((f"ignores {parts.text}",) if parts.names else ()), *((note,) if note else ()))
-    evidence = Evidence(method=f"eigenstructure assignment, {kind}", ranks=ranks, notes=notes, references=(REFERENCE,))
+    method = f"eigenstructure assignment, {side} eigenvectors"
+    evidence = Evidence(method=method, ranks=ranks, notes=notes, references=(REFERENCE,))
     evidence = with_poles_of_whole(evidence, pair, gain if exact else replace(gain, requested=gain.requested[:0]))
     observer = replace(pair.observer(gain.K, evidence), decouples=exact, W=W)
     T, back = V.T @ pair.inverse / units.states, units.states[:, None] * pair.M @ V
-    Ky, terms = T @ observer.K, np.abs(W) @ np.abs(plant.C) @ np.abs(back)
-    driving = np.abs(T) @ np.abs(plant.B) + np.abs(Ky) @ np.abs(plant.D)
-    system = StateSpace(
-        units.rate * (V.T @ pair.inverse @ F @ pair.M @ V),
-        np.hstack([above_rounding(T @ plant.B - Ky @ plant.D, driving), Ky]),
-        above_rounding(-W @ plant.C @ back, terms, RESIDUE),  # measurements that repeat one another need no state
-        np.hstack([-W @ plant.D, W]),
-        dt=plant.dt,
-        inputs=signal_names(plant),
-        outputs=[f"r{i + 1}" for i in range(len(W))],
-    )
+    # measurements that repeat one another need no state
+    C = above_rounding(-W @ plant.C @ back, np.abs(W) @ np.abs(plant.C) @ np.abs(back), RESIDUE)
+    names = [f"r{i + 1}" for i in range(len(W))]
+    system = plant_filter(plant, units.rate * T * units.states @ F @ pair.M @ V, T, T @ observer.K, C, W, None, names)
     faults = tuple(name for name in plant.faults if name in parts.names)
     decouples = Decoupled(faults=faults, apart=True) if exact else Decoupled(disturbances=False)
-    made = make_generator(system, plant, evidence.method, evidence, decouples=decouples, state_map=T, observer=observer)
+    made = make_generator(system, plant, method, evidence, decouples=decouples, state_map=T, observer=observer)
     leaks = made.evidence.decoupling
     own = {name: gain for name, gain in leaks.items() if name != IGNORED}
     observer = replace(observer, evidence=evidence.extended(decoupling=own))
-    if not exact:
-        more = _leaks(made, parts)
-    else:
-        more = {} if faults or "disturbance" not in leaks else {IGNORED: leaks["disturbance"]}
+    more = {IGNORED: leaks["disturbance"]} if exact and not faults and "disturbance" in leaks else {}
+    if not exact:  # the peak gain of each ignored input over frequency, beside the largest of a fault that is seen
+        form = made.internal_form()
+        peaks = {
+            name: hinf_norm(form.A, form.B[:, [i]], form.C, form.D[:, [i]], form.dt).value
+            for i, name in enumerate((*plant.faults, *plant.disturbances))
+        }
+        largest = max((peaks[name] for name in plant.faults if name not in parts.names), default=0.0)
+        more = {f"{name}, leaking": float(peaks[name] / largest) if largest else np.inf for name in parts.names}
     return replace(made, observer=observer, evidence=made.evidence.extended(decoupling=more))
-
-
-def _leaks(generator: ResidualGenerator, parts: IgnoredColumns) -> dict[str, float]:
-    """Return the peak gain of each ignored input over frequency, relative to the largest of a fault that is seen."""
-    form = generator.internal_form()
-    response = {
-        name: hinf_norm(form.A, form.B[:, [i]], form.C, form.D[:, [i]], form.dt).value
-        for i, name in enumerate(form.inputs[: len(generator.faults) + len(generator.plant.disturbances)])
-    }
-    seen = max((response[name] for name in generator.faults if name not in parts.names), default=0.0)
-    return {f"{name}, leaking": float(response[name] / seen) if seen else np.inf for name in parts.names}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,6 @@ from residua.linear.poles.observer_gain import ObserverGain
 from residua.linear.poles.spectrum import describe_modes
 from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.detection_space import (
-    DetectionSpace,
     are_independent,
     confined_space,
     split_blocks,
@@ -67,8 +66,16 @@ def confinements(parts: IgnoredColumns, *, combine: bool) -> tuple[Matrix, Matri
             f"and C V, the outputs of their columns and of the chains that these start, has rank {rank}; "
             "add a sensor or ignore less"
         )
+    chains: list[tuple[Matrix, FaultEvent]] = []  # parallel columns share one, and those that no output sees have none
+    for name, f in parts.columns.items():
+        twin = next((k for k, (g, _) in enumerate(chains) if abs(abs(float((g.T @ f)[0, 0])) - 1) < 1e-14), None)
+        if twin is not None:
+            g, event = chains[twin]
+            chains[twin] = g, replace(event, faults=(*event.faults, name))
+        elif (space := confined_space(A, C, f, zeros=False)).outputs.shape[1]:
+            chains.append((f, FaultEvent((name,), space)))
+    events, everything = [event for _, event in chains], (*parts.columns, "ignored")
     ways: list[Confinement] = []
-    events = _chains(parts)
     if not events or all(
         are_independent([getattr(event.space, part) for event in events]) for part in ("outputs", "basis")
     ):
@@ -80,32 +87,14 @@ def confinements(parts: IgnoredColumns, *, combine: bool) -> tuple[Matrix, Matri
             f"the outputs of the {len(events)} columns are dependent (rank {rank}): they lie in one "
             f"invariant space of dimension {together.dimension}, of which they are no eigenvectors"
         )
-        ways.append(Confinement([_all(parts, together)], False, note))
+        ways.append(Confinement([FaultEvent(everything, together)], False, note))
     if combine and rank and whole.dimension > together.dimension:
         note = (
             f"the ignored columns are combinations of {whole.dimension} eigenvectors (5-5), so that their "
             "invariant zeros are no fixed poles"
         )
-        ways.append(Confinement([_all(parts, whole)], False, note))
+        ways.append(Confinement([FaultEvent(everything, whole)], False, note))
     return q.H, (q.split.seen.T @ q.N).T, ways
-
-
-def _all(parts: IgnoredColumns, space: DetectionSpace) -> FaultEvent:
-    return FaultEvent((*parts.columns, "ignored"), space)
-
-
-def _chains(parts: IgnoredColumns) -> list[FaultEvent]:
-    """Return the chain of each column; columns that are parallel share one, and those that no output sees have none."""
-    events: list[tuple[list[str], Matrix, DetectionSpace]] = []
-    for name, f in parts.columns.items():
-        twin = next((e for e in events if abs(abs(float((e[1].T @ f)[0, 0])) - 1) < 1e-14), None)
-        if twin is not None:
-            twin[0].append(name)
-            continue
-        space = confined_space(parts.pair.A, parts.pair.C, f, zeros=False)
-        if space.outputs.shape[1]:
-            events.append(([name], f, space))
-    return [FaultEvent(tuple(names), space) for names, _, space in events]
 
 
 def right_gain(

@@ -11,7 +11,7 @@ from residua import arrays
 from residua.design.core.evidence import Evidence
 from residua.design.core.method import method
 from residua.design.observers.observer import Observer, balanced_observer, with_checked_estimate
-from residua.design.observers.observer_gain import default_weights, pair_gain, require_detectable, with_gain
+from residua.design.observers.observer_gain import asked, default_weights, pair_gain, require_detectable, with_gain
 from residua.errors import DesignError
 from residua.plant import Plant
 from residua.plant.balanced import is_singular
@@ -93,7 +93,9 @@ def luenberger_observer(
     model = plant.balanced
     require_detectable(model, used)
     process, measurement = default_weights(model)
-    gain = pair_gain(model, model.A, model.C[used], (process, measurement[np.ix_(used, used)]), poles, margin)
+    gain = pair_gain(
+        model, model.A, model.C[used], (process, measurement[np.ix_(used, used)]), *asked(model.plant, poles, margin)
+    )
     names = ", ".join(plant.disturbances)
     evidence = Evidence(
         method="Luenberger observer",

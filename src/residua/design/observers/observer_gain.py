@@ -75,9 +75,9 @@ def pair_gain(
     margin: float | None,
     *,
     split: ObservableSplit | None = None,
+    faint: bool = False,
 ) -> ObserverGain:
-    """Return the gain for a pair made of a balanced plant and its noise, with poles or margin in the plant's units."""
-    poles, margin = asked(model.plant, poles, margin)
+    """Return the gain for a pair made of a balanced plant and its noise, with poles or margin in balanced units."""
     return observer_gain(
         A,
         C,
@@ -88,6 +88,7 @@ def pair_gain(
         poles=poles,
         margin=margin,
         rate=model.units.rate,
+        faint=faint,
     )
 
 

@@ -11,7 +11,7 @@ from residua import arrays
 from residua.design.core.evidence import Evidence
 from residua.design.core.method import method
 from residua.design.observers.observer import Observer
-from residua.design.observers.observer_gain import default_weights, pair_gain, with_gain
+from residua.design.observers.observer_gain import asked, default_weights, pair_gain, with_gain
 from residua.design.observers.unknown_input_observer import largest, quotient_observer
 from residua.errors import DesignError
 from residua.linear.poles.spectrum import describe_modes
@@ -206,7 +206,7 @@ def _designed(
     reading = (U[:, :k] / s[:k]).T @ q.H  # a from the outputs
     A11, A12, A21, A22 = V1.T @ F @ V1, V1.T @ F @ V2, V2.T @ F @ V1, V2.T @ F @ V2
     process = q.N @ default_weights(model)[0] @ q.N.T
-    gain = pair_gain(model, A22, A12, (V2.T @ process @ V2, V1.T @ process @ V1), poles, margin)
+    gain = pair_gain(model, A22, A12, (V2.T @ process @ V2, V1.T @ process @ V1), *asked(model.plant, poles, margin))
     L = gain.K
     own, down = A22 - L @ A12, V2.T - L @ V1.T
     K = without_rounding((own @ L + A21 - L @ A11) @ reading + down @ q.J)

@@ -15,7 +15,7 @@ from residua.arrays import matrix
 from residua.design.core.evidence import Evidence
 from residua.design.core.method import method
 from residua.design.observers.observer import Observer, plant_observer, with_checked_estimate
-from residua.design.observers.observer_gain import default_weights, pair_gain, with_gain
+from residua.design.observers.observer_gain import asked, default_weights, pair_gain, with_gain
 from residua.errors import DesignError, SettingError
 from residua.linear.poles.observer_gain import cleared
 from residua.linear.subspaces.quotient import NEGLIGIBLE, without_rounding
@@ -126,7 +126,7 @@ def unknown_input_observer(
         return _of_singular_plant(plant.balanced, evidence, poles, margin)
     model = plant.explicit().balanced
     pair = error_pair(model, model.disturbances, existence.rank_E.rank, scaling, H0, white_outputs=poles is None)
-    gain = pair_gain(model, pair.A, pair.C, (pair.process, pair.measurement), poles, margin)
+    gain = pair_gain(model, pair.A, pair.C, (pair.process, pair.measurement), *asked(model.plant, poles, margin))
     evidence = with_gain(replace(evidence, notes=pair.notes + near), gain, model, "K1")
     return with_checked_estimate(pair.observer(pair.on_outputs(gain.K), evidence))
 
@@ -336,7 +336,7 @@ def _of_singular_plant(
     q, (process, measurement), p = model.quotient(), default_weights(model), model.plant.n_outputs
     F, G = q.pair
     noise = q.N @ process @ q.N.T, q.H @ measurement @ q.H.T
-    gain = pair_gain(model, F, G, noise, poles, margin, split=q.split)
+    gain = pair_gain(model, F, G, noise, *asked(model.plant, poles, margin), split=q.split)
     inverse = without_rounding(q.R @ q.known[0])
     read = q.H[:, :p] * model.units.outputs
     return quotient_observer(
