@@ -112,7 +112,7 @@ WRONG = [
         "design.estimation.fault_estimator:read_faults",
         lambda reading: _times(reading, "static", "derivative", "dynamics"),
         estimator,
-        marks=trips("design.estimation.fault_estimator:_missed"),
+        marks=trips("design.estimation.fault_estimator:fault_estimator"),
         id="reading of an estimator",
     ),
     pytest.param(

@@ -18,7 +18,7 @@ from residua.design.core.method import method
 from residua.design.core.needs import FAULTS, groups_of_faults
 from residua.design.core.signals import sampled_filter, stack_signals
 from residua.design.estimation.fault_reading import FaultReading, read_faults
-from residua.design.observers.observer import Observer
+from residua.design.observers.observer import Observer, plant_filter
 from residua.design.observers.unknown_input_observer import unknown_input_observer
 from residua.errors import AccuracyError, DesignError, SettingError
 from residua.linear import StateSpace
@@ -236,9 +236,60 @@ def fault_estimator(
     >>> estimator.lag
     {'collective actuator': 0.02, 'cyclic actuator': 0.02}
     """
-    names = _chosen(plant, faults)
+    chosen = [plant.faults[i] for i in arrays.positions(faults, plant.faults, "fault")]
+    if not chosen:
+        raise DesignError("there is no fault to estimate: give the plant faults, plant.with_actuator_faults()")
+    arrays.unique(names := tuple(chosen), "faults to estimate")
     if bandwidth is not None and not (np.isfinite(bandwidth) and bandwidth > 0):
         raise SettingError(f"bandwidth must be a positive number in rad/s, got {bandwidth!r}")
+    observer = _observer_ignoring(plant, names, poles, margin)
+    if observer.plant.E is None:
+        plant = plant.explicit()
+    reading = read_faults(observer.plant, names)
+    late, dt = reading.needs_derivative, plant.dt
+    filtered = late if bandwidth is None else np.ones(len(late), dtype=bool)
+    rate = 0.0 if bandwidth is None else float(bandwidth)
+    if not dt and bandwidth is None and late.any():
+        rate = max(mean_rate(observer.poles), mean_rate(plant.system(()).poles()))
+    pole = float(np.exp(-rate * dt)) if dt and rate else 0.0
+    lags = np.where(late, dt, 0.0) + dt * pole / (1 - pole) if dt else np.where(filtered, 1 / (rate or 1.0), 0.0)
+    system, T, V = _realised(plant, names, observer, reading, filtered, rate, pole)
+    form = internal_form(system, plant, T, V)
+    w = frequency_grid(form, system)
+    if dt:
+        z = np.exp(1j * w * dt)[:, None]
+        wanted = (1 - pole) / (1 - pole / z) * np.where(late, 1 / z, 1.0)
+    else:
+        wanted = 1 / (1j * np.outer(w, lags) + 1)
+    response = form.frequency_response(w)[:, :, [plant.faults.index(name) for name in names]]
+    off = (response - wanted[:, :, None] * np.eye(len(names))) / reading.units[:, None] * reading.units
+    missed = float(np.abs(off).max())
+    if not missed <= LEAK:
+        raise AccuracyError(
+            f"the estimates are off the faults by {missed:.2g} (relative): the plant is too badly scaled or "
+            "conditioned for this estimator; rescale its states and channels"
+        )
+    lag = {name: float(one) for name, one in zip(names, lags, strict=True)}
+    evidence = observer.evidence.extended(
+        method=_METHOD,
+        poles=system.poles(),
+        ranks={**observer.evidence.ranks, **reading.ranks},
+        references=REFERENCES,
+        conditions={
+            "gain from f to its estimate, off its lag": missed,
+            **({"bandwidth (rad/s)": rate} if rate else {}),
+        },
+    )
+    maps = {"state_map": T, "static_map": V if plant.E is not None else None}
+    made = make_generator(system, plant, _METHOD, evidence, decouples=Decoupled(), estimated=names, **maps)
+    generator = replace(made, evidence=_with_noise(made.evidence, plant, system, form, lag))
+    return FaultEstimator(plant, names, observer, system, lag, generator)
+
+
+def _observer_ignoring(
+    plant: Plant, names: tuple[str, ...], poles: Sequence[complex] | ArrayLike | None, margin: float | None
+) -> Observer:
+    """Return the observer whose estimate faults do not reach as unknown inputs."""
     disturbed = plant.faults_as_disturbances(names)
     try:
         observer = unknown_input_observer(disturbed, poles=poles, margin=margin, scaling="even")
@@ -254,131 +305,56 @@ def fault_estimator(
             f"no pole of an estimate that ignores {', '.join(names)} is free: nothing that these faults leave corrects "
             "the state, and errors of the model would look like faults; estimate fewer faults at once, or add a sensor"
         )
-    if observer.plant.E is None:
-        plant = plant.explicit()
-    reading = read_faults(observer.plant, names)
-    smoothing = _smoothing(plant, observer, reading, bandwidth)
-    system, form, maps = _realised(plant, names, observer, reading, smoothing)
-    evidence = observer.evidence.extended(
-        method=_METHOD,
-        poles=system.poles(),
-        ranks={**observer.evidence.ranks, **reading.ranks},
-        references=REFERENCES,
-        conditions={
-            "gain from f to its estimate, off its lag": _missed(plant, names, system, form, reading, smoothing),
-            **({"bandwidth (rad/s)": smoothing.rate} if smoothing.rate else {}),
-        },
-    )
-    generator = make_generator(
-        system,
-        plant,
-        _METHOD,
-        evidence,
-        decouples=Decoupled(),
-        state_map=maps[0],
-        static_map=maps[1] if plant.E is not None else None,
-        estimated=names,
-    )
-    return FaultEstimator(
-        plant, names, observer, system, smoothing.lags(names, plant.dt), _with_numbers(generator, smoothing)
-    )
-
-
-def _chosen(plant: Plant, faults: Iterable[str] | str | None) -> tuple[str, ...]:
-    chosen = arrays.positions(faults, plant.faults, "fault")
-    if not chosen:
-        raise DesignError("there is no fault to estimate: give the plant faults, plant.with_actuator_faults()")
-    arrays.unique(tuple(plant.faults[i] for i in chosen), "faults to estimate")
-    return tuple(plant.faults[i] for i in chosen)
-
-
-@dataclass(frozen=True, eq=False)
-class _Smoothing:
-    """Which estimates are filtered and how: ``rate`` in rad/s (zero: none), ``pole`` in sampled time."""
-
-    filtered: NDArray[np.bool_]
-    late: NDArray[np.bool_]
-    rate: float
-    pole: float
-
-    def lags(self, names: tuple[str, ...], dt: float) -> dict[str, float]:
-        if not dt:
-            return {name: 1 / self.rate if on else 0.0 for name, on in zip(names, self.filtered, strict=True)}
-        more = dt * self.pole / (1 - self.pole)
-        return {name: (dt if late else 0.0) + more for name, late in zip(names, self.late, strict=True)}
-
-    def expected(self, points: NDArray, dt: float) -> NDArray:
-        """Return what each estimate is of its fault, at complex points."""
-        if not dt:
-            return 1 / (np.outer(points, self.filtered) / (self.rate or 1.0) + 1)
-        smooth = (1 - self.pole) / (1 - self.pole / points)
-        return smooth[:, None] * np.where(self.late, 1 / points[:, None], 1.0)
-
-
-def _smoothing(plant: Plant, observer: Observer, reading: FaultReading, bandwidth: float | None) -> _Smoothing:
-    late = reading.needs_derivative
-    if plant.is_discrete:
-        pole = 0.0 if bandwidth is None else float(np.exp(-bandwidth * plant.dt))
-        return _Smoothing(late | (pole > 0), late, bandwidth or 0.0, pole)
-    if bandwidth is not None:
-        return _Smoothing(np.ones(len(late), dtype=bool), late, float(bandwidth), 0.0)
-    rate = max(mean_rate(observer.poles), mean_rate(plant.system(()).poles())) if late.any() else 0.0
-    return _Smoothing(late, late, rate, 0.0)
+    return observer
 
 
 def _realised(
-    plant: Plant, names: tuple[str, ...], observer: Observer, reading: FaultReading, smoothing: _Smoothing
-) -> tuple[StateSpace, StateSpace, tuple[NDArray, NDArray]]:
-    r"""Return the estimator as one system, its internal form, and its state map and static map.
+    plant: Plant,
+    names: tuple[str, ...],
+    observer: Observer,
+    reading: FaultReading,
+    filtered: NDArray[np.bool_],
+    rate: float,
+    pole: float,
+) -> tuple[StateSpace, NDArray, NDArray]:
+    r"""Return the estimator as one system, its state map and its static map.
 
-    With :math:`r = L_s (y_0 - C \hat x) - P (A \hat x + B u)`, :math:`y_0 = y - D u`, and
-    :math:`q = \hat f - L_d y_0 / \tau`: :math:`\dot q = (r - \hat f) / \tau`. In sampled time
-    :math:`\hat f_k = a \hat f_{k-1} + (1 - a) (r_{k-1} + L_d y_{0,k})`, and
-    :math:`q_k = \hat f_k - (1 - a) L_d y_{0,k}`.
+    With :math:`r = L_s (y_0 - C \hat x) - P (A \hat x + B u)`, :math:`y_0 = y - D u`, :math:`d = L_d y_0` and a state
+    ``q`` for each estimate that is filtered, :math:`\dot q = \alpha q + \beta r + \gamma d` and
+    :math:`\hat f = q + \delta r + \varepsilon d`; the others are :math:`\hat f = r`. Continuous,
+    :math:`q = \hat f - d / \tau` with :math:`\tau \dot{\hat f} = r + \dot d - \hat f`. In sampled time
+    :math:`\hat f_k = a \hat f_{k-1} + (1 - a) (r_{k-1} + d_k)`, or with :math:`r_k` where no derivative is needed.
     """
-    n, n_f = observer.order, len(names)
     J = _summed((reading.static, plant.C), (reading.dynamics, plant.A))
-    dynamics = reading.dynamics
+    P = reading.dynamics
     if observer.J is not None:
-        dynamics = _summed((dynamics, np.eye(plant.n_states)), (-J, observer.J))
-    # r and L_d y_0 as functions of (z, [u, y])
-    on_y0 = _summed((reading.static, np.eye(plant.n_outputs)), (-J, observer.H))
-    r_z, r_v = -J @ observer.M, _on_signals(plant, on_y0, dynamics)
-    d_v = _on_signals(plant, reading.derivative, np.zeros((n_f, plant.n_states)))
-    own = np.flatnonzero(smoothing.filtered)
-    k = len(own)
-    pick = np.eye(n_f)[own]
-    through = ~smoothing.filtered
-    late = smoothing.late[own][:, None]
-    if plant.is_discrete:
-        a = smoothing.pole
-        gain = np.where(late, 1 - a, a * (1 - a))
-        Aq, Bz, Bv = a * np.eye(k), gain * r_z[own], gain * r_v[own] + a * (1 - a) * d_v[own]
-        at_once = np.where(late, 0.0, 1 - a)
-        map_q = -gain * dynamics[own]
-    else:
-        w = smoothing.rate
-        Aq, Bz, Bv = -w * np.eye(k), w * r_z[own], w * r_v[own] - w**2 * d_v[own]
-        at_once = np.zeros((k, 1))
-        map_q = -w * dynamics[own]
-    factor = 1 - smoothing.pole if plant.is_discrete else smoothing.rate
-    C_z, D_v = through[:, None] * r_z, through[:, None] * r_v
-    C_z[own] += at_once * r_z[own]
-    D_v[own] += at_once * r_v[own] + factor * d_v[own]
-    static = through[:, None] * dynamics
-    static[own] += at_once * dynamics[own]
-    o = observer.system
-    system = StateSpace(
-        np.block([[o.A, np.zeros((n, k))], [Bz, Aq]]),
-        np.vstack([o.B, Bv]),
-        np.hstack([C_z, pick.T]),
-        D_v,
-        dt=plant.dt,
-        inputs=o.inputs,
-        outputs=[f"estimate {name}" for name in names],
+        P = _summed((P, np.eye(plant.n_states)), (-J, observer.J))
+    R, r_z, L_d = (
+        _summed((reading.static, np.eye(plant.n_outputs)), (-J, observer.H)),
+        -J @ observer.M,
+        reading.derivative,
     )
-    maps = np.vstack([observer.T, map_q]), static
-    return system, internal_form(system, plant, *maps), maps
+    late, on = reading.needs_derivative[:, None], filtered[:, None]
+    if plant.is_discrete:
+        alpha, epsilon = pole, 1 - pole
+        beta, gamma = np.where(late, epsilon, pole * epsilon), pole * epsilon
+        delta = np.where(late, 0.0, np.where(on, epsilon, 1.0))
+    else:
+        alpha, beta, gamma, delta, epsilon = -rate, rate, -(rate**2), np.where(on, 0.0, 1.0), rate
+    own = np.flatnonzero(filtered)
+    k = len(own)
+    T, V = np.vstack([observer.T, -(beta * P)[own]]), delta * P
+    system = plant_filter(
+        plant,
+        np.block([[observer.F, np.zeros((observer.order, k))], [(beta * r_z)[own], alpha * np.eye(k)]]),
+        T,
+        np.vstack([observer.K, (beta * R + gamma * L_d)[own]]),
+        np.hstack([delta * r_z, np.eye(len(names))[:, own]]),
+        delta * R + epsilon * L_d,
+        V,
+        [f"estimate {name}" for name in names],
+    )
+    return system, T, V
 
 
 def _summed(*products: tuple[NDArray, NDArray]) -> NDArray[np.float64]:
@@ -387,54 +363,25 @@ def _summed(*products: tuple[NDArray, NDArray]) -> NDArray[np.float64]:
     return above_rounding(total, np.add.reduce([np.abs(left) @ np.abs(right) for left, right in products]))
 
 
-def _on_signals(plant: Plant, on_y0: NDArray, dynamics: NDArray) -> NDArray:
-    """Return a gain on ``y - D u`` and one on ``-B u`` as one on ``[u, y]``."""
-    return np.hstack([_summed((-dynamics, plant.B), (-on_y0, plant.D)), on_y0])
-
-
-def _missed(
-    plant: Plant,
-    names: tuple[str, ...],
-    system: StateSpace,
-    form: StateSpace,
-    reading: FaultReading,
-    smoothing: _Smoothing,
-) -> float:
-    """Return how far the estimates are from the faults, or raise."""
-    w = frequency_grid(form, system)
-    columns = [plant.faults.index(name) for name in names]
-    response = form.frequency_response(w)[:, :, columns]
-    points = np.exp(1j * w * plant.dt) if plant.is_discrete else 1j * w
-    wanted = smoothing.expected(points, plant.dt)[:, :, None] * np.eye(len(names))
-    missed = float(np.abs((response - wanted) / reading.units[:, None] * reading.units).max())
-    if not missed <= LEAK:
-        raise AccuracyError(
-            f"the estimates are off the faults by {missed:.2g} (relative): the plant is too badly scaled or "
-            "conditioned for this estimator; rescale its states and channels"
-        )
-    return missed
-
-
-def _with_numbers(generator: ResidualGenerator, smoothing: _Smoothing) -> ResidualGenerator:
-    """Return the generator with its evidence completed: the lags of the estimates, and their noise."""
-    plant, names = generator.plant, generator.estimated
-    form = generator.internal_form()
+def _with_noise(
+    evidence: Evidence, plant: Plant, s: StateSpace, form: StateSpace, lag: Mapping[str, float]
+) -> Evidence:
+    """Return evidence with the lags of the estimates, and what measurements and noise do to them."""
     conditions: dict[str, float] = {}
     notes: list[str] = []
-    s, n_u = generator.system, len(plant.inputs)
-    n_other = form.n_inputs - len(plant.noises)
-    for i, name in enumerate(names):
-        conditions[f"lag of {name} (s)"] = smoothing.lags(names, plant.dt)[name]
+    n_u, noise = len(plant.inputs), slice(form.n_inputs - len(plant.noises), None)
+    for i, (name, late) in enumerate(lag.items()):
+        conditions[f"lag of {name} (s)"] = late
         conditions[f"peak gain, outputs to {name}"] = hinf_norm(
             s.A, s.B[:, n_u:], s.C[[i]], s.D[[i]][:, n_u:], s.dt
         ).value
         if plant.noises:
-            B, D = form.B[:, n_other:], form.D[[i]][:, n_other:]
-            rms = h2_norm(form.A, B, form.C[[i]], D, form.dt)
+            D = form.D[[i], noise]
+            rms = h2_norm(form.A, form.B[:, noise], form.C[[i]], D, form.dt)
             conditions[f"noise of {name}, rms"] = rms
             if not np.isfinite(rms):
                 notes.append(
                     f"white measurement noise of a continuous plant reaches the estimate of {name} directly, by "
                     f"{float(np.linalg.norm(D)):.3g} per unit, so that its variance is finite when sampled only"
                 )
-    return replace(generator, evidence=generator.evidence.extended(conditions=conditions, notes=tuple(notes)))
+    return evidence.extended(conditions=conditions, notes=tuple(notes))

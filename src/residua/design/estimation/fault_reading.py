@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
 
 from residua.errors import AccuracyError, DesignError
@@ -70,7 +71,15 @@ def read_faults(plant: Plant, faults: tuple[str, ...]) -> FaultReading:
     B, D = model.disturbances  # of the states without algebraic equations, and of outputs, these among them
     C, D, free = (weight * M[:p] for M in (model.C, D, model.free[1]))
     at_once = np.vstack([D, model.disturbances[1][p:]])
-    ranks = _determined(np.vstack([B, at_once]), plant, faults)
+    columns = np.vstack([B, at_once])
+    all_of_them, without = (decide_rank(M, rtol=BALANCED_RANK, scale=1.0) for M in (columns, columns[:, :-n_f]))
+    if all_of_them.rank < without.rank + n_f:
+        others = plant.disturbances[: len(plant.disturbances) - n_f]
+        against = f"from the disturbances {', '.join(others)} or " if others else ""
+        raise DesignError(
+            f"the faults {', '.join(faults)} cannot be told {against}from one another: rank [Bd Bf; Dd Df] = "
+            f"{all_of_them.rank} < rank [Bd; Dd] + {n_f} = {without.rank + n_f}; estimate fewer of them at once"
+        )
     W = left_null_basis(np.hstack([D, free]), rtol=BALANCED_RANK, scale=1.0)[0].T
     late, whole = W @ C @ B, np.eye(B.shape[1])[-n_f:]
     U, sizes, Vh = np.linalg.svd(at_once)
@@ -78,8 +87,7 @@ def read_faults(plant: Plant, faults: tuple[str, ...]) -> FaultReading:
     rest = whole @ Vh[r:].T
     rest[np.abs(rest).max(axis=1, initial=0.0) <= RESPONSE_ROUNDING] = 0.0
     L_d = rest @ _inverse(late @ Vh[r:].T)
-    left = whole - L_d @ late
-    L_s = _reading_what_it_needs(left @ (Vh[:r].T / sizes[:r]) @ U[:, :r].T, at_once, left)
+    L_s = _without_residue((whole - L_d @ late) @ (Vh[:r].T / sizes[:r]) @ U[:, :r].T)
     missed = float(np.abs(L_s @ at_once + L_d @ late - whole).max(initial=0.0))
     if not missed <= IDENTITY:
         raise AccuracyError(
@@ -95,7 +103,7 @@ def read_faults(plant: Plant, faults: tuple[str, ...]) -> FaultReading:
         f * _without_residue(P) * units.equations / units.rate,
         np.any(L_d, axis=1),
         f[:, 0],
-        ranks,
+        {"rank [Bd Bf; Dd Df]": all_of_them, "rank [Bd; Dd]": without},
     )
 
 
@@ -104,39 +112,6 @@ def _without_residue(M: Matrix) -> Matrix:
     return above_rounding(M, np.abs(M).max(axis=1, keepdims=True, initial=0.0), RESIDUE)
 
 
-def _reading_what_it_needs(X: Matrix, M: Matrix, wanted: Matrix) -> Matrix:
-    """Return ``X`` with ``X M = wanted``, solved again without the columns that are rounding in a row.
-
-    What rounding leaves there would read outputs that the row leaves out, in the units of those however small.
-    """
-    for i, row in enumerate(X):
-        kept = np.abs(row) > RESIDUE * np.abs(row).max(initial=0.0)
-        if not kept.all():
-            fewer = np.zeros(len(row))
-            fewer[kept] = wanted[i] @ _inverse(M[kept])
-            if np.abs(fewer @ M - wanted[i]).max() <= max(2 * np.abs(row @ M - wanted[i]).max(), RESIDUE):
-                X[i] = fewer
-    return X
-
-
-def _determined(columns: Matrix, plant: Plant, faults: tuple[str, ...]) -> dict[str, RankDecision]:
-    """Return the ranks that show that the faults have effects of their own, or raise."""
-    n_f = len(faults)
-    all_of_them, without = (decide_rank(M, rtol=BALANCED_RANK, scale=1.0) for M in (columns, columns[:, :-n_f]))
-    if all_of_them.rank < without.rank + n_f:
-        others = plant.disturbances[: len(plant.disturbances) - n_f]
-        against = f"from the disturbances {', '.join(others)} or " if others else ""
-        raise DesignError(
-            f"the faults {', '.join(faults)} cannot be told {against}from one another: rank [Bd Bf; Dd Df] = "
-            f"{all_of_them.rank} < rank [Bd; Dd] + {n_f} = {without.rank + n_f}; estimate fewer of them at once"
-        )
-    return {"rank [Bd Bf; Dd Df]": all_of_them, "rank [Bd; Dd]": without}
-
-
 def _inverse(M: Matrix) -> Matrix:
     """Return the pseudoinverse of a balanced matrix, which may be nothing but rounding."""
-    if not M.size:
-        return M.T
-    U, sizes, Vh = np.linalg.svd(M, full_matrices=False)
-    r = int(np.count_nonzero(sizes > BALANCED_RANK))
-    return Vh[:r].T / sizes[:r] @ U[:, :r].T
+    return np.asarray(scipy.linalg.pinv(M, atol=BALANCED_RANK, rtol=0.0)) if M.size else M.T
