@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,34 +17,27 @@ from residua.plant import Plant
 from residua.plant.balanced import BalancedPlant, undetectable
 
 
-def checked_options(poles: Any, margin: float | None) -> tuple[Any, float | None]:
-    """Return the wanted poles as numbers, by name where they were, and the margin; or say what is wrong with them."""
-    if margin is not None:
-        if isinstance(margin, bool) or not isinstance(margin, (int, float, np.number)) or not 0 < margin < np.inf:
-            raise DesignError(f"margin must be a positive number in 1/s, got {margin!r}")
-        if poles is not None and not isinstance(poles, Mapping):
-            raise DesignError("give poles or margin, not both")
-    poles = list(poles) if isinstance(poles, Iterator) else poles
-    try:
-        if isinstance(poles, Mapping):
-            return {name: np.asarray(values, dtype=complex).reshape(-1) for name, values in poles.items()}, margin
-        return (None if poles is None else np.asarray(cast("ArrayLike", poles), dtype=complex).reshape(-1)), margin
-    except (TypeError, ValueError) as error:
-        raise DesignError(f"poles must be numbers, or a mapping of fault name to numbers: {error}") from error
-
-
 def balanced_options(plant: Plant, poles: Any, margin: float | None) -> tuple[Any, float | None]:
     """Return poles, by name where they were, and a margin in the units of time of the balanced plant.
 
     The margin of a sampled plant is per sample.
     """
-    poles, margin = checked_options(poles, margin)
     rate = plant.balanced.units.rate
     if margin is not None:
+        if isinstance(margin, bool) or not isinstance(margin, (int, float, np.number)) or not 0 < margin < np.inf:
+            raise DesignError(f"margin must be a positive number in 1/s, got {margin!r}")
+        if poles is not None and not isinstance(poles, Mapping):
+            raise DesignError("give poles or margin, not both")
         margin = margin * plant.dt if plant.is_discrete else margin / rate
-    if isinstance(poles, Mapping):
-        return {name: values / rate for name, values in poles.items()}, margin
-    return None if poles is None else poles / rate, margin
+    poles = list(poles) if isinstance(poles, Iterator) else poles
+    try:
+        if isinstance(poles, Mapping):
+            return {
+                name: np.asarray(values, dtype=complex).reshape(-1) / rate for name, values in poles.items()
+            }, margin
+        return (None if poles is None else np.asarray(poles, dtype=complex).reshape(-1) / rate), margin
+    except (TypeError, ValueError) as error:
+        raise DesignError(f"poles must be numbers, or a mapping of fault name to numbers: {error}") from error
 
 
 def asked(

@@ -211,48 +211,46 @@ class PerfectObserver:
         spread = np.eye(p.n_outputs)[rows]
         return np.block([[-p.B, np.zeros((p.n_states, p.n_outputs))], [-p.D[rows], spread]])
 
-    def _series(self, F: NDArray) -> list[Terms]:
-        """Return ``G F, N G F, ...`` in balanced units, and the sizes of their terms: ``X`` of the signals ``v``."""
-        X, N = self.gain.basis, self.gain.triangular  # its powers are small there when they should be
-        G = self.gain.G * self.gain.pencil.rows
-        power, size = X.T @ G @ F, np.abs(X.T) @ np.abs(G) @ np.abs(F)
-        out = []
-        for _ in range(max(self.index, 1)):
-            out.append((X @ power, np.abs(X) @ size))
-            power, size = N @ power, np.abs(N) @ size
-        return out
+    def _polynomial(self, F: NDArray, read: NDArray, first: Terms | None = None) -> list[NDArray[np.float64]]:
+        """Return the coefficients of ``read X``, after ``first``, of signals that enter the equations by ``F``.
 
-    def _trimmed(self, terms: list[Terms]) -> list[NDArray[np.float64]]:
-        """Return a polynomial without the highest coefficients that are rounding, and with zeros for entries that are.
-
-        A signal that was decoupled is then not read at all, where rounding of its terms would read it faintly. Of
-        balanced units, each with the sizes of its terms, it comes to the plant's unit of time.
+        The highest that are rounding of their terms are left out, and zeros stand for entries that are: a signal that
+        was decoupled is not read at all, where rounding would read it faintly.
         """
-        beta, rate = self.gain.pencil.beta, self.gain.pencil.rate
-        total = sum(beta**i * size for i, (_, size) in enumerate(terms))
+        p, X, N = (
+            self.gain.pencil,
+            self.gain.basis,
+            self.gain.triangular,
+        )  # its powers are small there when they should be
+        G = self.gain.G * p.rows
+        power, size = X.T @ G @ F, np.abs(X.T) @ np.abs(G) @ np.abs(F)
+        terms = [] if first is None else [first]
+        for _ in range(max(self.index, 1)):
+            terms.append((read @ (X @ power), np.abs(read) @ (np.abs(X) @ size)))
+            power, size = N @ power, np.abs(N) @ size
+        if first is not None and self.complete:
+            terms[:2] = [tuple(a + b for a, b in zip(*terms[:2], strict=True))]
+        total = sum(p.beta**i * size for i, (_, size) in enumerate(terms))
         columns = np.max(total, axis=0, keepdims=True, initial=0.0)
         columns = np.where(columns > 0, columns, 1.0)
         floor = 1e-12 * np.max(total / columns, axis=1, keepdims=True, initial=0.0) * columns
-        out = [np.where(beta**i * np.abs(P) > floor, P, 0.0) / rate**i for i, (P, _) in enumerate(terms)]
+        out = [np.where(p.beta**i * np.abs(P) > floor, P, 0.0) / p.rate**i for i, (P, _) in enumerate(terms)]
         while len(out) > 1 and not np.any(out[-1]):
             out.pop()
         return out
 
     def _estimate(self, part: slice) -> list[NDArray[np.float64]]:
         """Return the coefficients of some of the states and disturbances."""
-        columns = self.gain.pencil.columns[part, None]
-        return [columns * P for P in self._trimmed([(P[part], size[part]) for P, size in self._series(self._known)])]
+        columns = self.gain.pencil.columns
+        return [columns[part, None] * P for P in self._polynomial(self._known, np.eye(len(columns))[part])]
 
     def _residual(self, F: NDArray) -> list[NDArray[np.float64]]:
         """Return the coefficients of the residual, of signals that enter the equations by ``F``."""
-        p, series = self.gain.pencil, self._series(F)
+        p = self.gain.pencil
         left, of = (-self.left / p.rows[p.n :], p.R[p.n :]) if self.complete else (self.left / p.rows, p.S)
-        direct, read = F[p.n :] if self.complete else F, above_rounding(left @ of, np.abs(left) @ np.abs(of))
+        direct = F[p.n :] if self.complete else F
         first = self.left @ direct, np.abs(self.left) @ np.abs(direct)
-        found = [(read @ P, np.abs(read) @ size) for P, size in series]
-        if self.complete:
-            return self._trimmed([(first[0] + found[0][0], first[1] + found[0][1]), *found[1:]])
-        return self._trimmed([first, *found])
+        return self._polynomial(F, above_rounding(left @ of, np.abs(left) @ np.abs(of)), first)
 
     def _filter(self, coefficients: list[NDArray], names: list[str]) -> StateSpace:
         p = self.plant
@@ -454,7 +452,7 @@ def _reduced_rows(o: PerfectObserver) -> NDArray[np.float64]:
 
 def _evidence(o: PerfectObserver) -> Evidence:
     """Return the evidence of an observer, or raise when its estimate is not the state."""
-    p, gain, system, pencil = o.plant, o.gain, o.system, o.gain.pencil
+    p, gain, system = o.plant, o.gain, o.system
     of_outputs = system.select(inputs=range(len(p.inputs), system.n_inputs))
     M = (of_outputs.A, of_outputs.B, of_outputs.C, of_outputs.D)
     conditions = {
@@ -466,9 +464,9 @@ def _evidence(o: PerfectObserver) -> Evidence:
     }
     conditions |= {"condition of T": gain.condition} if o.complete else {}
     # the coefficients that measurements have in their own estimate, those of derivatives at the bandwidth
-    C, own = pencil.R[pencil.n :] / pencil.rows[pencil.n :, None], np.eye(len(pencil.rows))[:, pencil.n :]
-    sizes = [pencil.beta**i * float(np.linalg.norm(C @ P, 2)) for i, (P, _) in enumerate(o._series(own))]
-    conditions["sum of |C N^i L|" if p.dt else "sum of |C (bandwidth N)^i L|"] = sum(sizes)
+    C, beta = np.hstack([p.C, p.Dd])[o.rows], 1.0 if p.dt else o.bandwidth
+    sizes = [np.linalg.norm(C @ np.linalg.matrix_power(beta * o.N, i) @ o.L, 2) for i in range(max(o.index, 1))]
+    conditions["sum of |C N^i L|" if p.dt else "sum of |C (bandwidth N)^i L|"] = float(sum(sizes))
     notes: tuple[str, ...] = ()
     if p.dt:
         conditions["noise gain, outputs to estimate (H2)"] = h2_norm(*M, p.dt)
@@ -484,7 +482,7 @@ def _evidence(o: PerfectObserver) -> Evidence:
     return Evidence(
         method=method + (", disturbances estimated" if p.disturbances else ""),
         poles=system.poles(),
-        ranks={"rank[A Bd; C Dd]": decide_rank(pencil.R, rtol=BALANCED_RANK, scale=1.0)},
+        ranks={"rank[A Bd; C Dd]": decide_rank(gain.pencil.R, rtol=BALANCED_RANK, scale=1.0)},
         conditions=conditions,
         notes=notes,
         references=(REFERENCE,),

@@ -265,7 +265,12 @@ def error_pair(
     process, measurement = default_weights(model)
     Y = units.outputs if scaling == "plant" else np.sqrt(units.measurement_weight)
     decouples, B, D = unknown is not None, *(unknown or (np.zeros((n, 0)), np.zeros((len(model.C), 0))))
-    W, G, E = _without_disturbed_outputs(B, D, rank, Y)
+    # the outputs W y without disturbances, of which W has orthonormal rows in the units Y, G y for those of the others
+    U, s, Vh = np.linalg.svd(D) if D.size else (np.eye(len(D)), np.zeros(0), np.eye(D.shape[1]))
+    k, U = int(np.count_nonzero(s > BALANCED_RANK)), without_rounding(U)
+    W, G = U[:, k:].T, cleared(B @ (Vh[:k].T / s[:k]) @ U[:, :k].T)
+    W = without_rounding(np.linalg.qr((W * Y).T)[0].T) / Y if len(W) else W
+    E = without_rounding(np.linalg.svd(B @ Vh[k:].T)[0])[:, :rank] if rank else B[:, :0]
     A, C = model.A - G @ model.C, W @ model.C
     q = E.shape[1]
     P = np.linalg.pinv(C @ E)
@@ -276,7 +281,10 @@ def error_pair(
         given = matrix(H0, "H0", (n, model.plant.n_outputs), what="states x outputs")
         H = H + given / units.states[:, None] / units.outputs @ np.linalg.pinv(W) @ (np.eye(len(C)) - C @ H)
     T = _summed(np.eye(n), -H, C)
-    read, rest, white = _apart(C @ E, np.sqrt(measurement) @ W.T if white_outputs else np.eye(len(W)))
+    # outputs in which what inverts C E and what annihilates it are rows, and their noises have nothing in common
+    white = np.linalg.inv(np.linalg.qr(np.sqrt(measurement) @ W.T, mode="r")).T if white_outputs else np.eye(len(W))
+    rest = without_rounding(np.linalg.svd(white @ C @ E)[0][:, q:].T) if q else np.eye(len(W))
+    read = cleared(np.linalg.pinv(white @ C @ E))
     # x = E a + N b, and the outputs read a, and b alone: of T E = 0 nothing is left to rounding
     M, outputs = np.hstack([E, N]), np.vstack([read, rest]) @ white
     inverse = np.asarray(np.linalg.inv(M), dtype=np.float64)
@@ -288,31 +296,6 @@ def error_pair(
         A1[:q] = 0.0
     noise = scipy.linalg.block_diag(read @ read.T, np.eye(len(rest)))
     return ErrorPair(model, A1, C1, M, inverse, outputs, inverse @ process @ inverse.T, noise, T, H, W, G, q, decouples)
-
-
-def _without_disturbed_outputs(B: NDArray, D: NDArray, rank: int, units: NDArray) -> tuple[NDArray, NDArray, NDArray]:
-    """Return the outputs ``W y`` without disturbances, how the others replace theirs, and a basis of what is left.
-
-    The rows of ``W`` are orthonormal on outputs of which the balanced ones are ``units`` as large.
-    """
-    p = len(D)
-    U, s, Vh = np.linalg.svd(D) if D.size else (np.eye(p), np.zeros(0), np.eye(D.shape[1]))
-    k, U = int(np.count_nonzero(s > BALANCED_RANK)), without_rounding(U)
-    W, G = U[:, k:].T, cleared(B @ (Vh[:k].T / s[:k]) @ U[:, :k].T)
-    W = without_rounding(np.linalg.qr((W * units).T)[0].T) / units if len(W) else W
-    return W, G, without_rounding(np.linalg.svd(B @ Vh[k:].T)[0])[:, :rank] if rank else B[:, :0]
-
-
-def _apart(CE: NDArray, root: NDArray) -> tuple[NDArray, NDArray, NDArray]:
-    """Return rows that invert ``CE``, rows that annihilate it, and what brings outputs to where they are rows.
-
-    The noises of both, of covariance ``root' root``, have nothing in common there, however far the units of the plant
-    are from even ones.
-    """
-    white = np.linalg.inv(np.linalg.qr(root, mode="r")).T
-    q = CE.shape[1]
-    rest = without_rounding(np.linalg.svd(white @ CE)[0][:, q:].T) if q else np.eye(len(CE))
-    return cleared(np.linalg.pinv(white @ CE)), rest, white
 
 
 def _summed(M: NDArray, left: NDArray, right: NDArray) -> NDArray[np.float64]:
