@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from residua.arrays import index_of
-from residua.design.banks.bank import maps_of, measured_of_members
+from residua.design.banks.bank import measured_of_members
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import Member, ResidualGenerator, make_generator
 from residua.design.core.method import method
@@ -233,7 +233,7 @@ def _stacked(parts: list[ResidualGenerator], groups: list[list[FaultEvent]], ide
         first.method,
         evidence,
         decouples=measured_of_members(system, parts),
-        **maps_of(parts, system.outputs),
+        state_map=np.vstack([part.state_map for part in parts if part.state_map is not None]),
         observer=first.observer,
         members=tuple(members),
     )

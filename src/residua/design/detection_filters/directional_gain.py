@@ -98,9 +98,10 @@ def obstacle(A: Matrix, C: Matrix, events: Sequence[FaultEvent], model: Balanced
             f"{decide_rank(np.hstack(outputs)).rank} of {sum(one.shape[1] for one in outputs)} directions, "
             f"{len(C)} measurements)"
         )
-    bad = unstable(*split_blocks(A, C, [event.space for event in events]).pairs[-1], model.plant.is_discrete)
-    if bad.size:
-        zero = describe_modes(model.units.rate * bad)
+    modes = hidden_modes(*split_blocks(A, C, [event.space for event in events]).pairs[-1])
+    inside = is_inside(modes, model.plant.is_discrete)
+    if not inside.all():
+        zero = describe_modes(model.units.rate * modes[~inside])
         return f"{names}: the invariant zero {zero} of these faults together is a fixed pole, and not stable"
     return None
 
@@ -109,12 +110,6 @@ def hidden_modes(A: Matrix, C: Matrix) -> NDArray[np.complex128]:
     """Return the modes of a balanced pair that no output sees."""
     hidden = observable_split(A, C).hidden
     return np.asarray(np.linalg.eigvals(hidden.T @ A @ hidden), dtype=complex)
-
-
-def unstable(A: Matrix, C: Matrix, sampled: bool) -> NDArray[np.complex128]:
-    """Return the modes of a balanced pair that no output sees and that are not stable."""
-    modes = hidden_modes(A, C)
-    return modes[~is_inside(modes, sampled)]
 
 
 def partition(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +36,10 @@ class PlantPencil:
         The unit of rates, in 1/s.
     beta : float
         The rate at which derivatives are compared with one another: the bandwidth, or of a sampled plant one step.
+    inverse, left : ndarray
+        The smallest left inverse of ``R``, and orthonormal rows that annihilate ``R``.
+    M, H : ndarray
+        What the inverse makes of ``S``, and what a gain reads to change it.
     """
 
     R: Matrix
@@ -46,6 +49,10 @@ class PlantPencil:
     columns: Matrix
     rate: float
     beta: float
+    inverse: Matrix
+    left: Matrix
+    M: Matrix
+    H: Matrix
 
     @classmethod
     def of(cls, plant: Plant, outputs: list[int], bandwidth: float) -> PlantPencil:
@@ -64,27 +71,9 @@ class PlantPencil:
         S[:n, :n] = equations[:, None] * E * states
         rows, columns = rows * np.concatenate([e, Y]), columns * np.concatenate([units.states, d])
         rate = units.rate * own
-        return cls(R, S, n, rows, columns, rate, 1.0 if plant.dt else bandwidth / rate)
-
-    @cached_property
-    def inverse(self) -> Matrix:
-        """The smallest left inverse of ``R``."""
-        return np.asarray(np.linalg.pinv(self.R), dtype=np.float64)
-
-    @cached_property
-    def left(self) -> Matrix:
-        """Orthonormal rows that annihilate ``R``."""
-        return without_rounding(np.linalg.svd(self.R)[0][:, self.R.shape[1] :].T)
-
-    @cached_property
-    def M(self) -> Matrix:
-        """What the smallest left inverse makes of ``S``."""
-        return self.inverse @ self.S
-
-    @cached_property
-    def H(self) -> Matrix:
-        """What a gain reads to change ``M``."""
-        return self.left @ self.S
+        beta = 1.0 if plant.dt else bandwidth / rate
+        inverse, left = np.linalg.pinv(R), without_rounding(np.linalg.svd(R)[0][:, R.shape[1] :].T)
+        return cls(R, S, n, rows, columns, rate, beta, inverse, left, inverse @ S, left @ S)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from residua import arrays
 from residua.design.core.evidence import Evidence
 from residua.design.core.method import method
-from residua.design.observers.observer import Observer
+from residua.design.observers.observer import Observer, with_checked_estimate
 from residua.design.observers.observer_gain import asked, default_weights, pair_gain, with_gain
 from residua.design.observers.unknown_input_observer import largest, quotient_observer
 from residua.errors import DesignError
@@ -94,7 +94,7 @@ def reduced_order_observer(
     """
     if is_singular(plant):
         raise DesignError("E is singular: use descriptor_observer, which is the same for singular plants")
-    return _designed(plant.explicit(), "reduced-order observer", poles, margin, outputs)
+    return with_checked_estimate(_designed(plant.explicit(), "reduced-order observer", poles, margin, outputs))
 
 
 @method(
@@ -176,7 +176,7 @@ def descriptor_observer(
     >>> observer.order, observer.poles.real.round(9)
     (1, array([-4.]))
     """
-    return _designed(plant, "descriptor observer", poles, margin, outputs)
+    return with_checked_estimate(_designed(plant, "descriptor observer", poles, margin, outputs))
 
 
 def _designed(

@@ -123,7 +123,7 @@ def unknown_input_observer(
     if len(plant.balanced.algebra):
         if H0 is not None:
             raise DesignError("H0 is the free matrix of an ordinary plant; for a singular one leave it out")
-        return _of_singular_plant(plant.balanced, evidence, poles, margin)
+        return with_checked_estimate(_of_singular_plant(plant.balanced, evidence, poles, margin))
     model = plant.explicit().balanced
     pair = error_pair(model, model.disturbances, existence.rank_E.rank, scaling, H0, white_outputs=poles is None)
     gain = pair_gain(model, pair.A, pair.C, (pair.process, pair.measurement), *asked(model.plant, poles, margin))
@@ -283,8 +283,8 @@ def error_pair(
     T = _summed(np.eye(n), -H, C)
     # outputs in which what inverts C E and what annihilates it are rows, and their noises have nothing in common
     white = np.linalg.inv(np.linalg.qr(np.sqrt(measurement) @ W.T, mode="r")).T if white_outputs else np.eye(len(W))
-    rest = without_rounding(np.linalg.svd(white @ C @ E)[0][:, q:].T) if q else np.eye(len(W))
-    read = cleared(np.linalg.pinv(white @ C @ E))
+    rest = without_rounding(np.linalg.svd(white @ (C @ E))[0][:, q:].T) if q else np.eye(len(W))
+    read = cleared(np.linalg.pinv(white @ (C @ E)))
     # x = E a + N b, and the outputs read a, and b alone: of T E = 0 nothing is left to rounding
     M, outputs = np.hstack([E, N]), np.vstack([read, rest]) @ white
     inverse = np.asarray(np.linalg.inv(M), dtype=np.float64)
@@ -350,6 +350,4 @@ def quotient_observer(
     p = model.plant.n_outputs
     T = without_rounding(N @ model.derivative - K[:, p:] @ model.algebra)
     J = H[:, p:] @ model.algebra if model.plant.E is not None else None
-    return with_checked_estimate(
-        plant_observer(model, F, T, K[:, :p], W, evidence, M=without_rounding(M), H=H[:, :p], J=J, V=V)
-    )
+    return plant_observer(model, F, T, K[:, :p], W, evidence, M=without_rounding(M), H=H[:, :p], J=J, V=V)
