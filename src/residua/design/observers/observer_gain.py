@@ -90,8 +90,8 @@ def require_detectable(model: BalancedPlant, outputs: list[int] | None = None) -
     hidden = undetectable(model, outputs)
     if hidden.size:
         raise DesignError(
-            f"(C, A) is not detectable: no measurement that is used sees the mode {describe_modes(hidden)}, and it is "
-            "not stable; add a sensor that sees it"
+            f"(C, A) is not detectable: no measurement that is used sees the mode {describe_modes(hidden)}; "
+            "add a sensor that sees it"
         )
 
 

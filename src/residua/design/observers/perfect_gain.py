@@ -107,11 +107,6 @@ class PerfectGain:
     dropped: float
     size: float
 
-    @property
-    def N(self) -> Matrix:
-        """``G S``."""
-        return self.basis @ self.triangular @ self.basis.T
-
 
 def deadbeat(M: Matrix, H: Matrix) -> tuple[Matrix, Matrix, list[int]] | None:
     """Return ``Z`` with ``M + Z H`` nilpotent, of the least index, and a basis in which it is block triangular.
