@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -125,22 +126,19 @@ def partition(
     DesignError
         If a fault cannot be kept in a direction even alone; the message says why.
     """
-    known: dict[tuple[int, ...], ObserverGain | str] = {}
 
+    @cache
     def designed(members: tuple[int, ...]) -> ObserverGain | str:
         """Return the gain of some events, or why there is none."""
-        if members not in known:
-            group = [events[i] for i in members]
-            found = obstacle(pair.A, pair.C, group, pair.model)
-            try:
-                found = found or block_gain(pair, group, hidden)
-            except AccuracyError as error:
-                if len(group) == 1:
-                    raise
-                found = str(error)
-            large = len(group) > 1 and not isinstance(found, str) and np.linalg.norm(found.K) >= _LARGE
-            known[members] = "the gain is large" if large else found
-        return known[members]
+        group = [events[i] for i in members]
+        try:
+            found = obstacle(pair.A, pair.C, group, pair.model) or block_gain(pair, group, hidden)
+        except AccuracyError as error:
+            if len(group) == 1:
+                raise
+            return str(error)
+        large = len(group) > 1 and isinstance(found, ObserverGain) and np.linalg.norm(found.K) >= _LARGE
+        return "the gain is large" if large else found
 
     everything = tuple(range(len(events)))
     if isinstance(gain := designed(everything), ObserverGain):

@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike
 from residua import arrays
 from residua.design.core.evidence import Evidence
 from residua.design.core.method import method
-from residua.design.observers.observer import Observer, with_checked_estimate
+from residua.design.observers.observer import Observer, plant_observer, with_checked_estimate
 from residua.design.observers.observer_gain import asked, default_weights, pair_gain, with_gain
-from residua.design.observers.unknown_input_observer import largest, quotient_observer
+from residua.design.observers.unknown_input_observer import largest
 from residua.errors import DesignError
 from residua.linear.poles.spectrum import describe_modes
 from residua.linear.subspaces.quotient import Quotient, quotient, without_rounding
@@ -223,7 +223,18 @@ def _designed(
         references=(REFERENCE,),
     )
     evidence = with_gain(evidence, gain, model, "L")
-    return quotient_observer(model, own, down @ q.N, K @ rows, out @ V2, H @ rows, left / largest(left), evidence)
+    K, H, algebra = K @ rows, H @ rows, model.algebra
+    return plant_observer(
+        model,
+        own,
+        without_rounding(down @ q.N @ model.derivative - K[:, p:] @ algebra),
+        K[:, :p],
+        left / largest(left),
+        evidence,
+        M=without_rounding(out @ V2),
+        H=H[:, :p],
+        J=H[:, p:] @ algebra if plant.E is not None else None,
+    )
 
 
 def _quotient_of(model: BalancedPlant, rows: np.ndarray) -> Quotient:

@@ -322,32 +322,16 @@ def _of_singular_plant(
     gain = pair_gain(model, F, G, noise, *asked(model.plant, poles, margin), split=q.split)
     inverse = without_rounding(q.R @ q.known[0])
     read = q.H[:, :p] * model.units.outputs
-    return quotient_observer(
+    K, algebra = _summed(q.J, gain.K, q.H), model.algebra
+    return plant_observer(
         model,
         F - gain.K @ G,
-        q.N,
-        _summed(q.J, gain.K, q.H),
-        q.P - inverse @ q.C,
-        inverse,
+        without_rounding(q.N @ model.derivative - K[:, p:] @ algebra),
+        K[:, :p],
         read / largest(read),
         with_gain(evidence, gain, model, "K1"),
-        V=q.H[:, p:] @ model.algebra * model.units.equations / model.units.rate / largest(read),
+        M=without_rounding(q.P - inverse @ q.C),
+        H=inverse[:, :p],
+        J=inverse[:, p:] @ algebra,
+        V=q.H[:, p:] @ algebra * model.units.equations / model.units.rate / largest(read),
     )
-
-
-def quotient_observer(
-    model: BalancedPlant,
-    F: NDArray,
-    N: NDArray,
-    K: NDArray,
-    M: NDArray,
-    H: NDArray,
-    W: NDArray,
-    evidence: Evidence,
-    V: NDArray | None = None,
-) -> Observer:
-    """Return an observer of ``N x``; ``K`` and ``H`` read the outputs and below them the algebraic equations."""
-    p = model.plant.n_outputs
-    T = without_rounding(N @ model.derivative - K[:, p:] @ model.algebra)
-    J = H[:, p:] @ model.algebra if model.plant.E is not None else None
-    return plant_observer(model, F, T, K[:, :p], W, evidence, M=without_rounding(M), H=H[:, :p], J=J, V=V)
