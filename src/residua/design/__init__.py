@@ -15,9 +15,8 @@ if TYPE_CHECKING:
     from residua.design.core.evidence import Evidence
     from residua.design.core.generator import Member, ResidualGenerator
     from residua.design.core.method import Method, method
-    from residua.design.detection_filters.detection_filter import detection_filter
+    from residua.design.detection_filters.detection_filter import detection_filter, robust_detection_filter
     from residua.design.detection_filters.eigenstructure_assignment import eigenstructure_assignment
-    from residua.design.detection_filters.robust_detection_filter import robust_detection_filter
     from residua.design.estimation.accommodation import Compensation, closed_loop, compensation_gain
     from residua.design.estimation.fault_estimator import FaultEstimator, fault_estimator
     from residua.design.estimation.sensor_fault_estimators import SensorFaultEstimators, sensor_fault_estimators
@@ -130,9 +129,8 @@ hand_on(
         "residua.design.core.evidence": ("Evidence",),
         "residua.design.core.generator": ("Member", "ResidualGenerator"),
         "residua.design.core.method": ("Method", "method"),
-        "residua.design.detection_filters.detection_filter": ("detection_filter",),
+        "residua.design.detection_filters.detection_filter": ("detection_filter", "robust_detection_filter"),
         "residua.design.detection_filters.eigenstructure_assignment": ("eigenstructure_assignment",),
-        "residua.design.detection_filters.robust_detection_filter": ("robust_detection_filter",),
         "residua.design.estimation.accommodation": ("Compensation", "closed_loop", "compensation_gain"),
         "residua.design.estimation.fault_estimator": ("FaultEstimator", "fault_estimator"),
         "residua.design.estimation.sensor_fault_estimators": ("SensorFaultEstimators", "sensor_fault_estimators"),
