@@ -381,8 +381,10 @@ def _left_design(
     if not exact:
         rows = np.linalg.svd(H @ A @ N)[0][:, [min(N.shape[1], k) - 1]].T  # the smallest singular value
     h = rows @ H
-    reading = (decide_rank(M, rtol=BALANCED_RANK, scale=1.0) for M in (C, np.vstack([C, h @ A])))
-    ranks = dict(zip(("rank C", "rank [C; h A]"), reading, strict=True))
+    ranks = {
+        name: decide_rank(M, rtol=BALANCED_RANK, scale=1.0)
+        for name, M in {"rank C": C, "rank [C; h A]": np.vstack([C, h @ A])}.items()
+    }
     if exact:
         ranks["h A off the rows of C"] = decision
     elif not approximate:

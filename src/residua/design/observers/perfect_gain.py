@@ -72,7 +72,8 @@ class PlantPencil:
         rows, columns = rows * np.concatenate([e, Y]), columns * np.concatenate([units.states, d])
         rate = units.rate * own
         beta = 1.0 if plant.dt else bandwidth / rate
-        inverse, left = np.linalg.pinv(R), without_rounding(np.linalg.svd(R)[0][:, R.shape[1] :].T)
+        inverse = np.asarray(np.linalg.pinv(R), dtype=np.float64)
+        left = without_rounding(np.linalg.svd(R)[0][:, R.shape[1] :].T)
         return cls(R, S, n, rows, columns, rate, beta, inverse, left, inverse @ S, left @ S)
 
 
