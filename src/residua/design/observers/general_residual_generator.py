@@ -362,20 +362,19 @@ def _of_matrices(plant: Plant, entries: dict[str, Any], decouples: bool) -> Resi
 
 def _decoupling_as_asked(made: ResidualGenerator, decouples: bool | None) -> ResidualGenerator:
     """Return a generator, after checking that it ignores the disturbances where that is asked."""
-    p, leaks = made.plant, dict(made.evidence.decoupling)
+    p = made.plant
     if not decouples or not p.disturbances:
         return made
-    if "disturbance" not in leaks and made.state_map is not None:  # which it does not promise
-        found = leak(made.system, p, made.state_map, made.static_map)
-        leaks["disturbance"] = float(found.gains[:, len(p.inputs) :].max())
-    gain = leaks["disturbance"]
+    assert made.state_map is not None  # every observer has one
+    found = leak(made.system, p, made.state_map, made.static_map)
+    gain = float(found.gains[:, len(p.inputs) :].max())
     if gain > LEAK:
         raise DesignError(
             f"the residual does not ignore the disturbances {', '.join(p.disturbances)}, as decouples=True asks: they "
             f"reach it by {gain:.2g} of the terms that would have to cancel (allowed: {LEAK:.0e}); leave decouples out "
             "to take it as it is, or have one designed, as by unknown_input_observer or decoupled_residual"
         )
-    return replace(made, evidence=made.evidence.extended(decoupling=leaks))
+    return replace(made, evidence=made.evidence.extended(decoupling={"disturbance": gain}))
 
 
 def _require_stable(F: NDArray, dt: float, name: str) -> None:
