@@ -17,6 +17,8 @@ from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import numpy as np
+
 import residua as rs
 
 PACKAGE = str(Path(rs.__file__).resolve().parent) + os.sep
@@ -30,10 +32,24 @@ def plant(seed: int) -> rs.Plant:
     return made.with_faults({"f1": p.B[:, 0]}).with_noise(process=1.0, measurement=0.1)
 
 
+def singular(p: rs.Plant) -> rs.Plant:
+    """Return a plant whose last state obeys an algebraic equation."""
+    return rs.Plant(p.A, p.B, p.C, E=np.diag([1.0, 1, 1, 0]), name="singular")
+
+
 DESIGNS: dict[str, Callable[[rs.Plant], Any]] = {
     "kalman_filter": lambda p: rs.design.kalman_filter(p.without_disturbances()),
     "unknown_input_observer": rs.design.unknown_input_observer,
     "detection_filter": lambda p: rs.design.detection_filter(p.without_disturbances()),
+    "robust_detection_filter": rs.design.robust_detection_filter,
+    "luenberger_observer": lambda p: rs.design.luenberger_observer(p.without_disturbances()),
+    "reduced_order_observer": rs.design.reduced_order_observer,
+    "descriptor_observer": lambda p: rs.design.descriptor_observer(singular(p)),
+    "perfect_observer": lambda p: rs.design.perfect_observer(p, least_order=True),
+    "inverse_form_observer": lambda p: rs.design.inverse_form_observer(p.without_disturbances()),
+    "eigenstructure_assignment": lambda p: rs.design.eigenstructure_assignment(p, insensitive_to="f1"),
+    "fault_estimator": lambda p: rs.design.fault_estimator(p.without_disturbances(), faults="f1"),
+    "sensor_fault_estimators": rs.design.sensor_fault_estimators,
 }
 
 

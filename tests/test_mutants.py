@@ -12,16 +12,16 @@ import pytest
 from effort import cases
 
 TESTS = Path(__file__).resolve().parent
-#: Decoupling, T E = 0, T E + H C = I, the Riccati equation, directions, poles, and identities of maps and forms.
+#: Decoupling, estimates of observers, the Riccati equation, directions, poles, and identities of maps and forms.
 CENTRAL = (
     "design.core.decoupling:_accepted",
-    "design.observers.unknown_input_observer:assemble:1",
-    "design.observers.unknown_input_observer:assemble:2",
+    "design.observers.observer:with_checked_estimate",
+    "design.observers.perfect_observer:_estimate_off",
     "linear.poles.riccati:filter_riccati",
-    "design.detection_filters.detection_filter:_check_directions",
+    "design.detection_filters.detection_filter:_stacked",
     "design.parity.directions:check_directions",
-    "design.observers.observer_gain:place",
-    "design.detection_filters.directional_gain:gain_evidence",
+    "linear.poles.pole_assignment:assigned_gain",
+    "design.detection_filters.directional_gain:with_poles_of_whole",
     "design.core.decoupling:_accept",
 )
 

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-import residua as rs
 from guards import changed, trips
 from residua.analysis.coding_choice import ChoiceTask
 from residua.analysis.cover import Cover, _greedy, fewest
@@ -67,12 +66,3 @@ def test_a_demo_that_comes_out_otherwise_says_so() -> None:
 
     with pytest.raises(AccuracyError, match="did not come out as it should: no alarm"):
         present(Outcome((), (), Path("page.html"), ("no alarm",)))
-
-
-@trips("design.observers.perfect_observer:_evidence")
-def test_a_filter_that_is_too_large_for_its_peak_gain_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    plant = rs.Plant([[1, 2], [3, 4]], [[1], [1]], [[1, 1]], E=[[1, 0], [0, 0]])
-    assert not rs.design.perfect_observer(plant, K=[[1], [-4]]).evidence.notes
-    monkeypatch.setattr("residua.design.observers.perfect_observer.MOST_STATES", 0)
-    (note,) = rs.design.perfect_observer(plant, K=[[1], [-4]]).evidence.notes
-    assert "more than 0" in note

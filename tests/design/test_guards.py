@@ -98,35 +98,35 @@ WRONG = [
         "design.detection_filters.detection_filter:block_gain",
         lambda gain: replace(gain, K=off(gain.K)),
         lambda: D.detection_filter(gertler(), poles=[0.25, 0.3, 0.6]),
-        marks=trips("design.detection_filters.directional_gain:gain_evidence"),
+        marks=trips("design.detection_filters.directional_gain:with_poles_of_whole"),
         id="gain of a detection filter",
     ),
     pytest.param(
-        "design.detection_filters.eigenstructure_assignment:right_gain",
+        "design.detection_filters.eigenstructure_assignment:_right_gain",
         lambda gain: replace(gain, K=-3 * gain.K),
         assigned,
         marks=trips("design.detection_filters.eigenstructure_assignment:_generator"),
         id="stability of assigned eigenvectors",
     ),
     pytest.param(
-        "design.estimation.fault_estimator:read_faults",
+        "design.estimation.fault_estimator:_read_faults",
         lambda reading: _times(reading, "static", "derivative", "dynamics"),
         estimator,
-        marks=trips("design.estimation.fault_estimator:_missed"),
+        marks=trips("design.estimation.fault_estimator:fault_estimator"),
         id="reading of an estimator",
     ),
     pytest.param(
-        "design.estimation.fault_estimator:read_faults",
+        "design.estimation.fault_estimator:_read_faults",
         lambda reading: _times(reading, "static", "derivative", "dynamics"),
         lambda: D.sensor_fault_estimators(rs.library.vtol(), poles=[-30, -40, -40, -50]),
         marks=trips("design.estimation.sensor_fault_estimators:sensor_fault_estimators"),
         id="estimates of every sensor",
     ),
     pytest.param(
-        "design.estimation.fault_reading:_inverse",
+        "design.estimation.fault_estimator:_inverse",
         off,
         estimator,
-        marks=trips("design.estimation.fault_reading:read_faults"),
+        marks=trips("design.estimation.fault_estimator:_read_faults"),
         id="faults read off",
     ),
     pytest.param(
@@ -158,31 +158,11 @@ WRONG = [
         id="steps of least order",
     ),
     pytest.param(
-        "design.observers.perfect_gain:_finished",
-        lambda gain: replace(gain, missed=OFF),
-        lambda: perfect_observer(algebraic(), least_order=True),
-        marks=trips("design.observers.perfect_gain:_passed"),
-        id="gain of least order",
-    ),
-    pytest.param(
         "design.observers.perfect_gain:_random_gains",
         lambda gains: iter(()),
         lambda: perfect_observer(algebraic()),
-        marks=trips("design.observers.perfect_gain:full_rank_gain:2"),
+        marks=trips("design.observers.perfect_gain:full_rank_gain"),
         id="steps of full rank",
-    ),
-    pytest.param(
-        "design.observers.perfect_gain:_finished",
-        lambda gain: replace(gain, missed=OFF),
-        lambda: perfect_observer(algebraic()),
-        marks=trips("design.observers.perfect_gain:full_rank_gain:1"),
-        id="gains of full rank",
-    ),
-    pytest.param(
-        "design.observers.perfect_gain:_finished",
-        lambda gain: replace(gain, missed=OFF),
-        lambda: perfect_observer(algebraic(), K=[[1], [-4]]),
-        id="gain of one's own",
     ),
     pytest.param(
         "design.observers.perfect_observer:full_rank_gain",
@@ -307,7 +287,7 @@ def _silent(found: tuple[Bases, float]) -> tuple[Bases, float]:
     return {name: one[:, :0] for name, one in bases.items()}, off_them
 
 
-@trips("design.detection_filters.detection_filter:_check_directions")
+@trips("design.detection_filters.detection_filter:_stacked")
 def test_a_fault_that_leaves_its_direction_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     D.detection_filter(gertler())
     D.detection_filter(without_dynamics())

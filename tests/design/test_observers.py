@@ -121,6 +121,19 @@ def test_single_output_gains_are_ackermanns(seed: int) -> None:
     np.testing.assert_allclose(rs.design.luenberger_observer(plant, poles=poles).K, K, rtol=1e-6)
 
 
+@pytest.mark.parametrize("used", [["y2"], ["y3", "y1"]])
+def test_outputs_that_are_left_out_are_not_read(used: list[str]) -> None:
+    """In units far apart, so that a column of the gain in the wrong place shows."""
+    plant = random_plant(np.random.default_rng(5), n=4, outputs=3, faults=0, dt=0.0)
+    plant = rs.Plant(plant.A, plant.B, np.array([[1e-3], [1], [1e4]]) * plant.C)
+    observer = rs.design.luenberger_observer(plant, poles=[-1, -2, -3 + 1j, -3 - 1j], outputs=used)
+    assert_poles(observer.poles, np.array([-1, -2, -3 + 1j, -3 - 1j]))
+    assert identities(observer) < 1e-9
+    left_out = [i for i, name in enumerate(plant.outputs) if name not in used]
+    np.testing.assert_array_equal(observer.K[:, left_out], 0)
+    assert observer.residual_generator().residuals == tuple(f"r {name}" for name in used)
+
+
 def test_unobservable_modes_are_reported_and_unstable_ones_refused() -> None:
     plant = rs.Plant([[-1, 0], [0, -2]], [[1], [1]], [[1, 0]])
     observer = rs.design.luenberger_observer(plant, poles=[-5])

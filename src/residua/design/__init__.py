@@ -15,13 +15,11 @@ if TYPE_CHECKING:
     from residua.design.core.evidence import Evidence
     from residua.design.core.generator import Member, ResidualGenerator
     from residua.design.core.method import Method, method
-    from residua.design.detection_filters.detection_filter import detection_filter
+    from residua.design.detection_filters.detection_filter import detection_filter, robust_detection_filter
     from residua.design.detection_filters.eigenstructure_assignment import eigenstructure_assignment
-    from residua.design.detection_filters.robust_detection_filter import robust_detection_filter
     from residua.design.estimation.accommodation import Compensation, closed_loop, compensation_gain
     from residua.design.estimation.fault_estimator import FaultEstimator, fault_estimator
     from residua.design.estimation.sensor_fault_estimators import SensorFaultEstimators, sensor_fault_estimators
-    from residua.design.observers.descriptor_observer import descriptor_observer
     from residua.design.observers.general_residual_generator import (
         GeneralForm,
         general_form,
@@ -32,7 +30,7 @@ if TYPE_CHECKING:
     from residua.design.observers.luenberger_observer import luenberger_observer
     from residua.design.observers.observer import Observer
     from residua.design.observers.perfect_observer import PerfectObserver, perfect_observer
-    from residua.design.observers.reduced_order_observer import reduced_order_observer
+    from residua.design.observers.reduced_order_observer import descriptor_observer, reduced_order_observer
     from residua.design.observers.unknown_input_observer import unknown_input_observer
     from residua.design.parity.directional_parity import directional_parity
     from residua.design.parity.equivalence import Equivalence, RowTransformation
@@ -131,13 +129,11 @@ hand_on(
         "residua.design.core.evidence": ("Evidence",),
         "residua.design.core.generator": ("Member", "ResidualGenerator"),
         "residua.design.core.method": ("Method", "method"),
-        "residua.design.detection_filters.detection_filter": ("detection_filter",),
+        "residua.design.detection_filters.detection_filter": ("detection_filter", "robust_detection_filter"),
         "residua.design.detection_filters.eigenstructure_assignment": ("eigenstructure_assignment",),
-        "residua.design.detection_filters.robust_detection_filter": ("robust_detection_filter",),
         "residua.design.estimation.accommodation": ("Compensation", "closed_loop", "compensation_gain"),
         "residua.design.estimation.fault_estimator": ("FaultEstimator", "fault_estimator"),
         "residua.design.estimation.sensor_fault_estimators": ("SensorFaultEstimators", "sensor_fault_estimators"),
-        "residua.design.observers.descriptor_observer": ("descriptor_observer",),
         "residua.design.observers.general_residual_generator": (
             "GeneralForm",
             "general_form",
@@ -148,7 +144,7 @@ hand_on(
         "residua.design.observers.luenberger_observer": ("luenberger_observer",),
         "residua.design.observers.observer": ("Observer",),
         "residua.design.observers.perfect_observer": ("PerfectObserver", "perfect_observer"),
-        "residua.design.observers.reduced_order_observer": ("reduced_order_observer",),
+        "residua.design.observers.reduced_order_observer": ("descriptor_observer", "reduced_order_observer"),
         "residua.design.observers.unknown_input_observer": ("unknown_input_observer",),
         "residua.design.parity.directional_parity": ("directional_parity",),
         "residua.design.parity.equivalence": ("Equivalence", "RowTransformation"),

@@ -9,9 +9,9 @@ from numpy.typing import ArrayLike
 from residua.design.banks.bank import MemberDesign
 from residua.design.banks.decoupled_residual import decoupled_residual
 from residua.design.core.generator import ResidualGenerator
-from residua.design.observers.descriptor_observer import descriptor_observer
-from residua.design.observers.observer_gain import checked_options
+from residua.design.observers.observer_gain import asked
 from residua.design.observers.perfect_observer import perfect_observer
+from residua.design.observers.reduced_order_observer import descriptor_observer
 from residua.design.observers.unknown_input_observer import unknown_input_observer
 from residua.errors import DesignError
 from residua.plant import Plant
@@ -43,7 +43,7 @@ def member_design(
     DesignError
         If the kind is not known, or does not have the poles asked for.
     """
-    checked_options(poles, margin)  # once, not for every member
+    asked(plant, poles, margin)  # once, not for every member
     if kind == "unknown-input":
         return lambda _, p: unknown_input_observer(p, poles=poles, margin=margin, scaling="even").residual_generator()
     if kind == "reduced-order":

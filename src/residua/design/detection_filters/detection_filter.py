@@ -1,4 +1,4 @@
-"""Beard's detection filter: each fault moves the residual in its own direction or plane."""
+"""Detection filters: each fault moves the residual in its own direction or plane, and no disturbance does."""
 
 from __future__ import annotations
 
@@ -7,36 +7,37 @@ from dataclasses import replace
 from typing import Literal
 
 import numpy as np
-import scipy.linalg
+from numpy.typing import ArrayLike
 
+from residua.analysis.existence import unknown_input_observer_existence
 from residua.arrays import index_of
-from residua.design.banks.bank import maps_of, measured_of_members
+from residua.design.banks.bank import measured_of_members
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import Member, ResidualGenerator, make_generator
 from residua.design.core.method import method
-from residua.design.core.needs import FAULTS
+from residua.design.core.needs import FAULTS, disturbances
 from residua.design.detection_filters.directional_gain import (
-    DirectionalGain,
     FaultEvent,
     Poles,
     block_gain,
     entrances,
     fault_events,
-    gain_evidence,
     hidden_modes,
     partition,
+    with_poles_of_whole,
 )
-from residua.design.observers.observer_gain import balanced_options
-from residua.design.observers.unknown_input_observer import ErrorPair, error_pair
+from residua.design.observers.observer_gain import balanced_options, require_detectable
+from residua.design.observers.unknown_input_observer import REFERENCE, ErrorPair, error_pair
 from residua.errors import AccuracyError, DesignError
+from residua.linear.poles.observer_gain import ObserverGain
 from residua.linear.poles.placement import default_margin
 from residua.linear.poles.spectrum import describe_modes
 from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.quotient import observable_split
 from residua.linear.systems.state_space import stack_systems
 from residua.plant import Plant
-from residua.plant.balanced import undetectable
 from residua.tolerances import BALANCED_RANK, above_rounding
+from residua.words import counted, used_up
 
 #: The units in which a pseudoinverse is the smallest.
 Scaling = Literal["plant", "even"]
@@ -130,15 +131,110 @@ def detection_filter(
            [-0.2 ,  0.4 ]])
     """
     model = plant.explicit().balanced
-    bad = undetectable(model)
-    if bad.size:
-        modes = describe_modes(bad)
-        raise DesignError(f"no stable filter exists: no measurement sees the mode {modes}; add a sensor")
+    require_detectable(model)
     pair = error_pair(model, None, 0, scaling)
-    return directional_filters(pair, poles, margin, faults, Evidence(method="detection filter", references=REFERENCES))
+    return _directional_filters(pair, poles, margin, faults, Evidence(method="detection filter", references=REFERENCES))
 
 
-def directional_filters(
+@method(
+    needs=[FAULTS, disturbances("disturbances", "detection_filter is the same")],
+    exists_when="as unknown_input_observer and detection_filter",
+    order="n per filter",
+    source="Chen, Patton and Zhang (1996), eqs. (19) to (25)",
+    faults="by direction, whatever its time course",
+    decouples=True,
+)
+def robust_detection_filter(
+    plant: Plant,
+    *,
+    poles: Poles = None,
+    margin: float | None = None,
+    faults: Iterable[str] | None = None,
+    H0: ArrayLike | None = None,
+    scaling: Scaling = "plant",
+) -> ResidualGenerator:
+    r"""Design a filter that no disturbance reaches and that tells faults apart by direction.
+
+    An unknown input observer, :math:`r = (I - CH) y - C z`, whose gain :math:`K_1` is that of a detection
+    filter for the pair :math:`(C, A_1)` and the fault directions :math:`T l_i`:
+
+    (a) ``H`` and ``T`` from the disturbances, (b) :math:`A_1 = T A`, (c) ``K1`` so that every fault keeps to
+    its own line (:math:`C T l_i`) or plane, (d) :math:`K = K_1 + F H`. The residual of a sensor fault ``j``
+    stays in :math:`R_j = \operatorname{span}\{I_j, C k_{1j}, C h_j\}`; ``subspaces`` holds the part of it
+    that the residual can reach.
+
+    Parameters
+    ----------
+    plant : Plant
+        With at least one disturbance and one fault.
+    poles : sequence of complex, or mapping of fault name to sequence, optional
+        As for :func:`detection_filter`.
+    margin : float, optional
+        Stability margin in 1/s for the poles that ``poles`` leaves open.
+    faults : iterable of str, optional
+        The faults to be kept apart; all faults of the plant when omitted.
+    H0 : array_like, shape (n, outputs), optional
+        The free matrix of the general decoupling gain, in the units of the plant; zero when omitted.
+    scaling : {"plant", "even"}
+        The units of the outputs in which a pseudoinverse is the smallest: those of the plant, as in the paper, or
+        balanced ones, so that the filter does not depend on the units of the plant.
+
+    Returns
+    -------
+    ResidualGenerator
+        ``observer`` holds ``F, T, K, H, K1, K2, A1``.
+
+    Raises
+    ------
+    DesignError
+        If no unknown input observer exists, the disturbances use up all measurements, they hide every
+        fault, or no stable directional filter exists.
+
+    See Also
+    --------
+    detection_filter : Without disturbances.
+    structured_bank : Names by code, whenever any method does.
+    directional_parity : Directions of one's choice, with disturbances decoupled.
+
+    Notes
+    -----
+    Assumes: the model is exact, linear and time-invariant; disturbances enter where the model says, and may be
+    any signals; one fault is there at a time. Costs: as many independent measurements as disturbances are
+    used up, so fewer faults can be kept apart than by the plain filter.
+
+    References
+    ----------
+    Chen, Patton and Zhang (1996), eqs. (19) to (25), Definitions 5 and 6.
+
+    Examples
+    --------
+    >>> import residua as rs
+    >>> flt = rs.design.robust_detection_filter(rs.library.jet_engine(), poles=[-3, -3, -3])
+    >>> {name: basis.shape[1] for name, basis in flt.subspaces.items() if name.startswith("n_")}
+    {'n_low sensor': 2, 'n_high sensor': 2}
+    """
+    plant = plant.explicit()
+    existence = unknown_input_observer_existence(plant)
+    if not existence:
+        raise DesignError("; ".join(existence.reasons))
+    if not existence.useful:
+        raise DesignError(
+            f"{used_up(plant.n_outputs)} to decouple {counted(len(plant.disturbances), 'disturbance')}: "
+            "nothing is left to see faults with; add a sensor or decouple fewer disturbances"
+        )
+    model = plant.balanced
+    pair = error_pair(model, model.disturbances, existence.rank_E.rank, scaling, H0)
+    base = Evidence(
+        method="robust detection filter",
+        ranks={"rank(CE)": existence.rank_CE, "rank(E)": existence.rank_E} if pair.decoupled else {},
+        conditions={"|T E|": float(np.linalg.norm(pair.T @ (model.disturbances[0] - pair.G @ model.disturbances[1])))},
+        notes=pair.notes,
+        references=(REFERENCE, *REFERENCES),
+    )
+    return _directional_filters(pair, poles, margin, faults, base)
+
+
+def _directional_filters(
     pair: ErrorPair, poles: Poles, margin: float | None, faults: Iterable[str] | None, base: Evidence
 ) -> ResidualGenerator:
     """Design directional filters for an error pair: that of the plant, or of what no disturbance reaches."""
@@ -163,85 +259,66 @@ def directional_filters(
         notes.append(f"{', '.join(unseen)}: {why}")
     if not events:
         raise DesignError(f"none of the faults reaches the residual ({'; '.join(notes)})")
-    if isinstance(poles, Mapping):
-        _check_names(poles, events)
-    pole = _scalar_pole(pair, poles, margin)
-    if pole is not None:
-        groups, gains = [events], [_scalar_gain(pair, pole, asked=poles is not None)]
-    else:
-        groups, gains = partition(pair, events, hidden)
-        if poles is not None or margin is not None:
-            gains = [block_gain(pair, group, hidden, _poles_for(poles, group), margin) for group in groups]
+    names = {name for event in events for name in event.faults} | {"rest"}
+    for name in poles if isinstance(poles, Mapping) else ():
+        if name not in names:
+            raise DesignError(f"poles: unknown fault {name!r}; known: {', '.join(sorted(names))}")
+    ideal = _scalar_gain(pair, poles, margin)
+    groups, gains = partition(pair, events, hidden) if ideal is None else ([events], [ideal])
+    for k, group in enumerate(groups if ideal is None and (poles is not None or margin is not None) else ()):
+        own = {name for event in group for name in event.faults} | {"rest"}
+        mine = {name: poles[name] for name in poles if name in own} if isinstance(poles, Mapping) else poles
+        gains[k] = block_gain(pair, group, hidden, mine, margin)
     if len(groups) > 1:
         notes.append(f"{len(groups)} filters: one cannot keep all faults apart")
-    near = [
-        f"near: {one}; double precision hardly decides this rank"
-        for event in events
-        for one in event.space.decisions
-        if not one.is_clear
-    ]
-    base = base.extended(notes=(*notes, *near[:1]))
-    parts = [pair.observer(gain.K, base.extended(**gain_evidence(pair, gain))).residual_generator() for gain in gains]
-    return _stacked(parts, groups, pole is not None)
+    near = [one for event in events for one in event.space.decisions if not one.is_clear]
+    notes += [f"near: {one}; double precision hardly decides this rank" for one in near[:1]]
+    base = base.extended(notes=tuple(notes))
+    parts = [pair.observer(gain.K, with_poles_of_whole(base, pair, gain)).residual_generator() for gain in gains]
+    return _stacked(parts, groups, ideal is not None)
 
 
-def _scalar_pole(pair: ErrorPair, poles: Poles, margin: float | None) -> float | None:
-    """Return the single pole of the ideal case (rank C = n, all poles alike), or ``None`` otherwise."""
+def _scalar_gain(pair: ErrorPair, poles: Poles, margin: float | None) -> ObserverGain | None:
+    r"""Return the gain of eq. (25), :math:`A - KC = \lambda I`, or nothing unless rank C = n and poles are alike."""
     n, sampled, rate = len(pair.M), pair.model.plant.is_discrete, pair.model.units.rate
     if isinstance(poles, Mapping) or np.count_nonzero(np.linalg.svd(pair.C, compute_uv=False) > BALANCED_RANK) < n:
         return None
+    wanted = np.asarray([] if poles is None else poles, dtype=complex)
     if poles is None:
         distance = default_margin(pair.A, float(sampled)) if margin is None else margin
-        return float(np.exp(-distance)) if sampled else -float(distance)
-    wanted = np.asarray(poles, dtype=complex)
-    if len(wanted) != n or np.any(wanted != wanted[0]) or np.any(np.imag(wanted)):
+        pole = float(np.exp(-distance)) if sampled else -float(distance)
+    elif len(wanted) != n or np.any(wanted != wanted[0]) or np.any(np.imag(wanted)):
         return None
-    pole = float(np.real(wanted[0]))
+    else:
+        pole = float(np.real(wanted[0]))
     if not is_stable_mode(pole, float(sampled)):
         kind = "a sampled" if sampled else "a continuous"
         raise DesignError(f"the pole {describe_modes([rate * pole])} is not stable for {kind} plant")
-    return pole
-
-
-def _scalar_gain(pair: ErrorPair, pole: float, *, asked: bool) -> DirectionalGain:
-    r"""Return :math:`K = (A - \lambda I) C^+`, which makes :math:`A - KC = \lambda I` when rank C = n (eq. 25)."""
-    A, C, n = pair.T @ pair.A0, pair.C0, len(pair.M)
-    # sorted rows and pivoted columns keep outputs in small units accurate
-    rows = np.argsort(-np.abs(C).max(axis=1, initial=0.0), kind="stable")
-    Q, R, columns = scipy.linalg.qr(C[rows], mode="economic", pivoting=True)
-    inverse = np.zeros((n, len(C)))
-    inverse[np.ix_(columns, rows)] = scipy.linalg.solve_triangular(R, Q.T)
-    note = "as many independent measurements as states: every fault keeps its direction or plane"
+    A, C = pair.T @ pair.A0, pair.C0
+    inverse = np.linalg.pinv(C)
     off = above_rounding(A - pole * np.eye(n), np.abs(A) + abs(pole) * np.eye(n))
     K = above_rounding(off @ inverse, np.abs(off) @ np.abs(inverse))
     error = float(np.abs(np.linalg.eigvals(A - K @ C) - pole).max(initial=0.0))
-    requested = np.full(n if asked else 0, pole, dtype=complex)
-    return DirectionalGain(K, np.zeros(0, complex), requested, error, (note,))
-
-
-def _poles_for(poles: Poles, group: list[FaultEvent]) -> Poles:
-    """Return the part of named poles that concerns this group of faults."""
-    if not isinstance(poles, Mapping):
-        return poles
-    mine = {name for event in group for name in event.faults} | {"rest"}
-    return {name: values for name, values in poles.items() if name in mine}
-
-
-def _check_names(poles: Mapping, events: list[FaultEvent]) -> None:
-    known = [name for event in events for name in event.faults] + ["rest"]
-    for name in poles:
-        if name not in known:
-            raise DesignError(f"poles: unknown fault {name!r}; known: {', '.join(known)}")
+    note = "as many independent measurements as states: every fault keeps its direction or plane"
+    return ObserverGain(K, wanted, wanted, np.zeros(0, complex), error, note)
 
 
 def _stacked(parts: list[ResidualGenerator], groups: list[list[FaultEvent]], ideal: bool) -> ResidualGenerator:
-    """Return the filters as one generator, after checking the directions that they promise."""
+    """Return the filters as one generator, or raise where a fault leaves the line or plane that the design gave it."""
     members, start = [], 0
     for k, (part, group) in enumerate(zip(parts, groups, strict=True), 1):
         rows = tuple(range(start, start + part.n_residuals))
         start += part.n_residuals
         members.append(Member(f"filter {k}", rows, tuple(name for event in group for name in event.faults)))
-        _check_directions(part, group, ideal)
+        for name, space in ((name, event.space) for event in group for name in event.faults):
+            direct = np.any(part.plant.Df[:, part.faults.index(name)])
+            promised = 1 + bool(direct) if ideal else space.outputs.shape[1]
+            if part.subspaces[name].shape[1] > promised:
+                raise AccuracyError(
+                    f"the residual of {name!r} leaves its direction (dimension {part.subspaces[name].shape[1]} instead "
+                    f"of {promised}): the plant is too badly conditioned for a directional filter with these "
+                    "poles; ask for slower ones, or add a sensor"
+                )
     first = parts[0]
     if len(parts) == 1:
         return replace(first, members=tuple(members))
@@ -257,23 +334,7 @@ def _stacked(parts: list[ResidualGenerator], groups: list[list[FaultEvent]], ide
         first.method,
         evidence,
         decouples=measured_of_members(system, parts),
-        **maps_of(parts, system.outputs),
+        state_map=np.vstack([part.state_map for part in parts if part.state_map is not None]),
         observer=first.observer,
         members=tuple(members),
     )
-
-
-def _check_directions(generator: ResidualGenerator, group: list[FaultEvent], ideal: bool) -> None:
-    """Raise when a fault leaves the line or plane that the design gave it."""
-    plant = generator.plant
-    for event in group:
-        for name in event.faults:
-            basis = generator.subspaces[name]
-            d = plant.Df[:, plant.faults.index(name)]
-            promised = 1 + bool(np.any(d)) if ideal else event.space.outputs.shape[1]
-            if basis.shape[1] > promised:
-                raise AccuracyError(
-                    f"the residual of {name!r} leaves its direction (dimension {basis.shape[1]} instead of "
-                    f"{promised}): the plant is too badly conditioned for a directional filter with these "
-                    "poles; ask for slower ones, or add a sensor"
-                )

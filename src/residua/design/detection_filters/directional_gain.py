@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from residua.design.core.evidence import Evidence
+from residua.design.observers.observer_gain import pair_gain, with_gain
 from residua.design.observers.unknown_input_observer import ErrorPair
 from residua.errors import AccuracyError, DesignError
-from residua.linear.poles.observer_gain import observer_gain
+from residua.linear.poles.observer_gain import ObserverGain
 from residua.linear.poles.spectrum import describe_modes, spectrum_error
 from residua.linear.subspaces.detection_space import (
     DetectionSpace,
@@ -43,29 +45,6 @@ class FaultEvent:
 
     faults: tuple[str, ...]
     space: DetectionSpace
-
-
-@dataclass(frozen=True, eq=False)
-class DirectionalGain:
-    """A gain on the outputs ``W y`` of an error pair, for the states of the balanced plant.
-
-    Attributes
-    ----------
-    K : ndarray, shape (n, outputs)
-    fixed : ndarray
-        Poles that no gain can move.
-    requested : ndarray
-        Those that were asked for.
-    error : float
-        Largest error among the placed poles.
-    notes : tuple of str
-    """
-
-    K: Matrix
-    fixed: NDArray[np.complex128]
-    requested: NDArray[np.complex128]
-    error: float
-    notes: tuple[str, ...] = ()
 
 
 def entrances(pair: ErrorPair, faults: Sequence[str]) -> dict[str, tuple[Matrix, Matrix]]:
@@ -120,9 +99,10 @@ def obstacle(A: Matrix, C: Matrix, events: Sequence[FaultEvent], model: Balanced
             f"{decide_rank(np.hstack(outputs)).rank} of {sum(one.shape[1] for one in outputs)} directions, "
             f"{len(C)} measurements)"
         )
-    bad = unstable(*split_blocks(A, C, [event.space for event in events]).pairs[-1], model.plant.is_discrete)
-    if bad.size:
-        zero = describe_modes(model.units.rate * bad)
+    modes = hidden_modes(*split_blocks(A, C, [event.space for event in events]).pairs[-1])
+    inside = is_inside(modes, model.plant.is_discrete)
+    if not inside.all():
+        zero = describe_modes(model.units.rate * modes[~inside])
         return f"{names}: the invariant zero {zero} of these faults together is a fixed pole, and not stable"
     return None
 
@@ -133,15 +113,9 @@ def hidden_modes(A: Matrix, C: Matrix) -> NDArray[np.complex128]:
     return np.asarray(np.linalg.eigvals(hidden.T @ A @ hidden), dtype=complex)
 
 
-def unstable(A: Matrix, C: Matrix, sampled: bool) -> NDArray[np.complex128]:
-    """Return the modes of a balanced pair that no output sees and that are not stable."""
-    modes = hidden_modes(A, C)
-    return modes[~is_inside(modes, sampled)]
-
-
 def partition(
     pair: ErrorPair, events: list[FaultEvent], hidden: NDArray[np.complex128]
-) -> tuple[list[list[FaultEvent]], list[DirectionalGain]]:
+) -> tuple[list[list[FaultEvent]], list[ObserverGain]]:
     """Split the events over as few filters as keep them apart; return these, and gains by least squares.
 
     Searched exactly: first one filter, then two, and so on; a set that fails makes every larger set fail. Several
@@ -152,17 +126,22 @@ def partition(
     DesignError
         If a fault cannot be kept in a direction even alone; the message says why.
     """
-    known: dict[tuple[int, ...], DirectionalGain | str] = {}
 
-    def designed(members: tuple[int, ...]) -> DirectionalGain | str:
+    @cache
+    def designed(members: tuple[int, ...]) -> ObserverGain | str:
         """Return the gain of some events, or why there is none."""
-        if members not in known:
-            group = [events[i] for i in members]
-            known[members] = obstacle(pair.A, pair.C, group, pair.model) or _gain_or_why(pair, group, hidden)
-        return known[members]
+        group = [events[i] for i in members]
+        try:
+            found = obstacle(pair.A, pair.C, group, pair.model) or block_gain(pair, group, hidden)
+        except AccuracyError as error:
+            if len(group) == 1:
+                raise
+            return str(error)
+        large = len(group) > 1 and isinstance(found, ObserverGain) and np.linalg.norm(found.K) >= _LARGE
+        return "the gain is large" if large else found
 
     everything = tuple(range(len(events)))
-    if isinstance(gain := designed(everything), DirectionalGain):
+    if isinstance(gain := designed(everything), ObserverGain):
         return [events], [gain]
     for i in everything:
         if isinstance(why := designed((i,)), str):
@@ -172,28 +151,18 @@ def partition(
         if i == len(events):
             return groups
         for g, group in enumerate(groups):
-            if isinstance(designed((*group, i)), DirectionalGain) and (
+            if isinstance(designed((*group, i)), ObserverGain) and (
                 found := fill(i + 1, [*groups[:g], (*group, i), *groups[g + 1 :]], limit)
             ):
                 return found
         return fill(i + 1, [*groups, (i,)], limit) if len(groups) < limit else None
 
     total = sum(event.space.outputs.shape[1] for event in events)
-    for limit in range(max(1, -(-total // max(1, decide_rank(pair.C).rank))), len(events) + 1):
-        if groups := fill(0, [], limit):
-            gains = [one for group in groups if isinstance(one := designed(group), DirectionalGain)]
-            return [[events[i] for i in group] for group in groups], gains
-    raise AssertionError("every fault has a filter of its own")
-
-
-def _gain_or_why(pair: ErrorPair, group: list[FaultEvent], hidden: NDArray) -> DirectionalGain | str:
-    if len(group) == 1:
-        return block_gain(pair, group, hidden)
-    try:
-        gain = block_gain(pair, group, hidden)
-    except AccuracyError as error:
-        return str(error)
-    return gain if np.linalg.norm(gain.K) < _LARGE else "the gain is large"
+    limit = max(1, -(-total // max(1, decide_rank(pair.C).rank)))
+    while not (groups := fill(0, [], limit)):  # each fault has a filter of its own
+        limit += 1
+    gains = [one for group in groups if isinstance(one := designed(group), ObserverGain)]
+    return [[events[i] for i in group] for group in groups], gains
 
 
 def block_gain(
@@ -202,7 +171,7 @@ def block_gain(
     hidden: NDArray | None = None,
     poles: Poles = None,
     margin: float | None = None,
-) -> DirectionalGain:
+) -> ObserverGain:
     r"""Return a gain that keeps each event in its own space, with poles as asked for or by least squares.
 
     The core that detection filters and right eigenvectors share: with detection spaces it is the filter of White and
@@ -219,43 +188,36 @@ def block_gain(
         Further poles that no gain moves, of what the pair leaves out.
     poles, margin
         In units of time of the balanced plant.
+
+    Returns
+    -------
+    ObserverGain
+        On the outputs ``W y``, for the states of the balanced plant.
     """
-    rate, sampled = pair.model.units.rate, pair.model.plant.is_discrete
     blocks = split_blocks(pair.A, pair.C, [event.space for event in events])
     splits = [observable_split(F, G) for F, G in blocks.pairs]
     fixed = np.concatenate([*(hidden_modes(F, G) for F, G in blocks.pairs), [] if hidden is None else hidden])
     sizes = [split.seen.shape[1] for split in splits]
-    shares = share_poles(poles, [event.faults for event in events], sizes, fixed, rate)
+    shares = share_poles(poles, [event.faults for event in events], sizes, fixed, pair.model.units.rate)
     gains = [
-        observer_gain(
-            F,
-            G,
-            split,
-            sampled=sampled,
-            process=np.eye(len(F)),
-            measurement=read @ read.T,
-            poles=share,
-            margin=margin,
-            rate=rate,
-            faint=True,
-        )
+        pair_gain(pair.model, F, G, (np.eye(len(F)), read @ read.T), share, margin, split=split, faint=True)
         for (F, G), split, read, share in zip(blocks.pairs, splits, blocks.reads, shares, strict=True)
     ]
-    return DirectionalGain(
+    return ObserverGain(
         pair.on_outputs(blocks.gain([gain.K for gain in gains])),
-        fixed,
+        np.concatenate([gain.poles for gain in gains]),
         np.concatenate([gain.requested for gain in gains]),
+        fixed,
         max(gain.error for gain in gains),
-        tuple(dict.fromkeys(gain.note for gain in gains if gain.note)),
+        "; ".join(dict.fromkeys(gain.note for gain in gains if gain.note)),
     )
 
 
-def gain_evidence(pair: ErrorPair, gain: DirectionalGain, *, asked: bool = True) -> dict[str, Any]:
-    """Return what the evidence says of a gain, after checking the poles of the whole, if they are as asked for."""
+def with_poles_of_whole(evidence: Evidence, pair: ErrorPair, gain: ObserverGain) -> Evidence:
+    """Return evidence with the poles of the whole observer, after checking them where they are asked for."""
     F, rate = pair.T @ pair.A0 - gain.K @ pair.C0, pair.model.units.rate
-    requested = gain.requested if asked else gain.requested[:0]
-    wanted, error = np.concatenate([requested, gain.fixed]), gain.error
-    if requested.size and len(wanted) == len(F):
+    wanted, error = np.concatenate([gain.requested, gain.fixed]), gain.error
+    if gain.requested.size and len(wanted) == len(F):
         error = max(error, spectrum_error(F, wanted, float(pair.model.plant.is_discrete), POLE)[0])
         if error > POLE:
             raise AccuracyError(
@@ -263,13 +225,8 @@ def gain_evidence(pair: ErrorPair, gain: DirectionalGain, *, asked: bool = True)
                 "rounding moves it; ask for poles nearer to those of the plant or further apart, for a margin, or add "
                 "a sensor"
             )
-    return {
-        "poles": rate * np.linalg.eigvals(F).astype(complex),
-        "requested_poles": rate * requested.astype(complex),
-        "fixed_poles": rate * gain.fixed.astype(complex),
-        "conditions": {"pole error": error, "size of K": float(np.linalg.norm(gain.K, 2)) if gain.K.size else 0.0},
-        "notes": gain.notes,
-    }
+    found = with_gain(evidence, replace(gain, error=error), pair.model)
+    return replace(found, poles=rate * np.linalg.eigvals(F).astype(complex))
 
 
 def share_poles(
@@ -279,14 +236,32 @@ def share_poles(
 
     ``None`` for a block means: none were asked for.
     """
+    shares: list[NDArray[np.complex128] | None] = [None] * len(sizes)
     if poles is None:
-        return [None] * len(sizes)
+        return shares
     if isinstance(poles, Mapping):
-        return _named_shares(poles, names, sizes)
-    wanted = np.atleast_1d(np.asarray(poles, dtype=complex))
-    free = sum(sizes)
-    if len(fixed) and len(wanted) == free + len(fixed):
-        wanted = _without(wanted, fixed, rate)
+        known = {name: k for k, group in enumerate(names) for name in group} | {"rest": len(names)}
+        for name, values in poles.items():
+            if name not in known:
+                raise DesignError(f"poles: unknown fault {name!r}; known: {', '.join(known)}")
+            share, size = np.atleast_1d(np.asarray(values, dtype=complex)), sizes[known[name]]
+            if len(share) != size:
+                raise DesignError(
+                    f"poles[{name!r}]: {len(share)} poles were given, {size} belong to it "
+                    "(of the states one, plus one for each invariant zero of the fault and each extra integration to "
+                    "the outputs; of an output those that the others do not see)"
+                )
+            shares[known[name]] = share
+        return shares
+    wanted, free = list(np.atleast_1d(np.asarray(poles, dtype=complex))), sum(sizes)
+    if len(wanted) == free + len(fixed):
+        for z in fixed:
+            nearest = int(np.argmin(np.abs(np.asarray(wanted) - z)))
+            if abs(wanted.pop(nearest) - z) > POLE * max(1.0, abs(z)):
+                raise DesignError(
+                    f"the pole {describe_modes([rate * z])} cannot be moved and is not among the requested poles; "
+                    f"give the other {counted(free, 'pole')}"
+                )
     if len(wanted) != free:
         raise DesignError(
             f"{len(wanted)} poles were given, {free} are free"
@@ -301,8 +276,7 @@ def share_poles(
             f"the faults need blocks of {', '.join(map(str, sizes))} poles; each odd block needs a real pole, "
             f"and only {len(reals)} of the requested poles are real"
         )
-    shares: list[NDArray[np.complex128] | None] = []
-    for size in sizes:
+    for k, size in enumerate(sizes):
         share = [reals.pop(0)] if size % 2 else []
         odd -= size % 2
         while len(share) < size:
@@ -310,36 +284,5 @@ def share_poles(
                 share += [reals.pop(0), reals.pop(0)]
             else:
                 share += [pairs[0], np.conj(pairs.pop(0))]
-        shares.append(np.asarray(share, dtype=complex))
+        shares[k] = np.asarray(share, dtype=complex)
     return shares
-
-
-def _named_shares(
-    poles: Mapping[str, Sequence[complex]], names: Sequence[tuple[str, ...]], sizes: Sequence[int]
-) -> list[NDArray[np.complex128] | None]:
-    known = {name: k for k, group in enumerate(names) for name in group} | {"rest": len(names)}
-    shares: list[NDArray[np.complex128] | None] = [None] * len(sizes)
-    for name, values in poles.items():
-        if name not in known:
-            raise DesignError(f"poles: unknown fault {name!r}; known: {', '.join(known)}")
-        share, size = np.atleast_1d(np.asarray(values, dtype=complex)), sizes[known[name]]
-        if len(share) != size:
-            raise DesignError(
-                f"poles[{name!r}]: {len(share)} poles were given, {size} belong to it "
-                "(of the states one, plus one for each invariant zero of the fault and each extra integration to the "
-                "outputs; of an output those that the others do not see)"
-            )
-        shares[known[name]] = share
-    return shares
-
-
-def _without(wanted: NDArray, fixed: NDArray, rate: float) -> NDArray:
-    left = list(wanted)
-    for z in fixed:
-        nearest = int(np.argmin(np.abs(np.asarray(left) - z)))
-        if abs(left.pop(nearest) - z) > POLE * max(1.0, abs(z)):
-            raise DesignError(
-                f"the pole {describe_modes([rate * z])} cannot be moved and is not among the requested poles; "
-                f"give the other {counted(len(wanted) - len(fixed), 'pole')}"
-            )
-    return np.asarray(left, dtype=complex)

@@ -6,7 +6,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
 from residua import arrays
@@ -148,35 +147,54 @@ def closed_loop(
     """
     if acts_on not in ("states", "outputs"):
         raise SettingError(f"acts_on must be 'states' or 'outputs', got {acts_on!r}")
-    _fitting(plant, estimator)
-    m, p, n = len(plant.inputs), plant.n_outputs, plant.n_states
-    K = _controller(feedback, m, n if acts_on == "states" else p, plant)
-    faults, joint = _joint(estimator)
-    Gamma = np.zeros((m, len(faults)))
-    if compensate and faults:
-        Gamma = compensation_gain(estimator.plant, faults).gain
-    if acts_on == "states":
-        reads = (np.zeros((n, p)), np.eye(n), np.zeros((n, m)))
-    elif virtual:
-        reads = (np.zeros((p, p)), estimator.plant.C, estimator.plant.D)
-    else:
-        reads = (np.eye(p), np.zeros((p, n)), np.zeros((p, m)))
-    return _connected(plant, joint, len(faults), K, Gamma, reads)
-
-
-def _fitting(plant: Plant, estimator: FaultEstimator | Observer) -> None:
     own = estimator.plant
     for what in ("inputs", "outputs", "states"):
         if getattr(own, what) != getattr(plant, what):
             raise ModelError(f"the estimator is for a plant with other {what}: {', '.join(getattr(own, what))}")
     if own.dt != plant.dt:
         raise ModelError(f"the estimator has dt={own.dt:g}, the plant dt={plant.dt:g}: sample both with the same step")
-
-
-def _joint(estimator: FaultEstimator | Observer) -> tuple[tuple[str, ...], StateSpace]:
+    m, p, n = len(plant.inputs), plant.n_outputs, plant.n_states
+    K = _controller(feedback, m, n if acts_on == "states" else p, plant)
+    faults, joint = (), estimator.system
     if isinstance(estimator, FaultEstimator):
-        return estimator.faults, estimator.joint_system
-    return (), estimator.system
+        faults, joint = estimator.faults, estimator.joint_system
+    P = plant.system(("control", "fault", "disturbance", "noise"))
+    whole = P.append(joint).append(K)
+    Y, fault_estimate, estimate, output_of_K = np.split(np.eye(whole.n_outputs), np.cumsum([p, len(faults), n]))
+    reference, other = np.split(np.eye(P.n_inputs), [m])
+    U = -output_of_K  # the control inputs, from all outputs
+    if compensate and faults:
+        U = U - compensation_gain(own, faults).gain @ fault_estimate
+    read, direct = Y, np.zeros((p, m))
+    if acts_on == "states":
+        read, direct = estimate, np.zeros((n, m))
+    elif virtual:
+        read, direct = own.C @ estimate, own.D
+    back = np.vstack([U, np.zeros((len(other), len(whole.C))), U, Y, read + direct @ U])
+    enter = np.vstack([reference, other, reference, np.zeros((p, P.n_inputs)), direct @ reference])
+    loop = np.eye(len(back.T)) - whole.D @ back
+    condition = float(np.linalg.cond(loop / np.maximum(np.abs(loop).max(axis=1, keepdims=True), TINY)))
+    if not condition < 1e12:
+        raise DesignError(
+            f"the loop is ill-posed: feedback and compensation act on themselves at once with gain one (condition "
+            f"{condition:.2g}); change the feedback, or give it a lag"
+        )
+    M, N = np.linalg.solve(loop, whole.C), np.linalg.solve(loop, whole.D @ enter)
+    return StateSpace(
+        whole.A + whole.B @ back @ M,
+        whole.B @ (back @ N + enter),
+        np.vstack([Y @ M, np.eye(n, len(whole.A)), fault_estimate @ M, U @ M]),
+        np.vstack([Y @ N, np.zeros((n, P.n_inputs)), fault_estimate @ N, U @ N + reference]),
+        E=whole.E,
+        dt=plant.dt,
+        inputs=[*(f"reference {name}" for name in plant.inputs), *P.inputs[m:]],
+        outputs=[
+            *plant.outputs,
+            *(f"state {name}" for name in plant.states),
+            *joint.outputs[: len(faults)],
+            *(f"control {name}" for name in plant.inputs),
+        ],
+    )
 
 
 def _controller(feedback: ArrayLike | StateSpace, m: int, signals: int, plant: Plant) -> StateSpace:
@@ -191,59 +209,3 @@ def _controller(feedback: ArrayLike | StateSpace, m: int, signals: int, plant: P
     if feedback.dt != plant.dt:
         raise ModelError(f"the feedback has dt={feedback.dt:g}, the plant dt={plant.dt:g}")
     return feedback.explicit()
-
-
-def _connected(
-    plant: Plant,
-    joint: StateSpace,
-    n_f: int,
-    K: StateSpace,
-    Gamma: NDArray,
-    reads: tuple[NDArray, NDArray, NDArray],
-) -> StateSpace:
-    """Return the loop: of the signals ``g = (y, fhat, xhat, s, u)``, ``g = M X + L g + N v`` is solved for ``g``."""
-    P = plant.system(("control", "fault", "disturbance", "noise"))
-    m, p, n = len(plant.inputs), plant.n_outputs, plant.n_states
-    n_q, n_k, n_v = joint.n_states, K.n_states, P.n_inputs - m
-    sizes = [p, n_f, n, len(reads[0]), m]
-    y, fh, xh, s, u = (slice(a, b) for a, b in zip(np.cumsum([0, *sizes]), np.cumsum(sizes), strict=False))
-    total = sum(sizes)
-    plant_x, filter_x, own_x = slice(0, n), slice(n, n + n_q), slice(n + n_q, n + n_q + n_k)
-    M, L, N = np.zeros((total, n + n_q + n_k)), np.zeros((total, total)), np.zeros((total, m + n_v))
-    M[y, plant_x], L[y, u], N[y, m:] = P.C, P.D[:, :m], P.D[:, m:]
-    both = slice(fh.start, xh.stop)
-    M[both, filter_x], L[both, u], L[both, y] = joint.C, joint.D[:, :m], joint.D[:, m:]
-    L[s, y], L[s, xh], L[s, u] = reads
-    M[u, own_x], L[u, s], L[u, fh], N[u, :m] = -K.C, -K.D, -Gamma, np.eye(m)
-    loop = np.eye(total) - L
-    scale = np.maximum(np.abs(loop).max(axis=1), TINY)
-    condition = float(np.linalg.cond(loop / scale[:, None]))
-    if not condition < 1e12:
-        raise DesignError(
-            f"the loop is ill-posed: feedback and compensation act on themselves at once with gain one (condition "
-            f"{condition:.2g}); change the feedback, or give it a lag"
-        )
-    M, N = np.linalg.solve(loop, M), np.linalg.solve(loop, N)
-    A = scipy.linalg.block_diag(P.A, joint.A, K.A)
-    B = np.zeros((len(A), m + n_v))
-    B[plant_x, m:] = P.B[:, m:]
-    drive = np.zeros((len(A), total))
-    drive[plant_x, u] = P.B[:, :m]
-    drive[filter_x, u], drive[filter_x, y] = joint.B[:, :m], joint.B[:, m:]
-    drive[own_x, s] = K.B
-    states = np.hstack([np.eye(n), np.zeros((n, n_q + n_k))])
-    return StateSpace(
-        A + drive @ M,
-        B + drive @ N,
-        np.vstack([M[y], states, M[fh], M[u]]),
-        np.vstack([N[y], np.zeros((n, m + n_v)), N[fh], N[u]]),
-        E=None if P.E is None else scipy.linalg.block_diag(P.E, np.eye(n_q + n_k)),
-        dt=plant.dt,
-        inputs=[*(f"reference {name}" for name in plant.inputs), *P.inputs[m:]],
-        outputs=[
-            *plant.outputs,
-            *(f"state {name}" for name in plant.states),
-            *(name for name in joint.outputs[:n_f]),
-            *(f"control {name}" for name in plant.inputs),
-        ],
-    )

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
 from residua import arrays
@@ -17,21 +18,53 @@ from residua.design.core.internal_form import frequency_grid, internal_form
 from residua.design.core.method import method
 from residua.design.core.needs import FAULTS, groups_of_faults
 from residua.design.core.signals import sampled_filter, stack_signals
-from residua.design.estimation.fault_reading import FaultReading, read_faults
-from residua.design.observers.observer import Observer
+from residua.design.observers.observer import Observer, plant_filter
 from residua.design.observers.unknown_input_observer import unknown_input_observer
 from residua.errors import AccuracyError, DesignError, SettingError
 from residua.linear import StateSpace
 from residua.linear.norms.system_norms import h2_norm, hinf_norm
 from residua.linear.poles.spectrum import mean_rate
+from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_basis
 from residua.plant import Plant
-from residua.tolerances import LEAK, above_rounding
+from residua.tolerances import BALANCED_RANK, IDENTITY, LEAK, RESIDUE, RESPONSE_ROUNDING, above_rounding
+
+Matrix = NDArray[np.float64]
 
 _METHOD = "fault estimator"
 REFERENCES = (
     "Sueur, Observer-based actuator and sensor fault estimation, eqs. (1) to (8), (12) to (16)",
     "Chen, Patton and Zhang (1996), Int. J. Control 63(1), eqs. (2) to (13)",
 )
+
+
+@dataclass(frozen=True, eq=False)
+class _FaultReading:
+    r"""Faults as functions of a known state.
+
+    .. math:: f = L_s (y - D u - C x) + L_d (\dot y - D \dot u) - P (A x + B u)
+
+    for any disturbance. Rows of :math:`L_d` that are zero need no derivative; :math:`L_d` reads only what neither
+    faults nor disturbances enter directly. In sampled time the derivative is the next sample, and the fault the one
+    before it.
+
+    Attributes
+    ----------
+    static, derivative : ndarray, shape (faults, outputs)
+        ``L_s`` and ``L_d``.
+    dynamics : ndarray, shape (faults, n)
+        ``P``; ``L_d C`` is its part that is not zero on the algebraic equations: ``P E = L_d C``.
+    needs_derivative : ndarray of bool, shape (faults,)
+    units : ndarray, shape (faults,)
+        Size of each fault that moves states and outputs by about one of their own units.
+    ranks : mapping of str to RankDecision
+    """
+
+    static: NDArray[np.float64]
+    derivative: NDArray[np.float64]
+    dynamics: NDArray[np.float64]
+    needs_derivative: NDArray[np.bool_]
+    units: NDArray[np.float64]
+    ranks: dict[str, RankDecision]
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,9 +269,60 @@ def fault_estimator(
     >>> estimator.lag
     {'collective actuator': 0.02, 'cyclic actuator': 0.02}
     """
-    names = _chosen(plant, faults)
+    chosen = [plant.faults[i] for i in arrays.positions(faults, plant.faults, "fault")]
+    if not chosen:
+        raise DesignError("there is no fault to estimate: give the plant faults, plant.with_actuator_faults()")
+    arrays.unique(names := tuple(chosen), "faults to estimate")
     if bandwidth is not None and not (np.isfinite(bandwidth) and bandwidth > 0):
         raise SettingError(f"bandwidth must be a positive number in rad/s, got {bandwidth!r}")
+    observer = _observer_ignoring(plant, names, poles, margin)
+    if observer.plant.E is None:
+        plant = plant.explicit()
+    reading = _read_faults(observer.plant, names)
+    late, dt = reading.needs_derivative, plant.dt
+    filtered = late if bandwidth is None else np.ones(len(late), dtype=bool)
+    rate = 0.0 if bandwidth is None else float(bandwidth)
+    if not dt and bandwidth is None and late.any():
+        rate = max(mean_rate(observer.poles), mean_rate(plant.system(()).poles()))
+    pole = float(np.exp(-rate * dt)) if dt and rate else 0.0
+    lags = np.where(late, dt, 0.0) + dt * pole / (1 - pole) if dt else np.where(filtered, 1 / (rate or 1.0), 0.0)
+    system, T, V = _realised(plant, names, observer, reading, filtered, rate, pole)
+    form = internal_form(system, plant, T, V)
+    w = frequency_grid(form, system)
+    if dt:
+        z = np.exp(1j * w * dt)[:, None]
+        wanted = (1 - pole) / (1 - pole / z) * np.where(late, 1 / z, 1.0)
+    else:
+        wanted = 1 / (1j * np.outer(w, lags) + 1)
+    response = form.frequency_response(w)[:, :, [plant.faults.index(name) for name in names]]
+    off = (response - wanted[:, :, None] * np.eye(len(names))) / reading.units[:, None] * reading.units
+    missed = float(np.abs(off).max())
+    if not missed <= LEAK:
+        raise AccuracyError(
+            f"the estimates are off the faults by {missed:.2g} (relative): the plant is too badly scaled or "
+            "conditioned for this estimator; rescale its states and channels"
+        )
+    lag = {name: float(one) for name, one in zip(names, lags, strict=True)}
+    evidence = observer.evidence.extended(
+        method=_METHOD,
+        poles=system.poles(),
+        ranks={**observer.evidence.ranks, **reading.ranks},
+        references=REFERENCES,
+        conditions={
+            "gain from f to its estimate, off its lag": missed,
+            **({"bandwidth (rad/s)": rate} if rate else {}),
+        },
+    )
+    maps = {"state_map": T, "static_map": V if plant.E is not None else None}
+    made = make_generator(system, plant, _METHOD, evidence, decouples=Decoupled(), estimated=names, **maps)
+    generator = replace(made, evidence=_with_noise(made.evidence, plant, system, form, lag))
+    return FaultEstimator(plant, names, observer, system, lag, generator)
+
+
+def _observer_ignoring(
+    plant: Plant, names: tuple[str, ...], poles: Sequence[complex] | ArrayLike | None, margin: float | None
+) -> Observer:
+    """Return the observer whose estimate faults do not reach as unknown inputs."""
     disturbed = plant.faults_as_disturbances(names)
     try:
         observer = unknown_input_observer(disturbed, poles=poles, margin=margin, scaling="even")
@@ -254,131 +338,127 @@ def fault_estimator(
             f"no pole of an estimate that ignores {', '.join(names)} is free: nothing that these faults leave corrects "
             "the state, and errors of the model would look like faults; estimate fewer faults at once, or add a sensor"
         )
-    if observer.plant.E is None:
-        plant = plant.explicit()
-    reading = read_faults(observer.plant, names)
-    smoothing = _smoothing(plant, observer, reading, bandwidth)
-    system, form, maps = _realised(plant, names, observer, reading, smoothing)
-    evidence = observer.evidence.extended(
-        method=_METHOD,
-        poles=system.poles(),
-        ranks={**observer.evidence.ranks, **reading.ranks},
-        references=REFERENCES,
-        conditions={
-            "gain from f to its estimate, off its lag": _missed(plant, names, system, form, reading, smoothing),
-            **({"bandwidth (rad/s)": smoothing.rate} if smoothing.rate else {}),
-        },
+    return observer
+
+
+def _read_faults(plant: Plant, faults: tuple[str, ...]) -> _FaultReading:
+    r"""Return how to read faults off a plant in which they are the last disturbances.
+
+    What the faults and disturbances ``v`` do at once, :math:`D v = y - D u - C x` and :math:`N B v = -N (A x + B u)`
+    with :math:`N E = 0`, is used first; only what that leaves open is taken from derivatives of outputs that ``v``
+    does not enter, :math:`W D = 0`, :math:`W C = R E`: :math:`R B v = W (\dot y - D \dot u) - R (A x + B u)`.
+    The solution with the smallest derivative part is taken, with equal weights of all outputs in balanced units.
+
+    Parameters
+    ----------
+    plant : Plant
+        With an unknown input observer: then ``v`` is known up to what has no effect at all.
+    faults : tuple of str
+
+    Raises
+    ------
+    DesignError
+        If the faults are not determined: they have the effect of disturbances or of one another.
+    """
+    model, p, n_f = plant.balanced, plant.n_outputs, len(faults)
+    units, algebra = model.units, model.algebra
+    weight = 1 / np.sqrt(units.measurement_weight)[:, None]
+    B, D = model.disturbances  # of the states without algebraic equations, and of outputs, these among them
+    C, D, free = (weight * M[:p] for M in (model.C, D, model.free[1]))
+    at_once = np.vstack([D, model.disturbances[1][p:]])
+    columns = np.vstack([B, at_once])
+    all_of_them, without = (decide_rank(M, rtol=BALANCED_RANK, scale=1.0) for M in (columns, columns[:, :-n_f]))
+    if all_of_them.rank < without.rank + n_f:
+        others = plant.disturbances[: len(plant.disturbances) - n_f]
+        against = f"from the disturbances {', '.join(others)} or " if others else ""
+        raise DesignError(
+            f"the faults {', '.join(faults)} cannot be told {against}from one another: rank [Bd Bf; Dd Df] = "
+            f"{all_of_them.rank} < rank [Bd; Dd] + {n_f} = {without.rank + n_f}; estimate fewer of them at once"
+        )
+    W = left_null_basis(np.hstack([D, free]), rtol=BALANCED_RANK, scale=1.0)[0].T
+    late, whole = W @ C @ B, np.eye(B.shape[1])[-n_f:]
+    U, sizes, Vh = np.linalg.svd(at_once)
+    r = int(np.count_nonzero(sizes > BALANCED_RANK))
+    rest = whole @ Vh[r:].T
+    rest[np.abs(rest).max(axis=1, initial=0.0) <= RESPONSE_ROUNDING] = 0.0
+    L_d = rest @ _inverse(late @ Vh[r:].T)
+    L_s = _without_residue((whole - L_d @ late) @ (Vh[:r].T / sizes[:r]) @ U[:, :r].T)
+    missed = float(np.abs(L_s @ at_once + L_d @ late - whole).max(initial=0.0))
+    if not missed <= IDENTITY:
+        raise AccuracyError(
+            f"the faults are read off with a relative error of {missed:.2g} > {IDENTITY:.0e}: the outputs see them too "
+            "weakly; add a sensor"
+        )
+    P = L_s[:, p:] @ algebra + L_d @ W @ C @ model.derivative
+    first = len(plant.inputs) + len(plant.disturbances) - n_f
+    f, Y = units.inputs[first : first + n_f, None], weight[:, 0] * units.outputs
+    return _FaultReading(
+        f * L_s[:, :p] * Y,
+        f * _without_residue(L_d @ W) * Y / units.rate,
+        f * _without_residue(P) * units.equations / units.rate,
+        np.any(L_d, axis=1),
+        f[:, 0],
+        {"rank [Bd Bf; Dd Df]": all_of_them, "rank [Bd; Dd]": without},
     )
-    generator = make_generator(
-        system,
-        plant,
-        _METHOD,
-        evidence,
-        decouples=Decoupled(),
-        state_map=maps[0],
-        static_map=maps[1] if plant.E is not None else None,
-        estimated=names,
-    )
-    return FaultEstimator(
-        plant, names, observer, system, smoothing.lags(names, plant.dt), _with_numbers(generator, smoothing)
-    )
 
 
-def _chosen(plant: Plant, faults: Iterable[str] | str | None) -> tuple[str, ...]:
-    chosen = arrays.positions(faults, plant.faults, "fault")
-    if not chosen:
-        raise DesignError("there is no fault to estimate: give the plant faults, plant.with_actuator_faults()")
-    arrays.unique(tuple(plant.faults[i] for i in chosen), "faults to estimate")
-    return tuple(plant.faults[i] for i in chosen)
+def _without_residue(M: Matrix) -> Matrix:
+    """Return a matrix without the entries that are what rounding leaves beside the largest of their row."""
+    return above_rounding(M, np.abs(M).max(axis=1, keepdims=True, initial=0.0), RESIDUE)
 
 
-@dataclass(frozen=True, eq=False)
-class _Smoothing:
-    """Which estimates are filtered and how: ``rate`` in rad/s (zero: none), ``pole`` in sampled time."""
-
-    filtered: NDArray[np.bool_]
-    late: NDArray[np.bool_]
-    rate: float
-    pole: float
-
-    def lags(self, names: tuple[str, ...], dt: float) -> dict[str, float]:
-        if not dt:
-            return {name: 1 / self.rate if on else 0.0 for name, on in zip(names, self.filtered, strict=True)}
-        more = dt * self.pole / (1 - self.pole)
-        return {name: (dt if late else 0.0) + more for name, late in zip(names, self.late, strict=True)}
-
-    def expected(self, points: NDArray, dt: float) -> NDArray:
-        """Return what each estimate is of its fault, at complex points."""
-        if not dt:
-            return 1 / (np.outer(points, self.filtered) / (self.rate or 1.0) + 1)
-        smooth = (1 - self.pole) / (1 - self.pole / points)
-        return smooth[:, None] * np.where(self.late, 1 / points[:, None], 1.0)
-
-
-def _smoothing(plant: Plant, observer: Observer, reading: FaultReading, bandwidth: float | None) -> _Smoothing:
-    late = reading.needs_derivative
-    if plant.is_discrete:
-        pole = 0.0 if bandwidth is None else float(np.exp(-bandwidth * plant.dt))
-        return _Smoothing(late | (pole > 0), late, bandwidth or 0.0, pole)
-    if bandwidth is not None:
-        return _Smoothing(np.ones(len(late), dtype=bool), late, float(bandwidth), 0.0)
-    rate = max(mean_rate(observer.poles), mean_rate(plant.system(()).poles())) if late.any() else 0.0
-    return _Smoothing(late, late, rate, 0.0)
+def _inverse(M: Matrix) -> Matrix:
+    """Return the pseudoinverse of a balanced matrix, which may be nothing but rounding."""
+    return np.asarray(scipy.linalg.pinv(M, atol=BALANCED_RANK, rtol=0.0)) if M.size else M.T
 
 
 def _realised(
-    plant: Plant, names: tuple[str, ...], observer: Observer, reading: FaultReading, smoothing: _Smoothing
-) -> tuple[StateSpace, StateSpace, tuple[NDArray, NDArray]]:
-    r"""Return the estimator as one system, its internal form, and its state map and static map.
+    plant: Plant,
+    names: tuple[str, ...],
+    observer: Observer,
+    reading: _FaultReading,
+    filtered: NDArray[np.bool_],
+    rate: float,
+    pole: float,
+) -> tuple[StateSpace, NDArray, NDArray]:
+    r"""Return the estimator as one system, its state map and its static map.
 
-    With :math:`r = L_s (y_0 - C \hat x) - P (A \hat x + B u)`, :math:`y_0 = y - D u`, and
-    :math:`q = \hat f - L_d y_0 / \tau`: :math:`\dot q = (r - \hat f) / \tau`. In sampled time
-    :math:`\hat f_k = a \hat f_{k-1} + (1 - a) (r_{k-1} + L_d y_{0,k})`, and
-    :math:`q_k = \hat f_k - (1 - a) L_d y_{0,k}`.
+    With :math:`r = L_s (y_0 - C \hat x) - P (A \hat x + B u)`, :math:`y_0 = y - D u`, :math:`d = L_d y_0` and a state
+    ``q`` for each estimate that is filtered, :math:`\dot q = \alpha q + \beta r + \gamma d` and
+    :math:`\hat f = q + \delta r + \varepsilon d`; the others are :math:`\hat f = r`. Continuous,
+    :math:`q = \hat f - d / \tau` with :math:`\tau \dot{\hat f} = r + \dot d - \hat f`. In sampled time
+    :math:`\hat f_k = a \hat f_{k-1} + (1 - a) (r_{k-1} + d_k)`, or with :math:`r_k` where no derivative is needed.
     """
-    n, n_f = observer.order, len(names)
     J = _summed((reading.static, plant.C), (reading.dynamics, plant.A))
-    dynamics = reading.dynamics
+    P = reading.dynamics
     if observer.J is not None:
-        dynamics = _summed((dynamics, np.eye(plant.n_states)), (-J, observer.J))
-    # r and L_d y_0 as functions of (z, [u, y])
-    on_y0 = _summed((reading.static, np.eye(plant.n_outputs)), (-J, observer.H))
-    r_z, r_v = -J @ observer.M, _on_signals(plant, on_y0, dynamics)
-    d_v = _on_signals(plant, reading.derivative, np.zeros((n_f, plant.n_states)))
-    own = np.flatnonzero(smoothing.filtered)
-    k = len(own)
-    pick = np.eye(n_f)[own]
-    through = ~smoothing.filtered
-    late = smoothing.late[own][:, None]
-    if plant.is_discrete:
-        a = smoothing.pole
-        gain = np.where(late, 1 - a, a * (1 - a))
-        Aq, Bz, Bv = a * np.eye(k), gain * r_z[own], gain * r_v[own] + a * (1 - a) * d_v[own]
-        at_once = np.where(late, 0.0, 1 - a)
-        map_q = -gain * dynamics[own]
-    else:
-        w = smoothing.rate
-        Aq, Bz, Bv = -w * np.eye(k), w * r_z[own], w * r_v[own] - w**2 * d_v[own]
-        at_once = np.zeros((k, 1))
-        map_q = -w * dynamics[own]
-    factor = 1 - smoothing.pole if plant.is_discrete else smoothing.rate
-    C_z, D_v = through[:, None] * r_z, through[:, None] * r_v
-    C_z[own] += at_once * r_z[own]
-    D_v[own] += at_once * r_v[own] + factor * d_v[own]
-    static = through[:, None] * dynamics
-    static[own] += at_once * dynamics[own]
-    o = observer.system
-    system = StateSpace(
-        np.block([[o.A, np.zeros((n, k))], [Bz, Aq]]),
-        np.vstack([o.B, Bv]),
-        np.hstack([C_z, pick.T]),
-        D_v,
-        dt=plant.dt,
-        inputs=o.inputs,
-        outputs=[f"estimate {name}" for name in names],
+        P = _summed((P, np.eye(plant.n_states)), (-J, observer.J))
+    R, r_z, L_d = (
+        _summed((reading.static, np.eye(plant.n_outputs)), (-J, observer.H)),
+        -J @ observer.M,
+        reading.derivative,
     )
-    maps = np.vstack([observer.T, map_q]), static
-    return system, internal_form(system, plant, *maps), maps
+    late, on = reading.needs_derivative[:, None], filtered[:, None]
+    if plant.is_discrete:
+        alpha, epsilon = pole, 1 - pole
+        beta, gamma = np.where(late, epsilon, pole * epsilon), pole * epsilon
+        delta = np.where(late, 0.0, np.where(on, epsilon, 1.0))
+    else:
+        alpha, beta, gamma, delta, epsilon = -rate, rate, -(rate**2), np.where(on, 0.0, 1.0), rate
+    own = np.flatnonzero(filtered)
+    k = len(own)
+    T, V = np.vstack([observer.T, -(beta * P)[own]]), delta * P
+    system = plant_filter(
+        plant,
+        np.block([[observer.F, np.zeros((observer.order, k))], [(beta * r_z)[own], alpha * np.eye(k)]]),
+        T,
+        np.vstack([observer.K, (beta * R + gamma * L_d)[own]]),
+        np.hstack([delta * r_z, np.eye(len(names))[:, own]]),
+        delta * R + epsilon * L_d,
+        V,
+        [f"estimate {name}" for name in names],
+    )
+    return system, T, V
 
 
 def _summed(*products: tuple[NDArray, NDArray]) -> NDArray[np.float64]:
@@ -387,54 +467,25 @@ def _summed(*products: tuple[NDArray, NDArray]) -> NDArray[np.float64]:
     return above_rounding(total, np.add.reduce([np.abs(left) @ np.abs(right) for left, right in products]))
 
 
-def _on_signals(plant: Plant, on_y0: NDArray, dynamics: NDArray) -> NDArray:
-    """Return a gain on ``y - D u`` and one on ``-B u`` as one on ``[u, y]``."""
-    return np.hstack([_summed((-dynamics, plant.B), (-on_y0, plant.D)), on_y0])
-
-
-def _missed(
-    plant: Plant,
-    names: tuple[str, ...],
-    system: StateSpace,
-    form: StateSpace,
-    reading: FaultReading,
-    smoothing: _Smoothing,
-) -> float:
-    """Return how far the estimates are from the faults, or raise."""
-    w = frequency_grid(form, system)
-    columns = [plant.faults.index(name) for name in names]
-    response = form.frequency_response(w)[:, :, columns]
-    points = np.exp(1j * w * plant.dt) if plant.is_discrete else 1j * w
-    wanted = smoothing.expected(points, plant.dt)[:, :, None] * np.eye(len(names))
-    missed = float(np.abs((response - wanted) / reading.units[:, None] * reading.units).max())
-    if not missed <= LEAK:
-        raise AccuracyError(
-            f"the estimates are off the faults by {missed:.2g} (relative): the plant is too badly scaled or "
-            "conditioned for this estimator; rescale its states and channels"
-        )
-    return missed
-
-
-def _with_numbers(generator: ResidualGenerator, smoothing: _Smoothing) -> ResidualGenerator:
-    """Return the generator with its evidence completed: the lags of the estimates, and their noise."""
-    plant, names = generator.plant, generator.estimated
-    form = generator.internal_form()
+def _with_noise(
+    evidence: Evidence, plant: Plant, s: StateSpace, form: StateSpace, lag: Mapping[str, float]
+) -> Evidence:
+    """Return evidence with the lags of the estimates, and what measurements and noise do to them."""
     conditions: dict[str, float] = {}
     notes: list[str] = []
-    s, n_u = generator.system, len(plant.inputs)
-    n_other = form.n_inputs - len(plant.noises)
-    for i, name in enumerate(names):
-        conditions[f"lag of {name} (s)"] = smoothing.lags(names, plant.dt)[name]
+    n_u, noise = len(plant.inputs), slice(form.n_inputs - len(plant.noises), None)
+    for i, (name, late) in enumerate(lag.items()):
+        conditions[f"lag of {name} (s)"] = late
         conditions[f"peak gain, outputs to {name}"] = hinf_norm(
             s.A, s.B[:, n_u:], s.C[[i]], s.D[[i]][:, n_u:], s.dt
         ).value
         if plant.noises:
-            B, D = form.B[:, n_other:], form.D[[i]][:, n_other:]
-            rms = h2_norm(form.A, B, form.C[[i]], D, form.dt)
+            D = form.D[[i], noise]
+            rms = h2_norm(form.A, form.B[:, noise], form.C[[i]], D, form.dt)
             conditions[f"noise of {name}, rms"] = rms
             if not np.isfinite(rms):
                 notes.append(
                     f"white measurement noise of a continuous plant reaches the estimate of {name} directly, by "
                     f"{float(np.linalg.norm(D)):.3g} per unit, so that its variance is finite when sampled only"
                 )
-    return replace(generator, evidence=generator.evidence.extended(conditions=conditions, notes=tuple(notes)))
+    return evidence.extended(conditions=conditions, notes=tuple(notes))

@@ -112,25 +112,22 @@ def sensor_fault_estimators(
     ['v_horizontal', 'v_vertical', 'pitch']
     """
     names = [plant.outputs[i] for i in arrays.different_positions(outputs, plant.outputs, "output")]
-    faults: dict[str, str] = {}
-    for name in names:
-        own = [f.name for f in plant.fault_list if f.kind == "sensor" and f.component == name]
-        if not own:
-            plant = plant.with_sensor_faults([name])
-            own = [plant.faults[-1]]
-        faults[name] = own[0]
+    faults = {fault.component: fault.name for fault in reversed(plant.fault_list) if fault.kind == "sensor"}
+    missing = [name for name in names if name not in faults]
+    plant = plant.with_sensor_faults(missing) if missing else plant
+    faults |= dict(zip(missing, plant.faults[len(plant.faults) - len(missing) :], strict=True))
     members: dict[str, FaultEstimator] = {}
-    failures: dict[str, str] = {}
-    kinds: set[type[Exception]] = set()
-    for name, fault in faults.items():
+    errors: dict[str, Exception] = {}
+    for name in names:
         try:
-            members[name] = fault_estimator(plant, faults=[fault], poles=poles, margin=margin, bandwidth=bandwidth)
+            members[name] = fault_estimator(
+                plant, faults=[faults[name]], poles=poles, margin=margin, bandwidth=bandwidth
+            )
         except (DesignError, AccuracyError) as error:
-            failures[name] = str(error)
-            kinds.add(type(error))
+            errors[name] = error
     if not members:
-        reasons = "; ".join(f"{name}: {reason}" for name, reason in failures.items())
-        if DesignError not in kinds:  # there may be some
-            raise AccuracyError(f"the estimates of {counted(len(failures), 'sensor')} missed a check: {reasons}")
+        reasons = "; ".join(f"{name}: {error}" for name, error in errors.items())
+        if all(isinstance(error, AccuracyError) for error in errors.values()):  # there may be some
+            raise AccuracyError(f"the estimates of {counted(len(errors), 'sensor')} missed a check: {reasons}")
         raise DesignError(f"no fault of a sensor can be estimated: {reasons}")
-    return SensorFaultEstimators(members, failures)
+    return SensorFaultEstimators(members, {name: str(error) for name, error in errors.items()})

@@ -16,7 +16,7 @@ from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.design.core.leak import leak
 from residua.design.core.method import method
 from residua.design.core.signals import signal_names
-from residua.design.core.state_map import state_map, state_map_of, static_map
+from residua.design.core.state_map import state_map_of, static_map
 from residua.design.observers.observer import Observer
 from residua.errors import DesignError, SettingError
 from residua.linear import StateSpace
@@ -149,25 +149,22 @@ def general_form(generator: ResidualGenerator) -> GeneralForm:
 
 def _form(system: StateSpace, plant: Plant, T: NDArray, V: NDArray | None) -> GeneralForm:
     n_u, V = len(plant.inputs), np.zeros((system.n_outputs, plant.n_states)) if V is None else V
-    M, J, N = system.A, system.B[:, :n_u], system.B[:, n_u:]
-    Ls, Lu, Ly = system.C, system.D[:, :n_u], system.D[:, n_u:]
+    (J, N), (Lu, Ly) = (np.split(block, [n_u], axis=1) for block in (system.B, system.D))
     model = plant.balanced
     (A, C, E), units = model.written, model.units
     e, y = units.rate / units.equations, 1 / units.outputs
-    u, d, f = np.split(units.inputs, np.cumsum([n_u, len(plant.disturbances)]))
+    roles = ((plant.B, plant.D), (plant.Bd, plant.Dd), (plant.Bf, plant.Df))
+    u, d, f = np.split(units.inputs, np.cumsum([len(plant.inputs), len(plant.disturbances)]))
+    (B, D), (Bd, Dd), (Bf, Df) = (
+        (b / e[:, None] * by, c / y[:, None] * by) for (b, c), by in zip(roles, (u, d, f), strict=True)
+    )
     Tb, Nb, Lb, Vb, TE = T * e, N * y, Ly * y, V * e, T / units.equations @ E
     X = np.abs(TE).max(axis=1, initial=0.0)  # the sizes of the states
-    of_inputs, of_residual = np.hstack([Tb, Nb, J * u]), np.hstack([Ls * X, Lb, Lu * u, Vb])
-    B, D, Bd, Dd, Bf, Df = (
-        M / size[:, None] * by
-        for M, size, by in zip(
-            (plant.B, plant.D, plant.Bd, plant.Dd, plant.Bf, plant.Df), (e, y) * 3, (u, u, d, d, f, f), strict=True
-        )
-    )
+    of_inputs, of_residual = np.hstack([Tb, Nb, J * u]), np.hstack([system.C * X, Lb, Lu * u, Vb])
     missed = (
-        (np.hstack([of_inputs, M * X]), Tb @ A - M @ TE - Nb @ C),
+        (np.hstack([of_inputs, system.A * X]), Tb @ A - system.A @ TE - Nb @ C),
         (of_inputs, Tb @ B - Nb @ D - J * u),
-        (of_residual, Ls @ TE + Lb @ C + Vb @ A),
+        (of_residual, system.C @ TE + Lb @ C + Vb @ A),
         (of_residual, Lu * u + Lb @ D + Vb @ B),
         (of_inputs, Tb @ Bd - Nb @ Dd),
         (of_residual, Lb @ Dd + Vb @ Bd),
@@ -176,11 +173,10 @@ def _form(system: StateSpace, plant: Plant, T: NDArray, V: NDArray | None) -> Ge
         name: float(np.max(np.abs(off).max(axis=1, initial=0.0) / _largest(rows), initial=0.0))
         for name, (rows, off) in zip(CONDITIONS, missed if plant.disturbances else missed[:4], strict=False)
     }
-    TF = Tb @ Bf - Nb @ Df
-    TF = above_rounding(TF, _largest(of_inputs)[:, None], DESIGN_ROUNDING) / f
+    TF = above_rounding(Tb @ Bf - Nb @ Df, _largest(of_inputs)[:, None], DESIGN_ROUNDING) / f
     seen, F = np.vstack([TF, Ly @ plant.Df]), np.vstack([plant.Bf, plant.Df])
     rank_TF, rank_F = (decide_rank(equilibrated(one) if one.size else one) for one in (seen, F))
-    return GeneralForm(T, M, J, N, Ls, Lu, Ly, V, conditions, rank_TF, rank_F, -Ls @ TF)
+    return GeneralForm(T, system.A, J, N, system.C, Lu, Ly, V, conditions, rank_TF, rank_F, -system.C @ TF)
 
 
 def _largest(M: NDArray) -> NDArray[np.float64]:
@@ -291,13 +287,11 @@ def residual_generator_from_observer(
     if not isinstance(source, Plant):
         if present or gain is not None or weight is not None:
             raise SettingError("an observer brings its own matrices: leave gain, weight and the general form out")
-        made = source.residual_generator()
-        return _must_decouple(made) if decouples else made
+        return _decoupling_as_asked(source.residual_generator(), decouples)
     if gain is not None:
         if present:
             raise SettingError(f"give either a gain or the general form, not both: got gain and {', '.join(present)}")
-        made = _of_gain(source, gain, weight)
-        return _must_decouple(made) if decouples else made
+        return _decoupling_as_asked(_of_gain(source, gain, weight), decouples)
     missing = [name for name in ("M", "N", "Ls", "Ly") if general[name] is None]
     if missing or weight is not None:
         raise SettingError(
@@ -305,7 +299,7 @@ def residual_generator_from_observer(
             if weight is not None
             else f"the general form needs {', '.join(missing)} too; or give gain=K"
         )
-    return _of_matrices(source, general, True if decouples is None else decouples)
+    return _of_matrices(source, general, decouples is None or decouples)
 
 
 def _of_gain(plant: Plant, gain: ArrayLike, weight: ArrayLike | None) -> ResidualGenerator:
@@ -340,24 +334,25 @@ def _of_matrices(plant: Plant, entries: dict[str, Any], decouples: bool) -> Resi
     system = StateSpace(
         M, np.hstack([J, N]), Ls, np.hstack([Lu, Ly]), dt=plant.dt, inputs=signal_names(plant), outputs=names
     )
-    given = entries["T"] is not None
-    T = matrix(entries["T"], "T", (k, n), what="order x states") if given else state_map(system, plant)
-    V = static_map(system, plant, T)
-    J = T @ plant.B - N @ plant.D if entries["J"] is None else J
-    Lu = Lu - V @ plant.B if entries["Lu"] is None and V is not None else Lu
-    system = system.replaced(B=np.hstack([J, N]), D=np.hstack([Lu, Ly]))
-    errors = _form(system, plant, T, V).conditions
-    asked = CONDITIONS if decouples else CONDITIONS[:4]
-    failed = [
-        f"{name} is missed by {errors[name]:.2g} of its terms" for name in asked if errors.get(name, 0) > IDENTITY
-    ]
-    if failed and not given:  # a state that the residual does not show may be anything
+    if entries["T"] is None:  # a state that the residual does not show may be anything, and is left out
         system, T, V = state_map_of(system, plant)
-        errors = _form(system, plant, T, V).conditions
-        failed = failed if any(errors.get(name, 0) > IDENTITY for name in asked) else []
+    else:
+        T = matrix(entries["T"], "T", (k, n), what="order x states")
+        V = static_map(system, plant, T)
+    if entries["J"] is None:
+        N = system.B[:, m:]
+        system = system.replaced(B=np.hstack([T @ plant.B - N @ plant.D, N]))
+    if entries["Lu"] is None and V is not None:
+        system = system.replaced(D=np.hstack([Lu - V @ plant.B, Ly]))
+    errors = _form(system, plant, T, V).conditions
+    failed = [
+        f"{name} is missed by {error:.2g} of its terms"
+        for name, error in errors.items()
+        if error > IDENTITY and (decouples or name in CONDITIONS[:4])
+    ]
     if failed:
         what = "residual generator that ignores the disturbances" if decouples else "residual generator"
-        hint = "" if given else "; T was found from these conditions: give T=... if you have it"
+        hint = "" if entries["T"] is not None else "; T was found from these conditions: give T=... if you have it"
         raise DesignError(f"these matrices are no {what} for {plant.name!r}: {'; '.join(failed)}{hint}")
     method = "residual generator in the general form"
     evidence = Evidence(method=method, poles=explicit_poles(system.A), conditions=errors, references=(REFERENCE,))
@@ -365,20 +360,21 @@ def _of_matrices(plant: Plant, entries: dict[str, Any], decouples: bool) -> Resi
     return make_generator(system, plant, method, evidence, decouples=promise, state_map=T, static_map=V)
 
 
-def _must_decouple(made: ResidualGenerator) -> ResidualGenerator:
-    """Return a generator after checking that it ignores the disturbances."""
-    p, leaks = made.plant, dict(made.evidence.decoupling)
-    if "disturbance" not in leaks and p.disturbances and made.state_map is not None:  # which it does not promise
-        found = leak(made.system, p, made.state_map, made.static_map)
-        leaks["disturbance"] = float(found.gains[:, len(p.inputs) :].max())
-    gain = leaks.get("disturbance", 0.0)
+def _decoupling_as_asked(made: ResidualGenerator, decouples: bool | None) -> ResidualGenerator:
+    """Return a generator, after checking that it ignores the disturbances where that is asked."""
+    p = made.plant
+    if not decouples or not p.disturbances:
+        return made
+    assert made.state_map is not None  # every observer has one
+    found = leak(made.system, p, made.state_map, made.static_map)
+    gain = float(found.gains[:, len(p.inputs) :].max())
     if gain > LEAK:
         raise DesignError(
             f"the residual does not ignore the disturbances {', '.join(p.disturbances)}, as decouples=True asks: they "
             f"reach it by {gain:.2g} of the terms that would have to cancel (allowed: {LEAK:.0e}); leave decouples out "
             "to take it as it is, or have one designed, as by unknown_input_observer or decoupled_residual"
         )
-    return replace(made, evidence=made.evidence.extended(decoupling=leaks))
+    return replace(made, evidence=made.evidence.extended(decoupling={"disturbance": gain}))
 
 
 def _require_stable(F: NDArray, dt: float, name: str) -> None:

@@ -17,7 +17,7 @@ from residua.arrays import matrix
 from residua.design.core.evidence import Evidence, format_pole
 from residua.design.core.method import method
 from residua.design.core.needs import FAULTS
-from residua.design.observers.observer import Observer, with_checked_estimate
+from residua.design.observers.observer import Observer, plant_observer, with_checked_estimate
 from residua.design.observers.unknown_input_observer import unknown_input_observer
 from residua.errors import AccuracyError, DesignError
 from residua.linear import is_stable_mode
@@ -26,6 +26,7 @@ from residua.linear.poles.spectrum import spectrum_error
 from residua.linear.subspaces.quotient import without_rounding
 from residua.linear.subspaces.rank import decide_rank, equilibrated
 from residua.plant import Plant
+from residua.plant.balanced import BalancedPlant
 from residua.tolerances import BALANCED_RANK, RANK, ROUNDING, above_rounding
 
 #: No pole of a sampled observer is chosen nearer to zero: its inverse would be far from all others.
@@ -155,101 +156,78 @@ def inverse_form_observer(
     plant = (plant.faults_as_disturbances(chosen) if chosen else plant).explicit()
     _check_existence(plant)
     model, n, p = plant.balanced, plant.n_states, plant.n_outputs
-    units, A, C, F = model.units, model.A, model.C, model.disturbances[0]
+    units, A, C, E = model.units, model.A, model.C, model.disturbances[0]
     X, Y, rate = units.states[:, None], units.outputs, units.rate
-    AF = np.linalg.solve(A, F)
-    rows = _first_rows(C @ F, C @ AF, plant, first)
-    Pi, N_BO = _without_inputs(without_rounding(np.linalg.inv(A)), AF, C[rows])
-    asked = np.zeros(0, dtype=complex)
+    AE = np.linalg.solve(A, E)
+    rows = _first_rows(C @ E, C @ AE, plant, first)
+    small = np.linalg.inv(C[rows] @ AE)
+    Pi = above_rounding(AE @ small, np.abs(AE) @ np.abs(small) @ (np.abs(C[rows]) @ np.abs(AE)) @ np.abs(small))
+    rest = above_rounding(np.eye(n) - Pi @ C[rows], np.eye(n) + np.abs(Pi) @ np.abs(C[rows]))
+    inverse = without_rounding(np.linalg.inv(A))
+    N_BO = above_rounding(rest @ inverse, np.abs(rest) @ np.abs(inverse))
+    requested = np.zeros(0, dtype=complex)
     if K is not None:
         gain = rate * matrix(K, "K", (n, p), what="states x outputs") / X / Y
     elif poles is not None:
-        gain, asked = _placed(N_BO, C, np.atleast_1d(np.asarray(poles, dtype=complex)), plant)
+        gain, requested = _placed(N_BO, C, np.atleast_1d(np.asarray(poles, dtype=complex)), plant)
     else:
-        gain, _ = _placed(N_BO, C, _off_zero(unknown_input_observer(plant).poles, plant.dt), plant)
+        wanted = unknown_input_observer(plant).poles
+        near = np.flatnonzero(np.abs(wanted) < _LEAST) if plant.dt else []
+        wanted[near] = _LEAST * np.linspace(1.0, 2.0, len(near))
+        gain, _ = _placed(N_BO, C, wanted, plant)
     N_BF = N_BO - gain @ C
-    observer = with_checked_estimate(_observer(plant, N_BF, gain, Pi, rows, asked))
+    observer = with_checked_estimate(_observer(model, N_BF, gain, Pi, rows, requested))
     N_BO, N_BF = (X * N / units.states / rate for N in (N_BO, N_BF))
     return InverseFormObserver(observer, N_BO, N_BF, X * gain * Y / rate, tuple(plant.outputs[i] for i in rows))
 
 
-def _off_zero(poles: NDArray[np.complex128], dt: float) -> NDArray[np.complex128]:
-    """Return the poles of a sampled observer, those at zero, which have no inverse, a little apart from it instead."""
-    size = np.abs(poles)
-    near = size < _LEAST
-    if not dt or not near.any():
-        return poles
-    moved = poles.copy()
-    moved[near] = _LEAST * np.linspace(1.0, 2.0, int(near.sum()))
-    return moved
-
-
 def _check_existence(plant: Plant) -> None:
     """Raise unless the assumptions of section 2.1 hold, and an unknown input observer exists."""
-    q, F = plant.Bd.shape[1], plant.balanced.disturbances[0]
+    q, model = len(plant.disturbances), plant.balanced
     if not q:
         raise DesignError("this plant has no unknown input: give it disturbances, or choose faults")
-    if np.any(plant.Dd):
-        seen = [name for name, column in zip(plant.disturbances, plant.Dd.T, strict=True) if np.any(column)]
+    seen = [name for name, column in zip(plant.disturbances, plant.Dd.T, strict=True) if np.any(column)]
+    if seen:
         raise DesignError(
             f"{', '.join(seen)} enters the outputs; the inverse form asks for none: augment the plant, "
             f"residua.plant.augment_sensor_filter, or use fault_estimator, which does not need it"
         )
-    independent = decide_rank(F, rtol=BALANCED_RANK, scale=1.0)
-    if independent.rank < q:
-        raise DesignError(f"the {q} unknown inputs have only {independent.rank} independent directions")
-    invertible = decide_rank(plant.balanced.A, rtol=BALANCED_RANK, scale=1.0)
-    if invertible.rank < plant.n_states:
+    directions, states = (decide_rank(M, rtol=BALANCED_RANK, scale=1.0) for M in (model.disturbances[0], model.A))
+    if directions.rank < q:
+        raise DesignError(f"the {q} unknown inputs have only {directions.rank} independent directions")
+    if states.rank < plant.n_states:
         raise DesignError(
-            f"A is singular, rank {invertible.rank} < {plant.n_states}, with a singular value of "
-            f"{invertible.largest_dropped:.1g} in balanced units: the inverse form does not exist; {_INSTEAD}"
+            f"A is singular, rank {states.rank} < {plant.n_states}, with a singular value of "
+            f"{states.largest_dropped:.1g} in balanced units: the inverse form does not exist; {_INSTEAD}"
         )
     existence = unknown_input_observer_existence(plant)
     if not existence:
         raise DesignError("; ".join(existence.reasons))
 
 
-def _first_rows(CF: NDArray, CAF: NDArray, plant: Plant, first: Iterable[str | int] | str | None) -> list[int]:
+def _first_rows(CE: NDArray, CAE: NDArray, plant: Plant, first: Iterable[str | int] | str | None) -> list[int]:
     """Return the outputs ``H1``: those of the user, or those that express the unknown inputs best."""
-    q, p = CF.shape[1], len(CF)
-    names = plant.outputs
-    late, steady = equilibrated(CF), equilibrated(CAF)
+    q, p, names = CE.shape[1], len(CE), plant.outputs
+    late, steady = equilibrated(CE), equilibrated(CAE)
     if first is not None:
         rows = arrays.positions(first, names, "output")
         if len(set(rows)) != q:
             raise DesignError(f"first: as many outputs as unknown inputs are needed, {q}, got {len(set(rows))}")
-        candidates = [tuple(rows)]
+        candidates = np.array([rows])
     elif comb(p, q) <= 5000:
-        candidates = list(combinations(range(p), q))
+        candidates = np.array(list(combinations(range(p), q)))
     else:
-        pivots = scipy.linalg.qr(steady.T, pivoting=True, mode="r")[1]
-        candidates = [tuple(sorted(int(i) for i in pivots[:q]))]
-
-    def smallest(M: NDArray, rows: tuple[int, ...]) -> float:
-        return float(np.linalg.svd(M[list(rows)], compute_uv=False)[-1])
-
-    def merit(rows: tuple[int, ...]) -> tuple[float, float]:
-        both = smallest(steady, rows)
-        return min(both, smallest(late, rows)), both
-
-    usable = [rows for rows in candidates if smallest(steady, rows) > RANK]
-    if not usable:
-        value = max(smallest(steady, rows) for rows in candidates)
+        candidates = np.sort(scipy.linalg.qr(steady.T, pivoting=True, mode="r")[1][:q])[None]
+    least = np.linalg.svd(steady[candidates], compute_uv=False)[:, -1]
+    if not least.max() > RANK:
         which = f"with H1 = {', '.join(names[i] for i in candidates[0])}" if first is not None else "whatever outputs"
         raise DesignError(
-            f"H1 A^-1 F is singular {which} (smallest singular value {value:.2g}): the unknown inputs have a zero "
-            f"at the origin; choose other outputs, or another method: {_INSTEAD}"
+            f"H1 A^-1 F is singular {which} (smallest singular value {least.max():.2g}): the unknown inputs have a "
+            f"zero at the origin; choose other outputs, or another method: {_INSTEAD}"
         )
-    return list(max(usable, key=merit))
-
-
-def _without_inputs(inverse: NDArray, AF: NDArray, C1: NDArray) -> tuple[NDArray, NDArray]:
-    """Return ``Pi`` and ``N_BO``, without what rounding leaves of the rows that are zero, as ``H1 N_BO = 0``."""
-    small = np.linalg.inv(C1 @ AF)
-    Pi = above_rounding(AF @ small, np.abs(AF) @ np.abs(small) @ (np.abs(C1) @ np.abs(AF)) @ np.abs(small))
-    whole = np.eye(len(AF))
-    rest = above_rounding(whole - Pi @ C1, whole + np.abs(Pi) @ np.abs(C1))
-    return Pi, above_rounding(rest @ inverse, np.abs(rest) @ np.abs(inverse))
+    both = np.minimum(least, np.linalg.svd(late[candidates], compute_uv=False)[:, -1])
+    both[least <= RANK] = -1.0
+    return [int(i) for i in candidates[np.lexsort((-least, -both))[0]]]
 
 
 def _placed(N_BO: NDArray, C: NDArray, poles: NDArray, plant: Plant) -> tuple[NDArray, NDArray]:
@@ -264,14 +242,15 @@ def _placed(N_BO: NDArray, C: NDArray, poles: NDArray, plant: Plant) -> tuple[ND
     return rate * placed.gain, 1 / (placed.requested + shift)
 
 
-def _observer(plant: Plant, N_BF: NDArray, K: NDArray, Pi: NDArray, rows: list[int], asked: NDArray) -> Observer:
+def _observer(
+    model: BalancedPlant, N_BF: NDArray, K: NDArray, Pi: NDArray, rows: list[int], requested: NDArray
+) -> Observer:
     """Return the unknown input observer of the inverse form of a balanced plant, in the units of the plant."""
-    model, units = plant.balanced, plant.balanced.units
-    X, C, n = units.states[:, None], model.C, plant.n_states
+    plant, C, E, n = model.plant, model.C, model.disturbances[0], len(N_BF)
     condition = float(np.linalg.cond(N_BF))
     if not condition < 1 / ROUNDING:
-        raise DesignError(f"N_BF is singular: K H F must have rank {plant.Bd.shape[1]}; choose another K")
-    F, E = np.linalg.inv(N_BF), model.disturbances[0]
+        raise DesignError(f"N_BF is singular: K H F must have rank {len(plant.disturbances)}; choose another K")
+    F = np.linalg.inv(N_BF)
     # what the inverse loses is taken out of the identities H C E = E and F = T A - K1 C
     H = -F @ K
     H = H + (E - H @ C @ E) @ np.linalg.pinv(C @ E)
@@ -279,23 +258,22 @@ def _observer(plant: Plant, N_BF: NDArray, K: NDArray, Pi: NDArray, rows: list[i
     K1[:, rows] = -F @ Pi
     F = T @ model.A - K1 @ C
     gain = K1 + F @ H
-    poles = np.asarray(units.rate * np.linalg.eigvals(F), dtype=complex)
+    poles = np.asarray(model.units.rate * np.linalg.eigvals(F), dtype=complex)
+    listed = ", ".join(map(format_pole, poles))
     if not is_stable_mode(poles, plant.dt).all():
-        listed = ", ".join(format_pole(pole) for pole in poles)
         raise DesignError(f"K gives the poles {listed}, which are not stable; give poles=[...] instead")
-    error = 0.0
-    if len(asked) == n:
-        error, _, reached = spectrum_error(units.rate * F, asked, plant.dt, 1e-5)
-        if not reached:
-            raise AccuracyError(
-                f"the poles came out as {', '.join(map(format_pole, poles))}, not as requested: the inverse form is "
-                "too badly conditioned here; use fault_estimator"
-            )
+    all_asked = requested if len(requested) == n else requested[:0]
+    error, _, reached = spectrum_error(model.units.rate * F, all_asked, plant.dt, 1e-5)
+    if not reached:
+        raise AccuracyError(
+            f"the poles came out as {listed}, not as requested: the inverse form is too badly conditioned here; use "
+            "fault_estimator"
+        )
     off, terms = T @ model.A - gain @ C - F @ T, np.abs(T) @ np.abs(model.A) + np.abs(gain) @ np.abs(C)
     evidence = Evidence(
         method="inverse-form observer",
         poles=poles,
-        requested_poles=asked,
+        requested_poles=requested,
         conditions={
             "|T F| / |F|": float(np.abs(T @ E).max()),
             "T A - K C = F T": float(np.abs(off).max() / (terms + np.abs(F) @ np.abs(T)).max()),
@@ -304,15 +282,4 @@ def _observer(plant: Plant, N_BF: NDArray, K: NDArray, Pi: NDArray, rows: list[i
         },
         references=("Sueur, Observer-based actuator and sensor fault estimation, eqs. (3) to (11)",),
     )
-    return Observer(
-        plant,
-        units.rate * X * F / units.states,
-        X * T / units.states,
-        units.rate * X * gain * units.outputs,
-        np.eye(n),
-        X * H * units.outputs,
-        np.eye(plant.n_outputs),
-        "inverse-form observer",
-        True,
-        evidence,
-    )
+    return plant_observer(model, F, T, gain, np.eye(len(C)), evidence, H=H)

@@ -11,12 +11,12 @@ from residua.design.core.generator import ResidualGenerator
 from residua.design.core.method import method
 from residua.design.core.needs import NOISE
 from residua.design.observers.observer import balanced_observer
+from residua.design.observers.observer_gain import gain_evidence, require_detectable
 from residua.errors import AccuracyError, DesignError
 from residua.linear.poles.observer_gain import ObserverGain, observer_gain
-from residua.linear.poles.spectrum import describe_modes
 from residua.linear.subspaces.quotient import ObservableSplit, observable_split
 from residua.plant import Plant
-from residua.plant.balanced import BalancedPlant, undetectable
+from residua.plant.balanced import BalancedPlant
 from residua.tolerances import BALANCED_ANSWER, RANK
 from residua.wrong_guesses import guessed
 
@@ -90,27 +90,21 @@ def kalman_filter(plant: Plant) -> ResidualGenerator:
     if plant.Bw.shape[1] == 0:
         raise DesignError("a Kalman filter needs the noise of the plant: with_noise(process=..., measurement=...)")
     model = plant.balanced
-    hidden = undetectable(model)
-    if hidden.size:
-        raise DesignError(
-            f"(C, A) is not detectable: no measurement sees the mode {describe_modes(hidden)}; add a sensor"
-        )
+    require_detectable(model)
     gain = _gain(plant, model)
     notes = ()
     if plant.disturbances:
         notes = (f"disturbances are not decoupled by a Kalman filter: {', '.join(plant.disturbances)}",)
     if not np.any(plant.process_noise) and not np.any(gain.K):
         notes += (f"no process noise, so that the gain is zero and the outputs correct nothing: {_BOTH}",)
-    return balanced_observer(
-        plant,
-        gain,
-        Evidence(
-            method="Kalman filter",
-            conditions={"size of K": gain.norm},
-            notes=notes,
-            references=("Gertler (1991), Automatica 27(4), eqs. (3-14) to (3-17) and section 5.3",),
-        ),
-    ).residual_generator()
+    evidence = Evidence(
+        method="Kalman filter",
+        conditions={"size of K": gain.norm},
+        notes=notes,
+        references=("Gertler (1991), Automatica 27(4), eqs. (3-14) to (3-17) and section 5.3",),
+    )
+    evidence = evidence.extended(**gain_evidence(gain, model.units.rate))
+    return balanced_observer(model, gain.K, evidence).residual_generator()
 
 
 def _gain(plant: Plant, model: BalancedPlant) -> ObserverGain:

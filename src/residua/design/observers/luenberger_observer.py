@@ -11,13 +11,10 @@ from residua import arrays
 from residua.design.core.evidence import Evidence
 from residua.design.core.method import method
 from residua.design.observers.observer import Observer, balanced_observer, with_checked_estimate
-from residua.design.observers.observer_gain import asked, default_weights
+from residua.design.observers.observer_gain import asked, default_weights, pair_gain, require_detectable, with_gain
 from residua.errors import DesignError
-from residua.linear.poles.observer_gain import observer_gain
-from residua.linear.poles.spectrum import describe_modes
-from residua.linear.subspaces.quotient import observable_split
 from residua.plant import Plant
-from residua.plant.balanced import is_singular, undetectable
+from residua.plant.balanced import is_singular
 
 
 @method(
@@ -94,31 +91,15 @@ def luenberger_observer(
     used = arrays.different_positions(outputs, plant.outputs, "output")
     plant = plant.explicit()
     model = plant.balanced
-    hidden = undetectable(model, used)
-    if hidden.size:
-        raise DesignError(
-            f"not detectable: mode {describe_modes(hidden)} is not seen by any output and is not stable; add a sensor "
-            "that sees it"
-        )
-    poles, margin = asked(plant, poles, margin)
-    C = model.C[used]
+    require_detectable(model, used)
     process, measurement = default_weights(model)
-    gain = observer_gain(
-        model.A,
-        C,
-        observable_split(model.A, C),
-        sampled=plant.is_discrete,
-        process=process,
-        measurement=measurement[np.ix_(used, used)],
-        poles=poles,
-        margin=margin,
-        rate=model.units.rate,
+    gain = pair_gain(
+        model, model.A, model.C[used], (process, measurement[np.ix_(used, used)]), *asked(model.plant, poles, margin)
     )
     names = ", ".join(plant.disturbances)
     evidence = Evidence(
         method="Luenberger observer",
-        conditions={"pole error": gain.error, "size of K": gain.norm},
         notes=(f"disturbances are not decoupled by a Luenberger observer: {names}",) if names else (),
         references=("Twardy and Kaczorek, part I, Theorem 2",),
     )
-    return with_checked_estimate(balanced_observer(plant, gain, evidence, used))
+    return with_checked_estimate(balanced_observer(model, gain.K, with_gain(evidence, gain, model), used))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,11 +13,10 @@ from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.design.core.leak import answers, leak
 from residua.design.core.signals import sampled_filter, signal_names, stack_signals
-from residua.design.observers.observer_gain import gain_evidence
 from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace
-from residua.linear.poles.observer_gain import ObserverGain
 from residua.plant import Plant
+from residua.plant.balanced import BalancedPlant
 from residua.tolerances import LEAK, above_rounding
 from residua.words import counted, used_up
 
@@ -94,12 +94,6 @@ class Observer:
         return self.T @ self.plant.B
 
     @property
-    def _entrance(self) -> NDArray[np.float64]:
-        """How controls and measurements enter, ``[T B - K D, K]``: of a control that is decoupled nothing is left."""
-        p = self.plant
-        return np.hstack([self.T @ p.B - self.K @ p.D, self.K])
-
-    @property
     def A1(self) -> NDArray[np.float64]:
         """``T A``."""
         return self.T @ self.plant.A
@@ -124,17 +118,8 @@ class Observer:
     @property
     def system(self) -> StateSpace:
         """The observer as a system from control inputs and outputs to the state estimate."""
-        p = self.plant
-        J = np.zeros((p.n_states, p.n_states)) if self.J is None else self.J
-        direct = -self.H @ p.D - J @ p.B
-        return StateSpace(
-            self.F,
-            self._entrance,
-            self.M,
-            np.hstack([direct, self.H]),
-            dt=p.dt,
-            inputs=signal_names(p),
-            outputs=[f"estimate {x}" for x in p.states],
+        return plant_filter(
+            self.plant, self.F, self.T, self.K, self.M, self.H, self.J, [f"estimate {x}" for x in self.plant.states]
         )
 
     def estimate(self, u: ArrayLike | None, y: ArrayLike, *, dt: float | None = None) -> NDArray[np.float64]:
@@ -162,44 +147,39 @@ class Observer:
             If as many disturbances are decoupled as there are measurements, or all measurements were needed to
             reduce the order: the residual is then zero whatever fails.
         """
-        p = self.plant
-        J = np.zeros((p.n_states, p.n_states)) if self.J is None else self.J
-        V = np.zeros((len(self.W), p.n_states)) if self.V is None else self.V
+        p, n = self.plant, self.plant.n_states
+        J = np.zeros((n, n)) if self.J is None else self.J
+        V = np.zeros((len(self.W), n)) if self.V is None else self.V
         read = self.W @ p.C + V @ p.A
         # what rounding leaves of nothing would be an answer
         through = above_rounding(self.W - read @ self.H, np.abs(self.W) + np.abs(read) @ np.abs(self.H))
         static = above_rounding(V - read @ J, np.abs(V) + np.abs(read) @ np.abs(J))
         states = above_rounding(-read @ self.M, np.abs(read) @ np.abs(self.M))
-        system = StateSpace(
-            self.F,
-            self._entrance,
-            states,
-            np.hstack([-through @ p.D - static @ p.B, through]),
-            dt=p.dt,
-            inputs=signal_names(p),
-            outputs=self._residual_names(),
-        )
+        names = []
+        for row, others in zip(self.W, V, strict=True):  # the output whose error a residual is
+            at = np.flatnonzero(row)
+            if len(at) == 1 and np.isclose(abs(row[at[0]]), 1.0) and not others.any():
+                names.append(f"r {p.outputs[int(at[0])]}")
+        if len(set(names)) < len(self.W):
+            names = [f"r{i + 1}" for i in range(len(self.W))]
+        system = plant_filter(p, self.F, self.T, self.K, states, through, static, names)
         alive = answers(system, p, np.abs(self.W) + np.abs(read) @ np.abs(self.H))
         if not alive.any():
             raise DesignError(self._why_blind())
-        system = system.select(outputs=np.flatnonzero(alive))
-        decouples = Decoupled(disturbances=self.decouples)
-        maps = {"state_map": self.T, "static_map": None if p.E is None else static[alive]}
-        return make_generator(system, p, self.method, self.evidence, decouples=decouples, observer=self, **maps)
+        return make_generator(
+            system.select(outputs=np.flatnonzero(alive)),
+            p,
+            self.method,
+            self.evidence,
+            decouples=Decoupled(disturbances=self.decouples),
+            observer=self,
+            state_map=self.T,
+            static_map=None if p.E is None else static[alive],
+        )
 
     def __repr__(self) -> str:
         kind = f"dt={self.plant.dt:g} s" if self.plant.is_discrete else "continuous"
         return f"Observer({self.method} of {self.plant.name!r}: order {self.order}, {kind})"
-
-    def _residual_names(self) -> list[str]:
-        """Return the names of residuals: those of the outputs whose errors they are, if all differ; else numbers."""
-        V = np.zeros((len(self.W), 1)) if self.V is None else self.V
-        names = []
-        for row, others in zip(self.W, V, strict=True):
-            at = np.flatnonzero(row)
-            own = len(at) == 1 and np.isclose(abs(row[at[0]]), 1.0) and not others.any()
-            names.append(f"r {self.plant.outputs[int(at[0])]}" if own else "")
-        return names if all(names) and len(set(names)) == len(names) else [f"r{i + 1}" for i in range(len(self.W))]
 
     def _why_blind(self) -> str:
         p = self.plant
@@ -217,17 +197,69 @@ class Observer:
         )
 
 
-def balanced_observer(plant: Plant, gain: ObserverGain, evidence: Evidence, used: list[int] | None = None) -> Observer:
-    """Return the full-order observer ``F = A - K C`` of a gain for the balanced plant, in the units of the plant.
+def plant_filter(
+    plant: Plant,
+    F: NDArray,
+    T: NDArray,
+    K: NDArray,
+    C: NDArray,
+    L: NDArray,
+    V: NDArray | None,
+    outputs: Sequence[str],
+) -> StateSpace:
+    r"""Return :math:`\dot z = F z + T B u + K (y - D u)` with the outputs :math:`C z + L (y - D u) - V B u`."""
+    # of a control that is decoupled nothing is left
+    entering = above_rounding(T @ plant.B - K @ plant.D, np.abs(T) @ np.abs(plant.B) + np.abs(K) @ np.abs(plant.D))
+    direct = -L @ plant.D if V is None else -L @ plant.D - V @ plant.B
+    B, D = np.hstack([entering, K]), np.hstack([direct, L])
+    return StateSpace(F, B, C, D, dt=plant.dt, inputs=signal_names(plant), outputs=outputs)
 
-    Its residual is the error of the outputs that are used, all when omitted.
+
+def plant_observer(
+    model: BalancedPlant,
+    F: NDArray,
+    T: NDArray,
+    K: NDArray,
+    W: NDArray,
+    evidence: Evidence,
+    *,
+    M: NDArray | None = None,
+    H: NDArray | None = None,
+    J: NDArray | None = None,
+    V: NDArray | None = None,
+    decouples: bool = True,
+) -> Observer:
+    """Return an observer of a balanced plant in the units of that plant; ``W`` and ``V`` are in these already.
+
+    Without ``M`` the states of the observer are those of the plant, ``H`` is zero without ``H``.
     """
-    units, n, p = plant.balanced.units, plant.n_states, plant.n_outputs
-    K = units.states[:, None] * gain.K * units.outputs * units.rate
-    W = np.eye(p) if used is None else np.eye(p)[used]
-    F = plant.A - K @ plant.C
-    evidence = evidence.extended(**gain_evidence(gain, units.rate))
-    return Observer(plant, F, np.eye(n), K, np.eye(n), np.zeros((n, p)), W, evidence.method, False, evidence)
+    units, n = model.units, model.plant.n_states
+    R, X, Y = units.equations, units.states[:, None], units.outputs
+    z = X if M is None else np.ones((len(F), 1))
+    return Observer(
+        model.plant,
+        units.rate * z * F / z.T,
+        z * T * R,
+        units.rate * z * K * Y,
+        np.eye(n) if M is None else X * M,
+        np.zeros((n, len(Y))) if H is None else X * H * Y,
+        W,
+        evidence.method,
+        decouples,
+        evidence,
+        J=None if J is None else X * J * R / units.rate,
+        V=V,
+    )
+
+
+def balanced_observer(model: BalancedPlant, K: NDArray, evidence: Evidence, used: list[int] | None = None) -> Observer:
+    """Return the full-order observer ``F = A - K C`` of a gain for some outputs of a balanced plant, all when omitted.
+
+    Its residual is the error of these outputs.
+    """
+    W = np.eye(len(model.C)) if used is None else np.eye(len(model.C))[used]
+    K = K @ W
+    return plant_observer(model, model.A - K @ model.C, np.eye(len(model.A)), K, W, evidence, decouples=False)
 
 
 def with_checked_estimate(observer: Observer) -> Observer:
@@ -237,19 +269,11 @@ def with_checked_estimate(observer: Observer) -> Observer:
     """
     p = observer.plant
     unknown = (p.Bd, p.Dd) if observer.decouples else (p.Bd[:, :0], p.Dd[:, :0])
-    found = leak(
-        observer.system, p, observer.T, _read_equations(observer), unknown=unknown, estimate=np.eye(p.n_states)
-    )
+    found = leak(observer.system, p, observer.T, observer.J, unknown=unknown, estimate=np.eye(p.n_states))
     worst = float(found.gains.max(initial=0.0))
     if not worst <= LEAK:
         raise AccuracyError(
             f"the estimate is off the state by {worst:.2g} (relative, limit {LEAK:.0e}): the measurements see "
             "part of the plant too weakly; add a sensor, or ask for slower poles"
         )
-    evidence = observer.evidence.extended(conditions={"estimate off the state": worst})
-    return replace(observer, evidence=evidence)
-
-
-def _read_equations(observer: Observer) -> NDArray[np.float64] | None:
-    """Return how the estimate reads the algebraic equations, ``J (A x + B u) = 0``; none for an ordinary plant."""
-    return observer.J
+    return replace(observer, evidence=observer.evidence.extended(conditions={"estimate off the state": worst}))

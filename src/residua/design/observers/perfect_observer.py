@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from math import comb
 
@@ -211,37 +212,46 @@ class PerfectObserver:
         spread = np.eye(p.n_outputs)[rows]
         return np.block([[-p.B, np.zeros((p.n_states, p.n_outputs))], [-p.D[rows], spread]])
 
-    def _series(self, F: NDArray) -> list[Terms]:
-        """Return ``G F, N G F, ...`` in balanced units, and the sizes of their terms: ``X`` of the signals ``v``."""
-        X, N = self.gain.basis, self.gain.triangular  # its powers are small there when they should be
-        G = self.gain.G * self.gain.pencil.rows
-        power, size = X.T @ G @ F, np.abs(X.T) @ np.abs(G) @ np.abs(F)
-        out = []
-        for _ in range(max(self.index, 1)):
-            out.append((X @ power, np.abs(X) @ size))
-            power, size = N @ power, np.abs(N) @ size
-        return out
+    def _polynomial(self, F: NDArray, read: NDArray, first: Terms | None = None) -> list[NDArray[np.float64]]:
+        """Return the coefficients of ``read X``, after ``first``, of signals that enter the equations by ``F``.
 
-    def _trimmed(self, found: list[Terms]) -> list[NDArray[np.float64]]:
-        """Return coefficients without rounding, in the plant's unit of time."""
-        rate = self.gain.pencil.rate
-        return [P / rate**i for i, P in enumerate(_trimmed(found, self.gain.pencil.beta))]
+        The highest that are rounding of their terms are left out, and zeros stand for entries that are: a signal that
+        was decoupled is not read at all, where rounding would read it faintly.
+        """
+        p, X, N = (
+            self.gain.pencil,
+            self.gain.basis,
+            self.gain.triangular,
+        )  # its powers are small there when they should be
+        G = self.gain.G * p.rows
+        power, size = X.T @ G @ F, np.abs(X.T) @ np.abs(G) @ np.abs(F)
+        terms = [] if first is None else [first]
+        for _ in range(max(self.index, 1)):
+            terms.append((read @ (X @ power), np.abs(read) @ (np.abs(X) @ size)))
+            power, size = N @ power, np.abs(N) @ size
+        if first is not None and self.complete:
+            terms[:2] = [tuple(a + b for a, b in zip(*terms[:2], strict=True))]
+        total = sum(p.beta**i * size for i, (_, size) in enumerate(terms))
+        columns = np.max(total, axis=0, keepdims=True, initial=0.0)
+        columns = np.where(columns > 0, columns, 1.0)
+        floor = 1e-12 * np.max(total / columns, axis=1, keepdims=True, initial=0.0) * columns
+        out = [np.where(p.beta**i * np.abs(P) > floor, P, 0.0) / p.rate**i for i, (P, _) in enumerate(terms)]
+        while len(out) > 1 and not np.any(out[-1]):
+            out.pop()
+        return out
 
     def _estimate(self, part: slice) -> list[NDArray[np.float64]]:
         """Return the coefficients of some of the states and disturbances."""
-        columns = self.gain.pencil.columns[part, None]
-        return [columns * P for P in self._trimmed([(P[part], size[part]) for P, size in self._series(self._known)])]
+        columns = self.gain.pencil.columns
+        return [columns[part, None] * P for P in self._polynomial(self._known, np.eye(len(columns))[part])]
 
     def _residual(self, F: NDArray) -> list[NDArray[np.float64]]:
         """Return the coefficients of the residual, of signals that enter the equations by ``F``."""
-        p, series = self.gain.pencil, self._series(F)
+        p = self.gain.pencil
         left, of = (-self.left / p.rows[p.n :], p.R[p.n :]) if self.complete else (self.left / p.rows, p.S)
-        direct, read = F[p.n :] if self.complete else F, above_rounding(left @ of, np.abs(left) @ np.abs(of))
+        direct = F[p.n :] if self.complete else F
         first = self.left @ direct, np.abs(self.left) @ np.abs(direct)
-        found = [(read @ P, np.abs(read) @ size) for P, size in series]
-        if self.complete:
-            return self._trimmed([(first[0] + found[0][0], first[1] + found[0][1]), *found[1:]])
-        return self._trimmed([first, *found])
+        return self._polynomial(F, above_rounding(left @ of, np.abs(left) @ np.abs(of)), first)
 
     def _filter(self, coefficients: list[NDArray], names: list[str]) -> StateSpace:
         p = self.plant
@@ -315,7 +325,7 @@ def perfect_observer(
     DesignError
         If no such observer exists; the message says which condition fails, and where.
     AccuracyError
-        If no gain passes the checks: relative variation of the determinant below 1e-6.
+        If no gain is found to working precision, or its estimate is not the state.
     SettingError
         If the bandwidth is not a positive number, or the plant is sampled, or if ``K`` comes with
         disturbances or with ``least_order``.
@@ -349,19 +359,28 @@ def perfect_observer(
            [0.33333333]])
     """
     rows = arrays.different_positions(outputs, plant.outputs, "output")
-    if plant.dt and bandwidth is not None:
+    n, q, model = plant.n_states, len(plant.disturbances), plant.balanced
+    if bandwidth is None:
+        bandwidth = 5.0 * model.units.rate * default_margin(model.dynamics)
+    elif plant.dt:
         raise SettingError("bandwidth is for continuous plants; a sampled perfect observer is a finite sum of samples")
-    n, q, width = plant.n_states, len(plant.disturbances), _bandwidth(bandwidth, plant)
+    elif not np.isfinite(bandwidth) or bandwidth <= 0:
+        raise SettingError(f"bandwidth must be a positive number of rad/s, got {bandwidth!r}")
     _check_existence(plant, rows)
-    pencil = PlantPencil.of(plant, rows, width)
+    pencil = PlantPencil.of(plant, rows, bandwidth)
     if K is not None:
         if q or least_order:
             raise SettingError("a gain K is for plants without disturbances and without least_order")
         gain = given_gain(pencil, np.asarray(arrays.matrix(K, "K", (n, len(rows)))))
     elif least_order:
         gain = least_order_gain(pencil)
+    elif not q and not len(model.algebra):
+        raise DesignError(
+            "E is invertible and there are no disturbances: det(sE - A - KC) has degree n for every K, so no perfect "
+            "observer of this form exists; least_order=True differentiates the measurements instead, and a Luenberger "
+            "observer or kalman_filter estimates the state without derivatives"
+        )
     else:
-        _check_singular(plant)
         gain = full_rank_gain(pencil, seed)
     columns = pencil.columns[:, None]
     G = columns * gain.G * pencil.rows
@@ -370,51 +389,28 @@ def perfect_observer(
         tuple(plant.outputs[i] for i in rows),
         G[:, :n],
         G[:, n:],
-        columns * gain.N / pencil.columns / pencil.rate,
+        columns * (gain.basis @ gain.triangular @ gain.basis.T) / pencil.columns / pencil.rate,
         gain.index,
-        width,
+        float(bandwidth),
         not least_order,
         Evidence("perfect observer"),
         gain,
         pencil.left * pencil.rows if least_order else np.eye(len(rows)) * (pencil.rows[n:] if q else 1.0),
     )
     if q or least_order:
-        made = replace(made, left=_reduced_rows(made, len(rows) - q))
+        made = replace(made, left=_reduced_rows(made))
     return replace(made, evidence=_evidence(made))
-
-
-def _bandwidth(bandwidth: float | None, plant: Plant) -> float:
-    if bandwidth is None:
-        return 5.0 * plant.balanced.units.rate * default_margin(plant.balanced.dynamics)
-    if not np.isfinite(bandwidth) or bandwidth <= 0:
-        raise SettingError(f"bandwidth must be a positive number of rad/s, got {bandwidth!r}")
-    return float(bandwidth)
-
-
-def _check_singular(plant: Plant) -> None:
-    """Raise when ``E`` is invertible and nothing else makes the plant singular."""
-    if not plant.disturbances and not len(plant.balanced.algebra):
-        raise DesignError(
-            "E is invertible and there are no disturbances: det(sE - A - KC) has degree n for every K, so no perfect "
-            "observer of this form exists; least_order=True differentiates the measurements instead, and a Luenberger "
-            "observer or kalman_filter estimates the state without derivatives"
-        )
 
 
 def _check_existence(plant: Plant, rows: list[int]) -> None:
     """Raise, with the values of ``s``, unless the pencil has full column rank at every finite ``s``."""
     q = len(plant.disturbances)
-    if len(rows) < q:
-        raise DesignError(
-            f"no perfect observer: {counted(len(rows), 'output')} cannot tell "
-            f"{counted(q, 'disturbance')} apart; add sensors, or decouple fewer disturbances"
-        )
     zeros = invariant_zeros(plant.A, plant.Bd, plant.C[rows], plant.Dd[rows], plant.E)
     if zeros.normal_rank < q:
         raise DesignError(
-            f"no perfect observer: the {counted(q, 'disturbance')} {'reaches' if q == 1 else 'reach'} "
-            f"the outputs with rank {zeros.normal_rank} only (the "
-            "pencil [sE-A -Bd; C Dd] lacks column rank at every s); add a sensor, or merge disturbances that act alike"
+            f"no perfect observer: the {counted(q, 'disturbance')} {'reaches' if q == 1 else 'reach'} the "
+            f"{counted(len(rows), 'output')} with rank {zeros.normal_rank} only (the pencil [sE-A -Bd; C Dd] lacks "
+            "column rank at every s); add a sensor, decouple fewer disturbances, or merge those that act alike"
         )
     if zeros.zeros.size:
         what = "of (A, Bd, C, Dd), where a disturbance stays unseen," if q else "where a mode stays unseen,"
@@ -429,7 +425,7 @@ def _check_existence(plant: Plant, rows: list[int]) -> None:
         )
 
 
-def _reduced_rows(o: PerfectObserver, independent: int) -> NDArray[np.float64]:
+def _reduced_rows(o: PerfectObserver) -> NDArray[np.float64]:
     """Return the rows that the residual reads, combined so that as many as can be take few derivatives.
 
     Those without derivatives come first; each is scaled so that its largest coefficient of a measurement, derivatives
@@ -458,31 +454,28 @@ def _evidence(o: PerfectObserver) -> Evidence:
     conditions = {
         "nilpotency index": float(o.index),
         "derivatives" if not p.dt else "steps of delay": float(o.derivatives),
-        "relative variation of det(sN - I)": gain.variation,
         "T [A Bd] + L [C Dd] - I": gain.missed,
         "dropped from N": gain.dropped,
         "estimate off the state": _estimate_off(o, system),
     }
     conditions |= {"condition of T": gain.condition} if o.complete else {}
-    conditions |= {"sum of |C N^i L|" if p.dt else "sum of |C (bandwidth N)^i L|": _noise_sum(o)}
-    notes: tuple[str, ...] = ()
+    # the coefficients that measurements have in their own estimate, those of derivatives at the bandwidth
+    C, beta = np.hstack([p.C, p.Dd])[o.rows], 1.0 if p.dt else o.bandwidth
+    sizes = [np.linalg.norm(C @ np.linalg.matrix_power(beta * o.N, i) @ o.L, 2) for i in range(max(o.index, 1))]
+    conditions["sum of |C N^i L|" if p.dt else "sum of |C (bandwidth N)^i L|"] = float(sum(sizes))
     if p.dt:
         conditions["noise gain, outputs to estimate (H2)"] = h2_norm(*M, p.dt)
     else:
         conditions["bandwidth, rad/s"] = o.bandwidth
-        try:
-            if system.n_states > MOST_STATES:  # it would take minutes
-                raise AccuracyError(f"the filter has {system.n_states} states, more than {MOST_STATES}")
-            conditions["noise gain, outputs to estimate (peak)"] = hinf_norm(*M).value
-        except AccuracyError as error:
-            notes = (f"the peak gain from the outputs to the estimate was not found: {error}",)
+        with suppress(AccuracyError):  # the estimate does not need it
+            if system.n_states <= MOST_STATES:  # it would take minutes
+                conditions["noise gain, outputs to estimate (peak)"] = hinf_norm(*M).value
     method = "perfect observer" if o.complete else "perfect observer of least order"
     return Evidence(
         method=method + (", disturbances estimated" if p.disturbances else ""),
         poles=system.poles(),
         ranks={"rank[A Bd; C Dd]": decide_rank(gain.pencil.R, rtol=BALANCED_RANK, scale=1.0)},
         conditions=conditions,
-        notes=notes,
         references=(REFERENCE,),
     )
 
@@ -514,40 +507,6 @@ def _estimate_off(o: PerfectObserver, system: StateSpace) -> float:
             "weakly for a perfect observer; choose another bandwidth, or take unknown_input_observer"
         )
     return worst
-
-
-def _noise_sum(o: PerfectObserver) -> float:
-    """Return ``sum_i |C N^i L|``, the size of the coefficients that the measurements have in their own estimate.
-
-    Those of derivatives are seconds to a power: they count as in units of time of one over the bandwidth.
-    """
-    p, rows = o.gain.pencil, o.gain.pencil.rows[o.plant.n_states :]
-    C, F = p.R[p.n :] / rows[:, None], np.eye(len(p.rows))[:, p.n :]
-    return sum(p.beta**i * float(np.linalg.norm(C @ P, 2)) for i, (P, _) in enumerate(o._series(F)))
-
-
-def _trimmed(coefficients: Sequence[Terms], rate: float, rtol: float = 1e-12) -> list[NDArray[np.float64]]:
-    """Return a polynomial without the highest coefficients that are rounding, and with zeros for entries that are.
-
-    A signal that was decoupled is then not read at all, where rounding of its terms would read it faintly.
-
-    Parameters
-    ----------
-    coefficients : sequence of tuple of ndarray
-        ``P_0, P_1, ...`` in balanced units, each with the sizes of its terms.
-    rate : float
-        The rate at which derivatives are compared with one another.
-    rtol : float
-        Coefficients below this fraction of what their row and their column are made of count as rounding.
-    """
-    total = sum(rate**i * size for i, (_, size) in enumerate(coefficients))
-    columns = np.max(total, axis=0, keepdims=True, initial=0.0)
-    columns = np.where(columns > 0, columns, 1.0)
-    floor = rtol * np.max(total / columns, axis=1, keepdims=True, initial=0.0) * columns
-    out = [np.where(rate**i * np.abs(P) > floor, P, 0.0) for i, (P, _) in enumerate(coefficients)]
-    while len(out) > 1 and not np.any(out[-1]):
-        out.pop()
-    return out
 
 
 def differential_filter(

@@ -10,16 +10,15 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
-from residua.analysis.existence import UnknownInputExistence, unknown_input_observer_existence
+from residua.analysis.existence import unknown_input_observer_existence
 from residua.arrays import matrix
 from residua.design.core.evidence import Evidence
 from residua.design.core.method import method
-from residua.design.observers.observer import Observer, with_checked_estimate
-from residua.design.observers.observer_gain import asked, default_weights, gain_evidence
+from residua.design.observers.observer import Observer, plant_observer, with_checked_estimate
+from residua.design.observers.observer_gain import asked, default_weights, pair_gain, with_gain
 from residua.errors import DesignError, SettingError
-from residua.linear.poles.observer_gain import ObserverGain, cleared, observer_gain
-from residua.linear.subspaces.quotient import NEGLIGIBLE, observable_split, without_rounding
-from residua.linear.subspaces.rank import RankDecision
+from residua.linear.poles.observer_gain import cleared
+from residua.linear.subspaces.quotient import NEGLIGIBLE, without_rounding
 from residua.plant import Plant
 from residua.plant.balanced import BalancedPlant
 from residua.tolerances import BALANCED_RANK, RESPONSE_ROUNDING, above_rounding
@@ -116,37 +115,20 @@ def unknown_input_observer(
     existence = unknown_input_observer_existence(plant)
     if not existence:
         raise DesignError("; ".join(existence.reasons))
+    ranks = {"rank(CE)": existence.rank_CE, "rank(E)": existence.rank_E} if existence.rank_E.rank else {}
+    if plant.E is not None:
+        ranks = {"rank [E D; C 0]": existence.rank_CE, "rank D": existence.rank_E}
+    near = tuple(f"near: {one}; double precision hardly decides this rank" for one in existence.near[:1])
+    evidence = Evidence(method="unknown input observer", ranks=ranks, notes=near, references=(REFERENCE,))
     if len(plant.balanced.algebra):
         if H0 is not None:
             raise DesignError("H0 is the free matrix of an ordinary plant; for a singular one leave it out")
-        return with_checked_estimate(_of_singular_plant(plant, existence, poles, margin))
-    return with_checked_estimate(_of_ordinary_plant(plant.explicit(), existence, poles, margin, H0, scaling))
-
-
-def _of_ordinary_plant(
-    plant: Plant,
-    existence: UnknownInputExistence,
-    poles: Sequence[complex] | ArrayLike | None,
-    margin: float | None,
-    H0: ArrayLike | None,
-    scaling: str,
-) -> Observer:
-    """Return the observer of the paper, after the disturbances in the outputs are expressed by these."""
-    model = plant.balanced
-    poles, margin = asked(plant, poles, margin)
+        return with_checked_estimate(_of_singular_plant(plant.balanced, evidence, poles, margin))
+    model = plant.explicit().balanced
     pair = error_pair(model, model.disturbances, existence.rank_E.rank, scaling, H0, white_outputs=poles is None)
-    gain = observer_gain(
-        pair.A,
-        pair.C,
-        observable_split(pair.A, pair.C),
-        sampled=plant.is_discrete,
-        process=pair.process,
-        measurement=pair.measurement,
-        poles=poles,
-        margin=margin,
-        rate=model.units.rate,
-    )
-    return pair.observer(pair.on_outputs(gain.K), _evidence(model, existence, gain, pair.notes))
+    gain = pair_gain(model, pair.A, pair.C, (pair.process, pair.measurement), *asked(model.plant, poles, margin))
+    evidence = with_gain(replace(evidence, notes=pair.notes + near), gain, model, "K1")
+    return with_checked_estimate(pair.observer(pair.on_outputs(gain.K), evidence))
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,24 +224,13 @@ class ErrorPair:
 
     def observer(self, K1: NDArray, evidence: Evidence) -> Observer:
         """Return the observer of a gain for the balanced plant and the outputs ``W y``, in the units of the plant."""
-        plant, units = self.model.plant, self.model.units
-        X, Y, none = units.states[:, None], units.outputs, np.zeros((plant.n_states, plant.n_outputs))
+        Y, none = self.model.units.outputs, np.zeros((len(self.M), len(self.model.C)))
         A, C, HW = self.A0, self.C0, _summed(none, self.H, self.W)
         terms = np.abs(self.T) @ np.abs(A) + np.abs(K1) @ np.abs(C)
         F = above_rounding(self.T @ A - K1 @ C, terms, NEGLIGIBLE)
         K = _summed(_summed(_summed(none, self.T, self.G), F, HW), K1, self.W)
-        return Observer(
-            plant,
-            units.rate * X * F / units.states,
-            X * self.T / units.states,
-            units.rate * X * K * Y,
-            np.eye(plant.n_states),
-            X * HW * Y,
-            in_units_of_outputs(self.W * Y),
-            evidence.method,
-            self.decouples,
-            evidence,
-        )
+        W = self.W * Y / largest(self.W * Y)
+        return plant_observer(self.model, F, self.T, K, W, evidence, H=HW, decouples=self.decouples)
 
 
 def error_pair(
@@ -294,7 +265,12 @@ def error_pair(
     process, measurement = default_weights(model)
     Y = units.outputs if scaling == "plant" else np.sqrt(units.measurement_weight)
     decouples, B, D = unknown is not None, *(unknown or (np.zeros((n, 0)), np.zeros((len(model.C), 0))))
-    W, G, E = _without_disturbed_outputs(B, D, rank, Y)
+    # the outputs W y without disturbances, of which W has orthonormal rows in the units Y, G y for those of the others
+    U, s, Vh = np.linalg.svd(D) if D.size else (np.eye(len(D)), np.zeros(0), np.eye(D.shape[1]))
+    k, U = int(np.count_nonzero(s > BALANCED_RANK)), without_rounding(U)
+    W, G = U[:, k:].T, cleared(B @ (Vh[:k].T / s[:k]) @ U[:, :k].T)
+    W = without_rounding(np.linalg.qr((W * Y).T)[0].T) / Y if len(W) else W
+    E = without_rounding(np.linalg.svd(B @ Vh[k:].T)[0])[:, :rank] if rank else B[:, :0]
     A, C = model.A - G @ model.C, W @ model.C
     q = E.shape[1]
     P = np.linalg.pinv(C @ E)
@@ -305,7 +281,10 @@ def error_pair(
         given = matrix(H0, "H0", (n, model.plant.n_outputs), what="states x outputs")
         H = H + given / units.states[:, None] / units.outputs @ np.linalg.pinv(W) @ (np.eye(len(C)) - C @ H)
     T = _summed(np.eye(n), -H, C)
-    read, rest, white = _apart(C @ E, np.sqrt(measurement) @ W.T if white_outputs else np.eye(len(W)))
+    # outputs in which what inverts C E and what annihilates it are rows, and their noises have nothing in common
+    white = np.linalg.inv(np.linalg.qr(np.sqrt(measurement) @ W.T, mode="r")).T if white_outputs else np.eye(len(W))
+    rest = without_rounding(np.linalg.svd(white @ (C @ E))[0][:, q:].T) if q else np.eye(len(W))
+    read = cleared(np.linalg.pinv(white @ (C @ E)))
     # x = E a + N b, and the outputs read a, and b alone: of T E = 0 nothing is left to rounding
     M, outputs = np.hstack([E, N]), np.vstack([read, rest]) @ white
     inverse = np.asarray(np.linalg.inv(M), dtype=np.float64)
@@ -319,107 +298,40 @@ def error_pair(
     return ErrorPair(model, A1, C1, M, inverse, outputs, inverse @ process @ inverse.T, noise, T, H, W, G, q, decouples)
 
 
-def _without_disturbed_outputs(B: NDArray, D: NDArray, rank: int, units: NDArray) -> tuple[NDArray, NDArray, NDArray]:
-    """Return the outputs ``W y`` without disturbances, how the others replace theirs, and a basis of what is left.
-
-    The rows of ``W`` are orthonormal on outputs of which the balanced ones are ``units`` as large.
-    """
-    p = len(D)
-    U, s, Vh = np.linalg.svd(D) if D.size else (np.eye(p), np.zeros(0), np.eye(D.shape[1]))
-    k, U = int(np.count_nonzero(s > BALANCED_RANK)), without_rounding(U)
-    W, G = U[:, k:].T, cleared(B @ (Vh[:k].T / s[:k]) @ U[:, :k].T)
-    W = without_rounding(np.linalg.qr((W * units).T)[0].T) / units if len(W) else W
-    return W, G, without_rounding(np.linalg.svd(B @ Vh[k:].T)[0])[:, :rank] if rank else B[:, :0]
-
-
-def _apart(CE: NDArray, root: NDArray) -> tuple[NDArray, NDArray, NDArray]:
-    """Return rows that invert ``CE``, rows that annihilate it, and what brings outputs to where they are rows.
-
-    The noises of both, of covariance ``root' root``, have nothing in common there, however far the units of the plant
-    are from even ones.
-    """
-    white = np.linalg.inv(np.linalg.qr(root, mode="r")).T
-    q = CE.shape[1]
-    rest = without_rounding(np.linalg.svd(white @ CE)[0][:, q:].T) if q else np.eye(len(CE))
-    return cleared(np.linalg.pinv(white @ CE)), rest, white
-
-
 def _summed(M: NDArray, left: NDArray, right: NDArray) -> NDArray[np.float64]:
     """Return ``M + left right`` without what rounding leaves of sums that cancel."""
     return above_rounding(M + left @ right, np.abs(M) + np.abs(left) @ np.abs(right), RESPONSE_ROUNDING)
 
 
-def in_units_of_outputs(W: NDArray) -> NDArray[np.float64]:
-    """Return rows with the largest entry of each a one: a residual that is the error of one output is in its units."""
-    return W / _largest(W)
+def largest(W: NDArray) -> NDArray[np.float64]:
+    """Return the largest entry of each row, as a column; one for a row of zeros.
 
-
-def _largest(W: NDArray) -> NDArray[np.float64]:
-    """Return the largest entry of each row, as a column; one for a row of zeros."""
+    A residual that is the error of one output, divided by it, is in the units of that output.
+    """
     found = W[np.arange(len(W)), np.abs(W).argmax(axis=1)][:, None]
     return np.where(found != 0, found, 1.0)
 
 
 def _of_singular_plant(
-    plant: Plant,
-    existence: UnknownInputExistence,
-    poles: Sequence[complex] | ArrayLike | None,
-    margin: float | None,
+    model: BalancedPlant, evidence: Evidence, poles: Sequence[complex] | ArrayLike | None, margin: float | None
 ) -> Observer:
     """Return the observer of what is left of a singular plant when the disturbances are divided out."""
-    model = plant.balanced
-    q = model.quotient()
+    q, (process, measurement), p = model.quotient(), default_weights(model), model.plant.n_outputs
     F, G = q.pair
-    poles, margin = asked(plant, poles, margin)
-    process, measurement = default_weights(model)
-    gain = observer_gain(
-        F,
-        G,
-        q.split,
-        sampled=plant.is_discrete,
-        process=q.N @ process @ q.N.T,
-        measurement=q.H @ measurement @ q.H.T,
-        poles=poles,
-        margin=margin,
-        rate=model.units.rate,
-    )
-    units, p = model.units, plant.n_outputs
-    R, X, Y = units.equations, units.states[:, None], units.outputs
+    noise = q.N @ process @ q.N.T, q.H @ measurement @ q.H.T
+    gain = pair_gain(model, F, G, noise, *asked(model.plant, poles, margin), split=q.split)
     inverse = without_rounding(q.R @ q.known[0])
-    K = _summed(q.J, gain.K, q.H)
-    read = q.H[:, :p] * Y
-    T = without_rounding(q.N @ model.derivative - K[:, p:] @ model.algebra) * R
-    return Observer(
-        plant,
-        units.rate * (F - gain.K @ G),
-        T,
-        units.rate * K[:, :p] * Y,
-        X * (q.P - inverse @ q.C),
-        X * inverse[:, :p] * Y,
-        read / _largest(read),
-        "unknown input observer",
-        True,
-        _evidence(model, existence, gain, ()),
-        J=X * (inverse[:, p:] @ model.algebra) * R / units.rate,
-        V=q.H[:, p:] @ model.algebra * R / units.rate / _largest(read),
+    read = q.H[:, :p] * model.units.outputs
+    K, algebra = _summed(q.J, gain.K, q.H), model.algebra
+    return plant_observer(
+        model,
+        F - gain.K @ G,
+        without_rounding(q.N @ model.derivative - K[:, p:] @ algebra),
+        K[:, :p],
+        read / largest(read),
+        with_gain(evidence, gain, model, "K1"),
+        M=without_rounding(q.P - inverse @ q.C),
+        H=inverse[:, :p],
+        J=inverse[:, p:] @ algebra,
+        V=q.H[:, p:] @ algebra * model.units.equations / model.units.rate / largest(read),
     )
-
-
-def _evidence(
-    model: BalancedPlant, existence: UnknownInputExistence, gain: ObserverGain, notes: tuple[str, ...]
-) -> Evidence:
-    near = tuple(f"near: {one}; double precision hardly decides this rank" for one in existence.near[:1])
-    evidence = Evidence(
-        method="unknown input observer",
-        ranks=_ranks(model.plant, existence),
-        conditions={"pole error": gain.error, "size of K1": gain.norm},
-        notes=(*notes, *near),
-        references=(REFERENCE,),
-    )
-    return evidence.extended(**gain_evidence(gain, model.units.rate))
-
-
-def _ranks(plant: Plant, existence: UnknownInputExistence) -> dict[str, RankDecision]:
-    if plant.E is not None:
-        return {"rank [E D; C 0]": existence.rank_CE, "rank D": existence.rank_E}
-    return {"rank(CE)": existence.rank_CE, "rank(E)": existence.rank_E} if existence.rank_E.rank else {}
