@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 import residua as rs
 from guards import changed, trips
 from residua.design.banks.bank import Wanted, check_promise
-from residua.design.core.decoupling import Approximate, Decoupled, MeasuredBefore
+from residua.design.core.decoupling import Approximate, Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import make_generator
 from residua.design.core.responses import state_covariance
@@ -429,13 +429,3 @@ def test_the_state_map_of_an_exact_design_is_found_where_it_is_not_given() -> No
     given, found = _made(), _made(state_map=None)
     np.testing.assert_allclose(found.state_map, given.state_map, atol=1e-9 * np.abs(given.state_map).max())
     np.testing.assert_array_equal(found.structure, given.structure)
-
-
-def test_leaks_that_were_measured_are_those_of_the_same_filter() -> None:
-    good = D.unknown_input_observer(engine()).residual_generator()
-    before = MeasuredBefore(good.system, good.plant, {"control": 0.125})
-    assert dict(_made(decouples=before).evidence.decoupling) == {"control": 0.125}
-    with pytest.raises(TypeError, match="not the filter"):
-        _made(decouples=MeasuredBefore(good.system, gertler(), {}))
-    with pytest.raises(TypeError, match="not the filter"):
-        _made(lambda s: s.replaced(B=off(s.B)), decouples=before)

@@ -465,15 +465,18 @@ def make_generator(
     if isinstance(decouples, Approximate) and decouples.entry not in said:
         raise TypeError(f"an approximate design must say how far inputs reach its residual: no {decouples.entry!r}")
     f = None if state_map is None else BalancedFilter.of(system, plant, state_map, static_map)
-    leaks = decouples.leaks(f, system, plant)
+    leaks = decouples.leaks(f)
     if f is not None:
         responses = responses_of_filter(f)
     else:
         form = internal_form(system, plant) if known_form is None else known_form
         responses = responses_of_form(form, len(plant.faults))
-    bases, off = signatures_of(responses, plant.faults)
     if isinstance(decouples, Decoupled):  # what is left of the faults that are ignored has passed the check
-        bases |= {name: np.zeros((system.n_outputs, 0)) for name in decouples.faults}
+        responses.values[:, :, [plant.faults.index(name) for name in decouples.faults]] = 0.0
+    if codes is not None:  # and so have those that a member ignores
+        for member, code in zip(members, codes, strict=True):
+            responses.values[:, [[i] for i in member.residuals], np.flatnonzero(~code)] = 0.0
+    bases, off = signatures_of(responses, plant.faults)
     conditions = {"response off the signatures": off} if plant.faults else {}
     if not members:
         members = (Member(method, tuple(range(system.n_outputs)), plant.faults),)

@@ -10,7 +10,8 @@ import numpy as np
 import scipy.linalg
 
 from residua.arrays import index_of
-from residua.design.banks.bank import maps_of, measured_of_members
+from residua.design.banks.bank import largest_leaks, maps_of
+from residua.design.core.decoupling import Approximate
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import Member, ResidualGenerator, make_generator
 from residua.design.core.method import method
@@ -246,7 +247,9 @@ def _stacked(parts: list[ResidualGenerator], groups: list[list[FaultEvent]], ide
     if len(parts) == 1:
         return replace(first, members=tuple(members))
     system = stack_systems([part.system for part in parts])
+    leaks = largest_leaks(parts, first.plant)
     evidence = first.evidence.extended(
+        decoupling=leaks,
         poles=system.poles(),
         requested_poles=np.concatenate([part.evidence.requested_poles for part in parts]),
         fixed_poles=np.concatenate([part.evidence.fixed_poles for part in parts]),
@@ -256,7 +259,7 @@ def _stacked(parts: list[ResidualGenerator], groups: list[list[FaultEvent]], ide
         first.plant,
         first.method,
         evidence,
-        decouples=measured_of_members(system, parts),
+        decouples=Approximate(next(iter(leaks), "")),
         **maps_of(parts, system.outputs),
         observer=first.observer,
         members=tuple(members),
