@@ -69,56 +69,32 @@ class Relation:
         return self.p @ model.derivative + self.q[:, m:] @ model.algebra, self.q[:, :m]
 
 
-@dataclass(frozen=True)
-class LeftOfFaults:
-    """What cancels in a filter beside the residual that a fault leaves.
-
-    Attributes
-    ----------
-    digits : float
-        Digits of the data that cancel, of the faults that are seen the faintest.
-    leak : float
-        What the other inputs leave, over what that fault does, both balanced.
-    least : float
-        The same for the fault that is seen best; of the residuals the worst.
-    """
-
-    digits: float
-    leak: float
-    least: float
-
-
-def left_of_faults(rows: Sequence[Relation], generator: ResidualGenerator) -> LeftOfFaults | None:
-    """Return what rounding hides of the residuals of faults that are seen, or ``None`` without faults.
+def lost_digits(rows: Sequence[Relation], generator: ResidualGenerator) -> float | None:
+    """Return the digits of the data that cancel in residuals of faults, the faintest one; ``None`` without faults.
 
     In a filter on the poles of the rows' bases the terms are :math:`q_j N_j / N_k y`. What is left of them of the
     response to a fault, at frequencies below the rate of the plant (the median), is what rounding in data and
     arithmetic is relative to. A sampled plant that integrates answers to ever slower faults by ever more: frequencies
-    begin at periods of 6,000 samples. Leaks in the evidence are relative to the largest response to the outputs.
+    begin at periods of 6,000 samples.
     """
     plant = generator.plant
-    model, known = plant.balanced, len(plant.inputs) + len(plant.disturbances)
+    model = plant.balanced
     if not plant.faults:
         return None
     w = frequency_grid(generator.system, plant.system(()))
     w = w[w >= _SLOWEST / plant.dt] if plant.is_discrete else w
+    w = w[w <= max(plant_rate(plant), w[len(w) // 4])]
     points = np.exp(1j * w * plant.dt) if plant.is_discrete else 1j * w / model.units.rate
-    slow, leak = w <= max(plant_rate(plant), w[len(w) // 4]), max(generator.evidence.decoupling.values(), default=0.0)
-    roles = plant.system(("control", "disturbance", "fault")).frequency_response(w)
-    output = np.abs(roles) * model.units.inputs * model.units.outputs[:, None]
-    worst, leaked, least = 1.0, 0.0, 0.0
-    for i, row in enumerate(rows):
+    faults = np.abs(plant.system("fault").frequency_response(w))
+    faults = faults * model.units.inputs[-len(plant.faults) :] * model.units.outputs[:, None]
+    left = 1.0
+    for row, seen in zip(rows, generator.structure, strict=True):
         N = row.basis.values(points, row.order) / row.basis.values(points, row.order)[:, -1:]
-        q = row.q[:, : plant.n_outputs]
-        response = np.abs(N @ (row.p @ model.faults[0] + row.q @ model.faults[1]))[slow][:, generator.structure[i]]
-        terms = np.einsum("wj,jm,wmf->wf", np.abs(N), np.abs(q), output)[slow][:, known:][:, generator.structure[i]]
+        response = np.abs(N @ (row.p @ model.faults[0] + row.q @ model.faults[1]))
+        terms = np.einsum("wj,jm,wmf->wf", np.abs(N), np.abs(row.q[:, : plant.n_outputs]), faults)
         share = np.median(response / np.where(terms > 0, terms, 1.0), axis=0)
-        worst = min(worst, float(share.min(initial=1.0)))
-        read = np.einsum("wm,wmu->wu", np.abs(N @ q), output[:, :, :known]).max(initial=0.0)
-        seen = np.median(response, axis=0)
-        leaked = max(leaked, leak * float(read) / max(float(seen.min(initial=np.inf)), TINY))
-        least = max(least, leak * float(read) / max(float(seen.max()), TINY)) if seen.size else least
-    return LeftOfFaults(float(-np.log10(max(worst, TINY))), leaked, least)
+        left = min(left, float(share[seen].min(initial=1.0)))
+    return float(-np.log10(max(left, TINY)))
 
 
 def plant_rate(plant: Plant) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -123,29 +123,11 @@ def shortest_space(model: RelationModel, equations: PairRelations, seen: Sequenc
     return space
 
 
-def made_of_shortest(
-    model: RelationModel,
-    equations: PairRelations,
-    make: Callable[[RelationSpace], ResidualGenerator],
-    *,
-    seen: Sequence[int] = (),
-) -> ResidualGenerator:
-    """Return what is made of the relations of the smallest order that answer to some faults."""
-    space = shortest_space(model, equations, seen)
-    return with_rank(make(space), space)
-
-
 def with_rank(made: ResidualGenerator, space: RelationSpace) -> ResidualGenerator:
     """Return a generator whose evidence holds the rank decisions behind its relations."""
     ranks = {**made.evidence.ranks, "states and ignored signals": space.decision}
     notes = tuple(f"near: {one}; double precision hardly decides this rank" for one in space.equations.near[:1])
     return replace(made, evidence=made.evidence.extended(ranks=ranks, notes=notes))
-
-
-def shortest_relations(model: RelationModel, ignored: Sequence[str]) -> RelationSpace | None:
-    """Return the relations of the smallest order that ignore some faults and all disturbances, if there are any."""
-    equations = model.equations(ignored)
-    return None if equations.orders is None else relation_space(equations, equations.orders[0], model.balanced.faults)
 
 
 def equations_seeing(model: RelationModel, ignored: Sequence[str], seen: Sequence[str]) -> PairRelations:
