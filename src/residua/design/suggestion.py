@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from residua.analysis.diagnosability import Diagnosability, diagnosability
 from residua.design.banks.bank import Bank
@@ -15,10 +14,10 @@ from residua.design.banks.matched_filters import MatchedFilters
 from residua.design.catalogue import methods
 from residua.design.core.brought import PartialDesign, as_generator, for_monitor
 from residua.design.core.generator import ResidualGenerator
-from residua.design.core.lasting_faults import LastingFaults, lasting_faults
-from residua.design.core.leak import leak, reached_inputs
+from residua.design.core.leak import reached_inputs
 from residua.design.core.method import Chosen, Method, check_design
 from residua.design.estimation.fault_estimator import FaultEstimator
+from residua.design.lasting_faults import LastingFaults, lasting_faults
 from residua.design.ranking import FIRST, UNSEEN, Entry, by_faults, by_state, few, gives, never_first, typed
 from residua.errors import AccuracyError, DesignError, ModelError, SettingError
 from residua.plant import Identification, InputOutputModel, Plant
@@ -411,7 +410,8 @@ def _told(entry: Entry, made: Any, plant: Plant, want: str) -> Entry:
     entry = replace(entry, order=_order(generator or made), blind=blind)
     if generator is not None:
         if plant.disturbances:
-            leaks = _leaks(generator)[len(plant.inputs) :]
+            maps = generator.state_map, generator.static_map
+            leaks = reached_inputs(generator.system, generator.plant, *maps)[len(plant.inputs) :]
             reached = tuple(np.array(plant.disturbances)[leaks > LEAK].tolist())
             entry = replace(entry, reached_by=reached)
         if plant.noises and plant.faults and want != "state":
@@ -544,11 +544,3 @@ def _about_disturbances(plant: Plant, entries: list[Entry]) -> Iterator[str]:
 
 def _shortened(text: str, most: int = 150) -> str:
     return text if len(text) <= most else text[: most - 3].rsplit(" ", 1)[0] + " ..."
-
-
-def _leaks(generator: ResidualGenerator) -> NDArray[np.float64]:
-    """Return how far each control, then each disturbance, reaches a generator."""
-    if generator.state_map is None:
-        return reached_inputs(generator.system, generator.plant)
-    maps = generator.state_map, generator.static_map
-    return leak(generator.system, generator.plant, *maps).gains.max(axis=0, initial=0.0)

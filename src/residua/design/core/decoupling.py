@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -17,11 +16,8 @@ from residua.tolerances import LEAK
 IGNORED = "everything ignored"
 
 
-class Leaks(NamedTuple):
-    """Leaks by the entry of the evidence, and the conditions that say how they were measured, if they were."""
-
-    gains: dict[str, float]
-    conditions: dict[str, float]
+#: Leaks by the entry of the evidence, and the conditions that say how they were measured, if they were.
+Leaks = tuple[dict[str, float], dict[str, float]]
 
 
 @dataclass(frozen=True)
@@ -57,8 +53,8 @@ class Decoupled:
             gains |= {IGNORED: found.gains[:, n_u:]}
         leaks = self._accepted({name: float(part.max()) for name, part in gains.items() if part.size})
         _accept(found.defects)
-        conditions = measured_from(np.array([found.slowest]), plant.dt) if leaks else {}
-        return Leaks(leaks, {"identities": found.defects} | conditions)
+        conditions = measured_from(found.slowest, plant.dt) if leaks else {}
+        return leaks, {"identities": found.defects} | conditions
 
     def _accepted(self, leaks: dict[str, float]) -> dict[str, float]:
         for name, gain in leaks.items():
@@ -86,7 +82,7 @@ class Approximate:
 
     def leaks(self, f: BalancedFilter | None) -> Leaks:
         """Return nothing but how far the identities of a filter with a state map are missed; or raise."""
-        return Leaks({}, {} if f is None else {"identities": _accept(largest_defect(f))})
+        return {}, {} if f is None else {"identities": _accept(largest_defect(f))}
 
 
 def _accept(defects: float) -> float:

@@ -27,9 +27,9 @@ AFFINE_FORM = "certified for the affine form of the set"
 _MEASURED_FROM = {False: "leaks measured from, in rad/s", True: "leaks measured from, in rad per sample"}
 
 
-def measured_from(w: NDArray[np.float64], dt: float) -> dict[str, float]:
-    """Return the first of the frequencies, in rad/s, at which leaks were measured, as an entry of the conditions."""
-    return {_MEASURED_FROM[dt > 0]: float(w[0] * (dt or 1.0))} if len(w) else {}
+def measured_from(slowest: float, dt: float) -> dict[str, float]:
+    """Return the lowest of the frequencies, in rad/s, at which leaks were measured, as an entry of the conditions."""
+    return {_MEASURED_FROM[dt > 0]: slowest * (dt or 1.0)}
 
 
 def _empty() -> NDArray[np.complex128]:

@@ -11,8 +11,8 @@ from residua.linear.subspaces.reachability import without_unobservable
 from residua.plant import Plant
 from residua.tolerances import above_rounding
 
-#: Frequencies of a grid, if nothing else is asked for.
-POINTS = 60
+#: Frequencies of a grid.
+_POINTS = 60
 #: Of the largest pole, the part below which a pole is at zero.
 _SMALL = 1e-12
 
@@ -99,32 +99,21 @@ def _driven(generator: StateSpace, plant: Plant) -> StateSpace:
             f"the generator has dt={generator.dt:g}, the plant dt={plant.dt:g}: sample both with the same step"
         )
     p = plant.system(("control", "fault", "disturbance", "noise")).explicit()
-    Gu, Gy = generator.B[:, :n_u], generator.B[:, n_u:]
-    Hu, Hy = generator.D[:, :n_u], generator.D[:, n_u:]
-    n_rest = p.n_inputs - n_u
-    A = np.block(
-        [[p.A, np.zeros((p.n_states, generator.n_states))], [Gy @ p.C, generator.A]],
+    signals = p.replaced(
+        C=np.vstack([np.zeros((n_u, p.n_states)), p.C]),
+        D=np.vstack([np.eye(n_u, p.n_inputs), p.D]),
+        outputs=generator.inputs,
     )
-    B = np.vstack([p.B, Gy @ p.D + np.hstack([Gu, np.zeros((generator.n_states, n_rest))])])
-    D = Hy @ p.D + np.hstack([Hu, np.zeros((generator.n_outputs, n_rest))])
-    return StateSpace(
-        A,
-        B,
-        np.hstack([Hy @ p.C, generator.C]),
-        D,
-        dt=plant.dt,
-        inputs=p.inputs,
-        outputs=generator.outputs,
-    )
+    return signals.series(generator)
 
 
-def frequency_grid(*systems: StateSpace, points: int = POINTS) -> NDArray[np.float64]:
+def frequency_grid(*systems: StateSpace) -> NDArray[np.float64]:
     """Return frequencies in rad/s that span the dynamics of the systems, from far below to far above."""
     dt = max(system.dt for system in systems)
     if dt:  # not at the ends of the circle, where models have poles
-        return np.concatenate([np.pi / dt * np.logspace(-5, np.log10(0.97), points - 1), [0.37 * np.pi / dt]])
+        return np.concatenate([np.pi / dt * np.logspace(-5, np.log10(0.97), _POINTS - 1), [0.37 * np.pi / dt]])
     sizes = np.abs(np.concatenate([np.zeros(0), *(system.poles() for system in systems)]))
     sizes = sizes[sizes > _SMALL * sizes.max(initial=0.0)]
     low, high = (sizes.min(), sizes.max()) if sizes.size else (1.0, 1.0)
     # the factor keeps round numbers, where models have their poles, off the grid
-    return 1.0371 * np.geomspace(0.01 * low, 100 * high, points)
+    return 1.0371 * np.geomspace(0.01 * low, 100 * high, _POINTS)

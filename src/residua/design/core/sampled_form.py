@@ -71,7 +71,10 @@ def sampled_form(
     through, direct = sampled.B[:, n_u:], sampled.D[:, n_u:]
     B = above_rounding(TE @ p.B - through @ p.D, np.abs(TE) @ np.abs(p.B) + np.abs(through) @ np.abs(p.D))
     order = 2 if hold == "linear" else 1
-    bend, terms = _bend(own.A, own.C, order)
+    bend, terms = own.C, np.abs(own.C)  # the first derivative of the outputs that their hold misses
+    for _ in range(order):
+        bend, terms = bend @ own.A, terms @ np.abs(own.A)
+    bend = above_rounding(bend, terms)
     seen = staircase(own.A, above_rounding(G @ bend, np.abs(G) @ terms))
     Q = seen.Q[:, : seen.n_observable]
     A, turned = _integrators_first(Q.T @ seen.A @ Q, float(np.linalg.norm(seen.A)))
@@ -87,16 +90,6 @@ def sampled_form(
         inputs=p.inputs,
         outputs=sampled.outputs,
     )
-
-
-def _bend(
-    A: NDArray[np.float64], C: NDArray[np.float64], order: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return ``C`` times a power of ``A``, without what rounding leaves of zeros, and the terms that are summed."""
-    out, terms = C, np.abs(C)
-    for _ in range(order):
-        out, terms = out @ A, terms @ np.abs(A)
-    return above_rounding(out, terms), terms
 
 
 def _integrators_first(A: NDArray[np.float64], size: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
