@@ -286,13 +286,11 @@ def mutually_isolable(plant: Plant) -> MutualIsolability:
     n = len(plant.faults)
     hidden = np.array([space.closure([i]) if space.visible[i] else np.ones(n, dtype=bool) for i in range(n)])
     apart = np.asarray(~hidden & ~hidden.T)
-    bare = fault_space(plant.without_disturbances()).visible
     reasons = {}
     for i, name in enumerate(plant.faults):
         others = [plant.faults[j] for j in np.flatnonzero(space.visible & ~apart[i]) if j != i]
         if not space.visible[i]:
-            hiders = f"hidden by the disturbances {', '.join(plant.disturbances)}, which can imitate it"
-            reasons[name] = hiders if bare[i] else "no output sees it"
+            reasons[name] = space.why_unseen(i)
         elif others:
             reasons[name] = f"same effect on the outputs as {', '.join(others)}, up to a filter"
     return MutualIsolability(plant.faults, apart, group_twins(plant.faults, space.visible, ~hidden.T), reasons)
