@@ -190,7 +190,7 @@ def diagnosability(plant: Plant) -> Diagnosability:
         strongly_isolable=isolable & strong[:, None] & _apart(space, strong),
         groups=group_twins(plant.faults, detectable, isolable),
         visibility=space.drive([]),
-        near=space.near(),
+        near=space.model.quotient().near,
         unknown_input_observer=unknown_input_observer_existence(plant),
     )
 

@@ -89,15 +89,14 @@ def unknown_input_observer_existence(plant: Plant) -> UnknownInputExistence:
     q = model.quotient()
     rank_CE, rank_E, hidden = _conditions(model)
     useful = bool(len(q.H))
-    near = tuple(one for one in (*q.decisions, *q.split.decisions) if not one.is_clear)
     fixed = np.zeros(0, dtype=complex)
     if not q.proper:
         reason = _improper(plant, rank_CE, rank_E, hidden)
-        return UnknownInputExistence(False, (reason,), rank_CE, rank_E, fixed, useful, near)
+        return UnknownInputExistence(False, (reason,), rank_CE, rank_E, fixed, useful, q.near)
     modes = q.hidden_modes
     unstable = model.units.rate * modes[~is_inside(modes, plant.is_discrete)]
     reasons = (_unstable(plant, unstable),) if unstable.size else ()
-    return UnknownInputExistence(not reasons, reasons, rank_CE, rank_E, model.units.rate * modes, useful, near)
+    return UnknownInputExistence(not reasons, reasons, rank_CE, rank_E, model.units.rate * modes, useful, q.near)
 
 
 def _conditions(model: BalancedPlant) -> tuple[RankDecision, RankDecision, NDArray[np.float64]]:

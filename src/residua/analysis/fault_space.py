@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from residua.errors import DesignError
 from residua.linear.subspaces.quotient import Quotient
-from residua.linear.subspaces.rank import RankDecision
 from residua.plant import Plant
 from residua.plant.balanced import BalancedPlant
 from residua.tolerances import BALANCED_ANSWER
@@ -97,11 +96,6 @@ class FaultSpace:
             if self.closure(fewer)[fault]:
                 needed = fewer
         return needed
-
-    def near(self) -> tuple[RankDecision, ...]:
-        """Return the rank decisions that double precision hardly allows."""
-        q = self.model.quotient()
-        return tuple(one for one in (*q.decisions, *q.split.decisions) if not one.is_clear)
 
     def why_unseen(self, fault: int) -> str:
         """Return why no residual that ignores the disturbances sees a fault."""
