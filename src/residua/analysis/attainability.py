@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.analysis.codes import code_table
 from residua.analysis.coding_sets import CodingSet, Structure, structure_rows
 from residua.analysis.diagnosability import group_twins
 from residua.analysis.fault_space import FaultSpace, fault_space
@@ -66,16 +67,11 @@ class Attainability(Shown):
         return CodingSet(self.structure[kept], self.faults, tuple(self.residuals[i] for i in kept))
 
     def __str__(self) -> str:
-        width = max([len(name) for name in self.residuals], default=0) + 2
-        lines = [
+        first = (
             f"{self.plant.name}: {int(self.attainable.sum())} of {counted(len(self.residuals), 'row')} attainable"
-            f"{' for constant faults' if self.constant else ''}; {counted(self.independent, 'independent residual')}",
-            " " * width + " ".join(f"{k + 1:>2}" for k in range(len(self.faults))),
-        ]
-        for name, row in zip(self.residuals, self.structure, strict=True):
-            why = f"   {self.reasons[name]}" if name in self.reasons else ""
-            lines.append(f"{name:<{width}}" + " ".join(" x" if one else " ." for one in row) + why)
-        return "\n".join([*lines, *(f"  {k + 1}: {name}" for k, name in enumerate(self.faults))])
+            f"{' for constant faults' if self.constant else ''}; {counted(self.independent, 'independent residual')}"
+        )
+        return "\n".join([first, *code_table(self.residuals, self.structure, self.faults, self.reasons)])
 
 
 def attainable(

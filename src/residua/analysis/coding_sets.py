@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua import arrays
-from residua.analysis.codes import equal_codes, strongly_isolating
+from residua.analysis.codes import code_table, equal_codes, strongly_isolating
 from residua.errors import DesignError
 from residua.shown import Shown
 from residua.words import counted
@@ -162,11 +162,7 @@ class CodingSet(Shown):
     def __str__(self) -> str:
         n_r, n_f = self.structure.shape
         lines = [f"{counted(n_r, 'residual')}, {counted(n_f, 'fault')}: {self._verdict()}"]
-        width = max([len(name) for name in self.residuals], default=0) + 2
-        lines.append(" " * width + " ".join(f"{k + 1:>2}" for k in range(n_f)))
-        for name, row in zip(self.residuals, self.structure, strict=True):
-            lines.append(f"{name:<{width}}" + " ".join(" x" if one else " ." for one in row))
-        lines += [f"  {k + 1}: {name}" for k, name in enumerate(self.faults)]
+        lines += code_table(self.residuals, self.structure, self.faults)
         lines += self._defects()
         if self._apart and n_r:
             ones, zeros = self.ones[self._apart], self.zeros

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.analysis.codes import equal_codes, strongly_isolating
+from residua.analysis.codes import code_table, equal_codes, strongly_isolating
 from residua.analysis.coding_sets import Structure, structure_rows
 from residua.design.core.decoupling import IGNORED, Approximate
 from residua.design.core.evidence import Evidence
@@ -92,13 +92,8 @@ class Bank(Shown):
         return f"Bank({self.generator.method}: {members}, {faults})"
 
     def __str__(self) -> str:
-        width = max([len(name) for name in self.members], default=0) + 2
         lines = [f"{self.generator.method}, {counted(len(self.members), 'member')}"]
-        columns = [f"{k + 1}" for k in range(len(self.faults))]
-        lines.append(" " * width + " ".join(f"{c:>2}" for c in columns))
-        for name, row in zip(self.members, self.structure, strict=True):
-            lines.append(f"{name:<{width}}" + " ".join(" x" if fires else " ." for fires in row))
-        lines += [f"  {k + 1}: {name}" for k, name in enumerate(self.faults)]
+        lines += code_table(self.members, self.structure, self.faults)
         lines += [f"no member '{name}': {reason}" for name, reason in self.failures.items()]
         lines += [f"same code: {', '.join(group)}" for group in self.groups if len(group) > 1]
         unseen = [name for name, code in zip(self.faults, self.structure.T, strict=True) if not code.any()]

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from residua.errors import AccuracyError
 from residua.linear import StateSpace
 from residua.linear.poles.spectrum import spectral_radius
-from residua.linear.poles.zero_structure import rounding_of, scatter_of, without_zero_eigenvalues
 from residua.linear.subspaces.observability import staircase
 from residua.linear.systems.sampling import exponentials
 from residua.plant import Plant
@@ -77,8 +76,7 @@ def sampled_form(
     bend = above_rounding(bend, terms)
     seen = staircase(own.A, above_rounding(G @ bend, np.abs(G) @ terms))
     Q = seen.Q[:, : seen.n_observable]
-    A, turned = _integrators_first(Q.T @ seen.A @ Q, float(np.linalg.norm(seen.A)))
-    Q = Q @ turned
+    A = Q.T @ seen.A @ Q
     driven = _between(system.A, G, A, bend * seen.states @ Q, order, dt)
     k, m = len(A), system.n_states
     return StateSpace(
@@ -90,27 +88,6 @@ def sampled_form(
         inputs=p.inputs,
         outputs=sampled.outputs,
     )
-
-
-def _integrators_first(A: NDArray[np.float64], size: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return a matrix in coordinates in which its eigenvalues at zero stand on the diagonal as such, and these.
-
-    Sampled, they are one to the last bit: rounding would move them to either side of the circle. ``size`` is the norm
-    of what the matrix was computed from.
-    """
-    n, first = len(A), 0
-    count = without_zero_eigenvalues(A, None, size)[2]
-    near = np.abs(np.linalg.eigvals(A)) <= scatter_of(count, n, size)
-    A, Q, count = A.copy(), np.eye(n), min(count, int(np.count_nonzero(near)))
-    while first < count:
-        _, s, Vh = np.linalg.svd(A[first:, first:])
-        null = min(max(int(np.count_nonzero(s <= rounding_of(n) * size)), 1), count - first)
-        turn = np.eye(n)
-        turn[first:, first:] = np.vstack([Vh[len(s) - null :], Vh[: len(s) - null]]).T
-        A, Q = turn.T @ A @ turn, Q @ turn
-        A[first:, first : first + null] = 0.0
-        first += null
-    return A, Q
 
 
 def _between(
