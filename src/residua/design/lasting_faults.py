@@ -160,13 +160,11 @@ def lasting_faults(generator: ResidualGenerator, dt: float) -> LastingFaults:
     parts: Sequence[tuple[int, ...]] = [tuple(range(sampled.n_residuals))]
     if sampled.codes is not None:
         parts = [member.residuals for member in sampled.members]
-    return LastingFaults(sampled, tuple((part, _whitening(S[np.ix_(part, part)])) for part in parts))
-
-
-def _whitening(S: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return ``S^(-1/2)`` over the directions that noise moves, (directions, residuals)."""
-    spread = np.sqrt(np.diag(S))
-    units = np.where(spread > 0, spread, 1.0)
-    values, vectors = np.linalg.eigh(S / np.outer(units, units))
-    kept = values > RANK * values.max(initial=0.0)
-    return (vectors[:, kept] / np.sqrt(values[kept])).T / units
+    whitening = []
+    for part in parts:  # S^(-1/2) over the directions that noise moves
+        own = S[np.ix_(part, part)]
+        units = np.sqrt(np.where(np.diag(own) > 0, np.diag(own), 1.0))
+        values, vectors = np.linalg.eigh(own / np.outer(units, units))
+        kept = values > RANK * values.max(initial=0.0)
+        whitening.append((part, (vectors[:, kept] / np.sqrt(values[kept])).T / units))
+    return LastingFaults(sampled, tuple(whitening))

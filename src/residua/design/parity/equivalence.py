@@ -9,11 +9,13 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
+from residua.design.core.brought import as_generator, for_monitor
 from residua.design.core.evidence import format_pole
 from residua.design.core.generator import ResidualGenerator
 from residua.design.core.internal_form import frequency_grid
 from residua.design.parity.conversion import row_fractions
 from residua.design.parity.realization import chain, pole_basis
+from residua.design.parity.relations import ParityRelations
 from residua.errors import AccuracyError, DesignError, ModelError
 from residua.linear import StateSpace, decide_rank
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
@@ -223,9 +225,12 @@ class Equivalence(Shown):
         return "\n".join([*lines, *(f"  {row}" for row in self.rows)])
 
 
-def equivalence(first: ResidualGenerator, second: ResidualGenerator) -> Equivalence:
+def equivalence(first: Any, second: Any) -> Equivalence:
     """Tell whether two generators are the same up to a transformation; see :meth:`ResidualGenerator.equivalent_to`."""
-    first, second = _generator(first), _generator(second)
+    first, second = (
+        one.with_poles() if isinstance(one, ParityRelations) else as_generator(for_monitor(one))
+        for one in (first, second)
+    )
     a, b = first.system, second.system
     if a.n_inputs != b.n_inputs or len(first.plant.inputs) != len(second.plant.inputs) or a.dt != b.dt:
         raise ModelError(
@@ -261,20 +266,6 @@ def equivalence(first: ResidualGenerator, second: ResidualGenerator) -> Equivale
     }[forth < _PARALLEL, back < _PARALLEL]
     error = max(forth, back) if kind in ("transformation", "different") else min(forth, back)
     return Equivalence(kind == "transformation", kind, (), error, a, b, first.plant, note)
-
-
-def _generator(design: Any) -> ResidualGenerator:
-    """Return a generator, or the one of a bank or an observer."""
-    if isinstance(design, ResidualGenerator):
-        return design
-    inner = getattr(design, "generator", None)
-    if inner is None and hasattr(design, "residual_generator"):
-        inner = design.residual_generator()
-    if inner is None and hasattr(design, "with_poles"):
-        inner = design.with_poles()
-    if not isinstance(inner, ResidualGenerator):
-        raise ModelError(f"a residual generator is compared with another one, got {type(design).__name__}")
-    return inner
 
 
 def _signal_units(generator: ResidualGenerator, Q: NDArray, w: NDArray) -> NDArray[np.float64]:

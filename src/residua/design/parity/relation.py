@@ -110,11 +110,6 @@ def plant_rate(plant: Plant) -> float:
     return rate * default_margin(A, plant.dt)
 
 
-def default_poles(plant: Plant, order: int) -> NDArray[np.complex128]:
-    """Return the poles of a filter for which the user lists none: zero, or at the rate of a continuous plant."""
-    return np.full(order, 0.0 if plant.is_discrete else -plant_rate(plant), dtype=np.complex128)
-
-
 def filter_basis(plant: Plant, poles: NDArray[np.complex128]) -> PolynomialBasis:
     """Return the basis on the poles of a filter, in 1/s, of the size of their distance from those of the plant."""
     model, at = plant.balanced, poles / plant.balanced.units.rate

@@ -18,7 +18,7 @@ from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.design.core.signals import signal_names
 from residua.design.parity.directions import Directions, check_directions
 from residua.design.parity.realization import Realization, controls_of, realize_by_least_squares, realize_relation
-from residua.design.parity.relation import Relation, default_poles, filter_basis, lost_digits
+from residua.design.parity.relation import Relation, filter_basis, lost_digits, plant_rate
 from residua.errors import AccuracyError, DesignError, SettingError
 from residua.linear import PolynomialMatrix, StateSpace, is_stable_mode
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
@@ -280,8 +280,8 @@ class ParityRelations(Shown):
     def _poles(self, poles: Poles | None) -> list[NDArray[np.complex128]]:
         """Return the poles of each relation, checked."""
         if poles is None:
-            usual = {k: default_poles(self.plant, k) for k in set(self.orders)}
-            return [usual[k] for k in self.orders]
+            usual = 0.0 if self.plant.is_discrete else -plant_rate(self.plant)
+            return [np.full(k, usual, dtype=np.complex128) for k in self.orders]
         if isinstance(poles, Mapping):
             needed = [name for name, k in zip(self.names, self.orders, strict=True) if k]
             check_pole_names(poles, self.names, needed, "residual")
