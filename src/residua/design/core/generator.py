@@ -13,10 +13,15 @@ from numpy.typing import ArrayLike, NDArray
 from residua.design.core.balanced_filter import BalancedFilter
 from residua.design.core.decoupling import Approximate, Decoupled, Promise
 from residua.design.core.evidence import Evidence, format_pole, of_sampling
-from residua.design.core.internal_form import frequency_grid, internal_form, with_silent_inputs
+from residua.design.core.internal_form import (
+    frequency_grid,
+    internal_form,
+    refuse_growth,
+    sampled_form,
+    with_silent_inputs,
+)
 from residua.design.core.leak import reached
 from residua.design.core.responses import covariance_of_sums, steady_responses
-from residua.design.core.sampled_form import refuse_growth, sampled_form
 from residua.design.core.signals import discretized_filter, run_signals, sampled_filter
 from residua.design.core.signatures import responses_of_filter, responses_of_form, signatures_of
 from residua.design.core.state_map import state_map_of

@@ -14,7 +14,7 @@ from residua.design.core.evidence import format_pole
 from residua.design.core.generator import ResidualGenerator
 from residua.design.core.internal_form import frequency_grid
 from residua.design.parity.conversion import row_fractions
-from residua.design.parity.realization import chain, pole_basis
+from residua.design.parity.relation import chain, pole_basis
 from residua.design.parity.relations import ParityRelations
 from residua.errors import AccuracyError, DesignError, ModelError
 from residua.linear import StateSpace, decide_rank

@@ -17,8 +17,16 @@ from residua.design.core.evidence import Evidence, format_pole
 from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.design.core.signals import signal_names
 from residua.design.parity.directions import Directions, check_directions
-from residua.design.parity.realization import Realization, controls_of, realize_by_least_squares, realize_relation
-from residua.design.parity.relation import Relation, filter_basis, lost_digits, plant_rate
+from residua.design.parity.relation import (
+    Realization,
+    Relation,
+    controls_of,
+    filter_basis,
+    lost_digits,
+    plant_rate,
+    realize_by_least_squares,
+    realize_relation,
+)
 from residua.errors import AccuracyError, DesignError, SettingError
 from residua.linear import PolynomialMatrix, StateSpace, is_stable_mode
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
