@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
+
 from residua.analysis.coding_sets import Structure
 from residua.design.banks.bank import Bank, build_bank, wanted_rows
 from residua.design.banks.structured_bank import ROWS
@@ -12,10 +14,12 @@ from residua.design.core.method import method
 from residua.design.core.needs import FAULTS_APART
 from residua.design.parity.relation_model import relation_model
 from residua.design.parity.relations import Poles, check_pole_names, relations_of
-from residua.design.parity.shortest import equations_seeing, shortest_space, with_rank
-from residua.errors import AccuracyError
+from residua.design.parity.shortest import shortest_space, with_rank
+from residua.errors import AccuracyError, DesignError
 from residua.plant import Plant
 from residua.plant.input_output_model import InputOutputModel
+from residua.tolerances import BALANCED_ANSWER
+from residua.words import used_up
 
 
 @method(
@@ -101,8 +105,19 @@ def structured_parity(
 
     def design(name: str, part: Plant) -> ResidualGenerator:  # its faults are those that the row answers to
         ignored = tuple(fault for fault in model.plant.faults if fault not in part.faults)
-        equations = equations_seeing(model, ignored, part.faults)
-        ones = [model.plant.faults.index(fault) for fault in part.faults]
+        ones, equations = [model.plant.faults.index(fault) for fault in part.faults], model.equations(ignored)
+        what = ", ".join(f"'{fault}'" for fault in (*model.plant.disturbances, *ignored)) or "nothing"
+        if equations.orders is None:
+            raise DesignError(
+                f"no parity relation ignores {what}: the {used_up(model.plant.n_outputs)}; add a sensor or ignore less"
+            )
+        drive = np.linalg.norm(equations.quotient.drive(*model.balanced.faults), axis=0)[ones]
+        blind = [fault for fault, size in zip(part.faults, drive, strict=True) if not size > BALANCED_ANSWER]
+        if blind:
+            raise DesignError(
+                f"a parity relation that ignores {what} cannot see {', '.join(blind)}: of up to order "
+                f"{equations.orders[1]}, there is none that answers"
+            )
         own = poles[name] if isinstance(poles, Mapping) else poles
 
         space = shortest_space(model, equations, seen=ones)
