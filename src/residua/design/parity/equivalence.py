@@ -300,7 +300,8 @@ def _matched(
         free.remove(i)
         pairs.append((i, j, error))
     w, dt = frequency_grid(first.system, second.system), first.dt
-    points, ours, theirs = np.exp(1j * w * dt) if dt else 1j * w, row_fractions(first), row_fractions(second)
+    points = np.asarray(np.exp(1j * w * dt) if dt else 1j * w, dtype=np.complex128)
+    ours, theirs = row_fractions(first), row_fractions(second)
     rows, own = [], False
     for i, j, error in pairs:
         a, b = ours[i], theirs[j]

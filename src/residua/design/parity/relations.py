@@ -215,20 +215,18 @@ class ParityRelations(Shown):
         if self.directions is not None:
             off = check_directions(made, self.directions)
             made = replace(made, evidence=made.evidence.extended(conditions={"response off the directions": off}))
-        lost, remarks = lost_digits(rows, made), ()
+        lost = lost_digits(rows, made)
         if lost is None:
             return made
-        if lost > _MANY:
-            share = f"{10 ** (lost - 16):.0e} of" if lost < 16 else "as large as"
-            remarks = (
-                f"{lost:.0f} digits of the data cancel: rounding of numbers of 16 digits alone makes residuals {share} "
-                "what a fault leaves, that of measurements more; choose poles near those of the plant (with_poles), or "
-                "structured_bank",
-            )
+        share = f"{10 ** (lost - 16):.0e} of" if lost < 16 else "as large as"
+        remark = (
+            f"{lost:.0f} digits of the data cancel: rounding of numbers of 16 digits alone makes residuals {share} "
+            "what a fault leaves, that of measurements more; choose poles near those of the plant (with_poles), or "
+            "structured_bank"
+        )
         if lost > _MOST:
-            raise AccuracyError(
-                f"with these poles rounding hides what a fault does: {remarks[0]}, or decoupled_residual"
-            )
+            raise AccuracyError(f"with these poles rounding hides what a fault does: {remark}, or decoupled_residual")
+        remarks = (remark,) if lost > _MANY else ()
         return replace(made, evidence=made.evidence.extended(conditions={_LOST: lost}, notes=remarks))
 
     def _by_least_squares(self, method: str, notes: Sequence[str]) -> ResidualGenerator:
