@@ -207,6 +207,13 @@ WRONG = [
     ),
     pytest.param(
         "design.parity.relations:realize_relation",
+        lambda part: replace(part, B=1e60 * part.B),
+        lambda: D.parity_relations(gertler(), insensitive_to="p1", poles=[0, 0]),
+        marks=trips("design.parity.relations:_generator"),
+        id="filter of a relation whose newest sample is lost",
+    ),
+    pytest.param(
+        "design.parity.relations:realize_relation",
         lambda part: replace(part, state_map=off(part.state_map)),
         lambda: D.parity_relations(gertler(), insensitive_to="p1", poles=[0, 0]),
         marks=trips("design.core.decoupling:_accept"),

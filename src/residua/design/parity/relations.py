@@ -36,6 +36,8 @@ from residua.tolerances import RESPONSE_ROUNDING, above_rounding
 from residua.words import counted
 
 Matrix = NDArray[np.float64]
+#: Coefficients of which nothing is left of the others, in any unit.
+_HUGE = 1e50
 #: Of several relations those of which the newest sample counts for less are nearly of a lower order.
 _NEWEST = 1e-3
 #: What is said of a filter whose default poles are others.
@@ -239,6 +241,13 @@ class ParityRelations(Shown):
     ) -> ResidualGenerator:
         """Return filters of relations side by side, driven by the same signals."""
         plant, units, heights = self.plant, self.plant.balanced.units, self.heights[:, None]
+        largest = max((float(np.abs(one.B).max(initial=0.0)) for one in parts), default=0.0)
+        if not largest < _HUGE:
+            raise AccuracyError(
+                f"of a relation of order {max(self.orders)} with these poles the newest sample counts 1, others "
+                f"{largest:.0e}: it is lost in rounding; choose poles near those of the plant, or use "
+                "decoupled_residual"
+            )
         signals = np.concatenate([np.ones(len(plant.inputs)), units.outputs])
         system = StateSpace(
             units.rate * scipy.linalg.block_diag(*[one.A for one in parts]),
