@@ -87,7 +87,7 @@ def test_a_moving_average_that_leaks_as_much_as_faults_leave_is_refused_though_a
     benchmark_module: ModuleType, n: int
 ) -> None:
     outcome = benchmark_module.measure("moving average", benchmark_module.near_one(n, 0), 0)
-    assert "of what any fault does" in outcome.reason
+    assert "rounding hides what a fault does" in outcome.reason
     assert "choose poles near those of the plant" in outcome.reason
     assert benchmark_module.measure("poles at one rate", benchmark_module.near_one(n, 0), 0).slow < 1e-9
 

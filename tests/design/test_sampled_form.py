@@ -95,7 +95,7 @@ def test_an_oscillator_is_seen_between_samples() -> None:
     assert scipy.linalg.norm(made.internal_form().A[2:, :2]) > 0
 
 
-@trips("design.core.sampled_form:refuse_growth")
+@trips("design.core.internal_form:refuse_growth")
 def test_a_step_is_refused_in_which_the_plant_outgrows_the_digits() -> None:
     """A mode at 256 1/s grows by exp(25.6) in a tenth of a second: responses were wrong without a word."""
     plant = rs.Plant([[256.0, 1], [0, -1]], [[1.0], [1]], np.eye(2)).with_sensor_faults().with_actuator_faults()

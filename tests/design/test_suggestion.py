@@ -17,8 +17,8 @@ from guards import trips
 from refusals import Refused
 from residua.design import catalogue, ranking, suggestion
 from residua.design.core.brought import as_generator, brings_a_generator, for_monitor
-from residua.design.core.lasting_faults import RATE, WINDOW, lasting_faults
 from residua.design.core.method import method
+from residua.design.lasting_faults import RATE, WINDOW, lasting_faults
 from residua.errors import AccuracyError, DesignError, ModelError, SettingError
 from residua.linear import filter_riccati
 from residua.plant import Perturbation, UncertainPlant

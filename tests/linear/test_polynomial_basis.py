@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from residua.design.parity.realization import pole_basis
+from residua.design.parity.relation import pole_basis
 from residua.linear.polynomials.common_factor import without_common_factor
 from residua.linear.polynomials.pair_relations import PairRelations
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis

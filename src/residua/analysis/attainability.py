@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.analysis.codes import code_table
 from residua.analysis.coding_sets import CodingSet, Structure, structure_rows
 from residua.analysis.diagnosability import group_twins
 from residua.analysis.fault_space import FaultSpace, fault_space
@@ -66,16 +67,11 @@ class Attainability(Shown):
         return CodingSet(self.structure[kept], self.faults, tuple(self.residuals[i] for i in kept))
 
     def __str__(self) -> str:
-        width = max([len(name) for name in self.residuals], default=0) + 2
-        lines = [
+        first = (
             f"{self.plant.name}: {int(self.attainable.sum())} of {counted(len(self.residuals), 'row')} attainable"
-            f"{' for constant faults' if self.constant else ''}; {counted(self.independent, 'independent residual')}",
-            " " * width + " ".join(f"{k + 1:>2}" for k in range(len(self.faults))),
-        ]
-        for name, row in zip(self.residuals, self.structure, strict=True):
-            why = f"   {self.reasons[name]}" if name in self.reasons else ""
-            lines.append(f"{name:<{width}}" + " ".join(" x" if one else " ." for one in row) + why)
-        return "\n".join([*lines, *(f"  {k + 1}: {name}" for k, name in enumerate(self.faults))])
+            f"{' for constant faults' if self.constant else ''}; {counted(self.independent, 'independent residual')}"
+        )
+        return "\n".join([first, *code_table(self.residuals, self.structure, self.faults, self.reasons)])
 
 
 def attainable(
@@ -286,13 +282,11 @@ def mutually_isolable(plant: Plant) -> MutualIsolability:
     n = len(plant.faults)
     hidden = np.array([space.closure([i]) if space.visible[i] else np.ones(n, dtype=bool) for i in range(n)])
     apart = np.asarray(~hidden & ~hidden.T)
-    bare = fault_space(plant.without_disturbances()).visible
     reasons = {}
     for i, name in enumerate(plant.faults):
         others = [plant.faults[j] for j in np.flatnonzero(space.visible & ~apart[i]) if j != i]
         if not space.visible[i]:
-            hiders = f"hidden by the disturbances {', '.join(plant.disturbances)}, which can imitate it"
-            reasons[name] = hiders if bare[i] else "no output sees it"
+            reasons[name] = space.why_unseen(i)
         elif others:
             reasons[name] = f"same effect on the outputs as {', '.join(others)}, up to a filter"
     return MutualIsolability(plant.faults, apart, group_twins(plant.faults, space.visible, ~hidden.T), reasons)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,3 +34,15 @@ def strongly_isolating(codes: NDArray[np.bool_], faults: Sequence[tuple[str, ...
         within &= ~same.reshape(within.shape)
         return not within.any()
     return int(within.sum()) == different.shape[1]  # each within itself alone
+
+
+def code_table(
+    names: Sequence[str], structure: NDArray[np.bool_], faults: Sequence[str], remarks: Mapping[str, str] | None = None
+) -> list[str]:
+    """Return the lines of a structure as a table of crosses, with remarks on its rows, and the faults by number."""
+    width = max([len(name) for name in names], default=0) + 2
+    lines = [" " * width + " ".join(f"{k + 1:>2}" for k in range(len(faults)))]
+    for name, row in zip(names, structure, strict=True):
+        why = f"   {remarks[name]}" if remarks and name in remarks else ""
+        lines.append(f"{name:<{width}}" + " ".join(" x" if one else " ." for one in row) + why)
+    return [*lines, *(f"  {k + 1}: {name}" for k, name in enumerate(faults))]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from math import comb, isfinite
 
@@ -126,10 +126,13 @@ def choose(
     unseen = tuple(name for name, code in zip(watched.faults, rows.T, strict=True) if not code.any())
     required = _required(plant, require, names, unseen, ignored)
     task = ChoiceTask(rows[:, [group[0] for group in groups]], names, required)
-    clock = _Clock(begun, float(time_limit))
-    chosen, notes = _search(task, quality, max_residuals, clock)
+
+    def share(part: float) -> float:
+        return part * max(0.0, begun + time_limit - time.perf_counter())
+
+    chosen, notes = _search(task, quality, max_residuals, share, time_limit)
     if not constant:
-        notes += _once_constant(space, rows[chosen], most, clock)
+        notes += _once_constant(space, rows[chosen], most, share)
     if constant:
         notes += ("all of this for residuals that answer for as long as a constant fault lasts",)
     structure = np.zeros((len(chosen), len(plant.faults)), dtype=bool)
@@ -220,28 +223,17 @@ def _least(faults: int, strong: bool) -> int:
     return s
 
 
-@dataclass(frozen=True)
-class _Clock:
-    """When the work began, and how many seconds it has."""
-
-    begun: float
-    limit: float
-
-    def share(self, part: float) -> float:
-        """Return a part of the seconds that are left."""
-        return part * max(0.0, self.begun + self.limit - time.perf_counter())
-
-
 def _search(
-    task: ChoiceTask, quality: str, max_residuals: int | None, clock: _Clock
+    task: ChoiceTask, quality: str, max_residuals: int | None, share: Callable[[float], float], time_limit: float
 ) -> tuple[NDArray[np.int64], tuple[str, ...]]:
     """Return the chosen rows in their order, and what to say about them.
 
-    Every program leaves some time to those that follow it: a limit is met only after the step that reaches it.
+    Every program leaves some time to those that follow it, a ``share`` of the seconds that are left: a limit is met
+    only after the step that reaches it.
     """
     strong, remarks = quality == "strong", []
     cover, stuck = task.cover(strong)
-    first = fewest(cover, clock.share(0.6 if strong and max_residuals is not None else _FIRST))
+    first = fewest(cover, share(0.6 if strong and max_residuals is not None else _FIRST))
     if strong and max_residuals is not None and len(first.chosen) > max_residuals:
         remarks.append(
             f"weakly isolating only: strongly takes {_number(first)} residuals, and no more than {max_residuals} "
@@ -249,7 +241,7 @@ def _search(
         )
         strong, stuck = False, []
         cover, _ = task.cover(strong)
-        first = fewest(cover, clock.share(_FIRST))
+        first = fewest(cover, share(_FIRST))
     if max_residuals is not None and len(first.chosen) > max_residuals:
         raise DesignError(
             f"{counted(max_residuals, 'residual')} cannot isolate {counted(len(task.names), 'fault')}, not even "
@@ -261,9 +253,9 @@ def _search(
             f"the code of {_group(task, j)} always becomes that of {_group(task, k)} when residuals stay silent"
         )
     chosen = first.chosen
-    even = even_cover(cover, chosen, clock.share(0.4))
-    far = far_cover(cover, even.chosen, clock.share(0.7))
-    notes = [*remarks, _fewest_in_words(task, first, strong and not stuck, clock.limit)]
+    even = even_cover(cover, chosen, share(0.4))
+    far = far_cover(cover, even.chosen, share(0.7))
+    notes = [*remarks, _fewest_in_words(task, first, strong and not stuck, time_limit)]
     if even.bound is not None:
         notes.append("the time limit was reached before it was proved that no choice is more even")
     if far.bound is not None:
@@ -274,7 +266,9 @@ def _search(
     return np.array(order, dtype=np.int64), tuple(notes)
 
 
-def _once_constant(space: FaultSpace, rows: NDArray[np.bool_], most: int, clock: _Clock) -> tuple[str, ...]:
+def _once_constant(
+    space: FaultSpace, rows: NDArray[np.bool_], most: int, share: Callable[[float], float]
+) -> tuple[str, ...]:
     """Return a note where strong isolation is lost because constant faults fire fewer residuals than changing ones."""
     if not len(rows) or not strongly_isolating(rows):
         return ()
@@ -288,7 +282,7 @@ def _once_constant(space: FaultSpace, rows: NDArray[np.bool_], most: int, clock:
         return ()
     names = ", ".join(f"'{space.faults[j]}'" for j in np.flatnonzero(lost))
     what = "constant=True chooses residuals that answer for as long as a fault lasts"
-    if clock.share(1.0):
+    if share(1.0):
         code = all_rows(space, True, most).T.astype(int)
         apart = np.asarray(code @ (1 - code.T) > 0)  # [j, k]: some row sees j and ignores k
         seen = np.asarray(rows.any(axis=0))

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua import arrays
-from residua.analysis.codes import equal_codes, strongly_isolating
+from residua.analysis.codes import code_table, equal_codes, strongly_isolating
 from residua.errors import DesignError
 from residua.shown import Shown
 from residua.words import counted
@@ -162,11 +162,7 @@ class CodingSet(Shown):
     def __str__(self) -> str:
         n_r, n_f = self.structure.shape
         lines = [f"{counted(n_r, 'residual')}, {counted(n_f, 'fault')}: {self._verdict()}"]
-        width = max([len(name) for name in self.residuals], default=0) + 2
-        lines.append(" " * width + " ".join(f"{k + 1:>2}" for k in range(n_f)))
-        for name, row in zip(self.residuals, self.structure, strict=True):
-            lines.append(f"{name:<{width}}" + " ".join(" x" if one else " ." for one in row))
-        lines += [f"  {k + 1}: {name}" for k, name in enumerate(self.faults)]
+        lines += code_table(self.residuals, self.structure, self.faults)
         lines += self._defects()
         if self._apart and n_r:
             ones, zeros = self.ones[self._apart], self.zeros
@@ -302,7 +298,13 @@ def _named_rows(structure: Structure, faults: tuple[str, ...]) -> dict[str, NDAr
     """Return the rows of a structure by name."""
     structure = _plain(structure)
     if isinstance(structure, CodingSet):
-        return _rows_of_set(structure, faults)
+        if set(structure.faults) != set(faults):
+            other = ", ".join(sorted(set(structure.faults) ^ set(faults)))
+            raise DesignError(
+                f"the coding set is for other faults than the plant's: {other}; choose one for this plant"
+            )
+        order = [structure.faults.index(name) for name in faults]
+        return {name: row[order] for name, row in zip(structure.residuals, structure.structure, strict=True)}
     if isinstance(structure, Mapping):
         rows = {}
         for name, seen in structure.items():
@@ -318,29 +320,18 @@ def _named_rows(structure: Structure, faults: tuple[str, ...]) -> dict[str, NDAr
     try:
         M = np.atleast_2d(np.asarray(listed, dtype=float))
     except (TypeError, ValueError) as error:
-        raise DesignError(f"{_WANTED}{_uneven(listed)}") from error
+        lengths = [len(row) for row in listed if isinstance(row, (str, Sequence, np.ndarray))]
+        several = (
+            f"; the rows have {', '.join(map(str, lengths[:-1]))} and {lengths[-1]} entries"
+            if len(set(lengths)) > 1
+            else ""
+        )
+        raise DesignError(f"{_WANTED}{several}") from error
     if M.ndim != 2 or M.shape[1] != len(faults) or not np.isin(M, (0, 1)).all():
         raise DesignError(
             f"structure must be 0 or 1, residuals x {len(faults)} faults ({', '.join(faults)}), got shape {M.shape}"
         )
     return {f"r{i + 1}": row.astype(bool) for i, row in enumerate(M)}
-
-
-def _uneven(rows: Any) -> str:
-    """Say how long the rows of something are that is no matrix, where they have lengths."""
-    lengths = [len(row) for row in rows if isinstance(row, (str, Sequence, np.ndarray))]
-    if len(set(lengths)) < 2:
-        return ""
-    return f"; the rows have {', '.join(map(str, lengths[:-1]))} and {lengths[-1]} entries"
-
-
-def _rows_of_set(coding: CodingSet, faults: tuple[str, ...]) -> dict[str, NDArray[np.bool_]]:
-    """Return the rows of a coding set with its columns in the order of the faults."""
-    if set(coding.faults) != set(faults):
-        other = ", ".join(sorted(set(coding.faults) ^ set(faults)))
-        raise DesignError(f"the coding set is for other faults than the plant's: {other}; choose one for this plant")
-    order = [coding.faults.index(name) for name in faults]
-    return {name: row[order] for name, row in zip(coding.residuals, coding.structure, strict=True)}
 
 
 def _range(values: NDArray) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from math import ceil, floor
@@ -63,110 +63,95 @@ class Found:
 
     chosen: NDArray[np.int64]
     bound: int | None
-    seconds: float
 
 
 def fewest(cover: Cover, limit: float) -> Found:
     """Return a smallest choice of rows that meets all demands."""
-    begun = time.perf_counter()
     n = len(cover.rows)
     cuts, weights = _cuts(cover)
     constraints = [
-        (cover.demands.astype(float), 1.0, np.inf),
-        (weights.astype(float), cuts, np.inf),
+        (cover.demands, 1.0, np.inf),
+        (weights, cuts, np.inf),
         (np.ones((1, n)), float(cover.least), np.inf),
     ]
-    result = integer_program(np.ones(n), constraints, np.ones(n), np.ones(n), limit - cover.setup)
+    result = integer_program(np.ones(n), constraints, np.ones(n), limit - cover.setup)
     chosen = _greedy(cover.demands)
-    x = result.x
-    if x is not None:
-        better = np.flatnonzero(np.round(x[:n]))
+    if result.x is not None:
+        better = np.flatnonzero(np.round(result.x[:n]))
         if not cover.met(better):
             raise AccuracyError("the integer program returned rows that do not meet the demands: report this plant")
         chosen = better if len(better) < len(chosen) else chosen
     bound = max(cover.least, _up(result.mip_dual_bound))
-    proved = result.status == 0 or bound >= len(chosen)
-    return Found(chosen, None if proved else bound, time.perf_counter() - begun)
+    return Found(chosen, None if result.status == 0 or bound >= len(chosen) else bound)
 
 
 def even_cover(cover: Cover, chosen: NDArray[np.int64], limit: float) -> Found:
     """Return as many rows that meet the demands and have the most even numbers of ones and zeros."""
-    begun = time.perf_counter()
-    now = _unevenness(cover.rows[chosen])
-    if now == 0 or limit < 2 * cover.setup:
-        return Found(chosen, 0 if now else None, 0.0)
+    if not _unevenness(cover.rows[chosen]) or limit < 2 * cover.setup:
+        return Found(chosen, 0 if _unevenness(cover.rows[chosen]) else None)
     result = integer_program(*_even_program(cover, len(chosen)), limit - cover.setup)
-    if result.x is not None:
-        other = np.flatnonzero(np.round(result.x[: len(cover.rows)]))
-        if len(other) == len(chosen) and cover.met(other) and _unevenness(cover.rows[other]) < now:
-            chosen, now = other, _unevenness(cover.rows[other])
+    chosen = _better(cover, chosen, result, lambda rows: _unevenness(cover.rows[rows]))
     bound = max(0, _up(result.mip_dual_bound))
-    proved = result.status == 0 or bound >= now
-    return Found(chosen, None if proved else bound, time.perf_counter() - begun)
+    return Found(chosen, None if result.status == 0 or bound >= _unevenness(cover.rows[chosen]) else bound)
 
 
 def far_cover(cover: Cover, chosen: NDArray[np.int64], limit: float) -> Found:
     """Return as many rows, no less even, whose columns differ in as many places as possible."""
-    begun = time.perf_counter()
-    if not cover.pairs:
-        return Found(chosen, None, 0.0)
-    if limit < 2 * cover.setup:
-        return Found(chosen, len(chosen), 0.0)
-    now = int(cover.differences[:, chosen].sum(axis=1).min())
-    _, constraints, upper, integral = _even_program(cover, len(chosen))
-    n = len(cover.rows)
-    constraints = [(_wider(M), low, high) for M, low, high in constraints]
-    spread = np.array([[*np.zeros(n), -1.0, 1.0, -1.0, 1.0, 0.0]])
-    constraints.append((spread, 0.0, float(_unevenness(cover.rows[chosen]))))
-    D = np.hstack([cover.differences.astype(float), np.zeros((len(cover.pairs), 4)), -np.ones((len(cover.pairs), 1))])
-    constraints.append((D, 0.0, np.inf))
-    aim = np.zeros(n + 5)
-    aim[-1] = -1.0
-    result = integer_program(
-        aim, constraints, np.append(upper, len(chosen)), np.append(integral, 1.0), limit - cover.setup
-    )
-    if result.x is not None:
-        other = np.flatnonzero(np.round(result.x[:n]))
-        fine = len(other) == len(chosen) and cover.met(other)
-        fine = fine and _unevenness(cover.rows[other]) <= _unevenness(cover.rows[chosen])
-        reached = int(cover.differences[:, other].sum(axis=1).min())
-        if fine and reached > now:
-            chosen, now = other, reached
-    dual = result.mip_dual_bound
+    if not cover.pairs or limit < 2 * cover.setup:
+        return Found(chosen, len(chosen) if cover.pairs else None)
+    n, most = len(cover.rows), _unevenness(cover.rows[chosen])
+    _, constraints, upper = _even_program(cover, len(chosen))
+    constraints = [(np.pad(M, ((0, 0), (0, 1))), low, high) for M, low, high in constraints]
+    constraints.append((np.array([[*np.zeros(n), -1.0, 1.0, -1.0, 1.0, 0.0]]), 0.0, float(most)))
+    fewest_differences = -np.ones((len(cover.pairs), 1))
+    constraints.append((np.hstack([np.pad(cover.differences, ((0, 0), (0, 4))), fewest_differences]), 0.0, np.inf))
+    aim = np.append(np.zeros(n + 4), -1.0)
+    result = integer_program(aim, constraints, np.append(upper, len(chosen)), limit - cover.setup)
+
+    def alike(rows: NDArray[np.int64]) -> int:
+        fine = _unevenness(cover.rows[rows]) <= most
+        return -int(cover.differences[:, rows].sum(axis=1).min()) if fine else 0
+
+    chosen, dual = _better(cover, chosen, result, alike), result.mip_dual_bound
     bound = len(chosen) if dual is None or not np.isfinite(dual) else min(len(chosen), floor(-dual + 1e-6))
-    proved = result.status == 0 or bound <= now
-    return Found(chosen, None if proved else bound, time.perf_counter() - begun)
+    return Found(chosen, None if result.status == 0 or bound <= -alike(chosen) else bound)
 
 
-def _even_program(cover: Cover, count: int) -> tuple[NDArray, list[tuple[NDArray, Any, Any]], NDArray, NDArray]:
-    """Return aim, constraints, upper bounds and integrality of the most even choice of ``count`` rows.
+def _better(
+    cover: Cover, chosen: NDArray[np.int64], result: Any, aim: Callable[[NDArray[np.int64]], int]
+) -> NDArray[np.int64]:
+    """Return the rows that a program found, where they are as many, meet the demands and have the smaller aim."""
+    if result.x is not None:
+        other = np.flatnonzero(np.round(result.x[: len(cover.rows)]))
+        if len(other) == len(chosen) and cover.met(other) and aim(other) < aim(chosen):
+            return other
+    return chosen
+
+
+def _even_program(cover: Cover, count: int) -> tuple[NDArray, list[tuple[NDArray, Any, Any]], NDArray]:
+    """Return aim, constraints and upper bounds of the most even choice of ``count`` rows.
 
     After the rows come the fewest and most ones of a column, and the fewest and most zeros of a chosen row.
     """
     n, columns = cover.rows.shape
     zeros = (~cover.rows).sum(axis=1).astype(float)
     few, many = zeros.min(), zeros.max()
-    ones = cover.rows.T.astype(float)
-    side = np.zeros((columns, 4))
-    lowest, highest = side.copy(), side.copy()
-    lowest[:, 0], highest[:, 1] = -1.0, -1.0
-    row_low, row_high = np.zeros((n, 4)), np.zeros((n, 4))
-    row_low[:, 2], row_high[:, 3] = 1.0, 1.0
+
+    def beside(M: NDArray, extra: int = 0, sign: float = 0.0) -> NDArray:
+        side = np.zeros((len(M), 4))
+        side[:, extra] = sign
+        return np.hstack([M, side])
+
     constraints: list[tuple[NDArray, Any, Any]] = [
-        (np.hstack([cover.demands.astype(float), np.zeros((len(cover.demands), 4))]), 1.0, np.inf),
-        (np.array([[*np.ones(n), 0.0, 0.0, 0.0, 0.0]]), float(count), float(count)),
-        (np.hstack([ones, lowest]), 0.0, np.inf),
-        (np.hstack([ones, highest]), -np.inf, 0.0),
-        (np.hstack([np.diag(many - zeros), row_low]), -np.inf, many),  # fewest <= zeros of a chosen row
-        (np.hstack([np.diag(few - zeros), row_high]), few, np.inf),  # most >= zeros of a chosen row
+        (beside(cover.demands), 1.0, np.inf),
+        (beside(np.ones((1, n))), float(count), float(count)),
+        (beside(cover.rows.T, 0, -1.0), 0.0, np.inf),
+        (beside(cover.rows.T, 1, -1.0), -np.inf, 0.0),
+        (beside(np.diag(many - zeros), 2, 1.0), -np.inf, many),  # fewest <= zeros of a chosen row
+        (beside(np.diag(few - zeros), 3, 1.0), few, np.inf),  # most >= zeros of a chosen row
     ]
     aim = np.array([*np.zeros(n), -1.0, 1.0, -1.0, 1.0])
-    upper = np.array([*np.ones(n), count, count, columns, columns], dtype=float)
-    return aim, constraints, upper, np.ones(n + 4)
-
-
-def _wider(M: NDArray) -> NDArray:
-    return np.hstack([M, np.zeros((len(M), 1))])
+    return aim, constraints, np.array([*np.ones(n), count, count, columns, columns], dtype=float)
 
 
 def _unevenness(rows: NDArray[np.bool_]) -> int:
@@ -206,17 +191,21 @@ def _greedy(demands: NDArray[np.bool_]) -> NDArray[np.int64]:
     return np.array(sorted(chosen), dtype=np.int64)
 
 
-def integer_program(aim: NDArray, constraints: list, upper: NDArray, integral: NDArray, limit: float) -> Any:
-    """Run HiGHS on sparse constraints."""
+def integer_program(aim: NDArray, constraints: list, upper: NDArray, limit: float) -> Any:
+    """Run HiGHS on sparse constraints of whole numbers from zero up."""
     from scipy.optimize import Bounds, LinearConstraint, milp  # slow to import, and needed only here
     from scipy.sparse import csr_array
 
-    linear = [LinearConstraint(csr_array(M), low, high) for M, low, high in constraints if len(M)]  # pyright: ignore
+    linear = [
+        LinearConstraint(csr_array(M.astype(float)), low, high)  # pyright: ignore
+        for M, low, high in constraints
+        if len(M)
+    ]
     return milp(
         aim,
         constraints=linear,
         bounds=Bounds(np.zeros(len(aim)), upper),  # pyright: ignore
-        integrality=integral,
+        integrality=np.ones(len(aim)),
         options={"time_limit": max(limit, 0.05)},
     )
 

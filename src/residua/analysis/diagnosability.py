@@ -72,7 +72,7 @@ class Diagnosability(Shown):
         out = {}
         for i, name in enumerate(self.faults):
             if not self.detectable[i]:
-                out[name] = self._why_undetectable(i)
+                out[name] = fault_space(self.plant).why_unseen(i)
             elif not self.strongly_detectable[i]:
                 out[name] = "a constant fault leaves no lasting trace: only its changes are seen"
         for group in self.groups:
@@ -86,13 +86,6 @@ class Diagnosability(Shown):
                 more = f"while constant, it looks like {', '.join(others)}"
                 out[name] = f"{out[name]}; {more}" if name in out else more
         return out
-
-    def _why_undetectable(self, i: int) -> str:
-        if len(self.plant.disturbances) == 0:
-            return "no output sees it"
-        if fault_space(self.plant.without_disturbances()).visible[i]:
-            return f"hidden by the disturbances {', '.join(self.plant.disturbances)}, which can imitate it"
-        return "no output sees it"
 
     def _headline(self) -> str:
         seen, whole = int(self.detectable.sum()), len(self.faults)
@@ -197,7 +190,7 @@ def diagnosability(plant: Plant) -> Diagnosability:
         strongly_isolable=isolable & strong[:, None] & _apart(space, strong),
         groups=group_twins(plant.faults, detectable, isolable),
         visibility=space.drive([]),
-        near=space.near(),
+        near=space.model.quotient().near,
         unknown_input_observer=unknown_input_observer_existence(plant),
     )
 

@@ -89,25 +89,24 @@ def unknown_input_observer_existence(plant: Plant) -> UnknownInputExistence:
     q = model.quotient()
     rank_CE, rank_E, hidden = _conditions(model)
     useful = bool(len(q.H))
-    near = tuple(one for one in (*q.decisions, *q.split.decisions) if not one.is_clear)
     fixed = np.zeros(0, dtype=complex)
     if not q.proper:
         reason = _improper(plant, rank_CE, rank_E, hidden)
-        return UnknownInputExistence(False, (reason,), rank_CE, rank_E, fixed, useful, near)
+        return UnknownInputExistence(False, (reason,), rank_CE, rank_E, fixed, useful, q.near)
     modes = q.hidden_modes
     unstable = model.units.rate * modes[~is_inside(modes, plant.is_discrete)]
     reasons = (_unstable(plant, unstable),) if unstable.size else ()
-    return UnknownInputExistence(not reasons, reasons, rank_CE, rank_E, model.units.rate * modes, useful, near)
+    return UnknownInputExistence(not reasons, reasons, rank_CE, rank_E, model.units.rate * modes, useful, q.near)
 
 
 def _conditions(model: BalancedPlant) -> tuple[RankDecision, RankDecision, NDArray[np.float64]]:
     """Return the two ranks of condition (i), and the combinations of disturbances that outputs do not see at once."""
     plant, units = model.plant, model.units
     d = slice(len(plant.inputs), len(plant.inputs) + len(plant.disturbances))
-    R, X, U, Y = units.equations[:, None], units.states, units.inputs[d], units.outputs[:, None]
-    B, D, C = R * plant.Bd * U / units.rate, Y * plant.Dd * U, Y * plant.C * X
+    R, U, Y, (A, C, E) = units.equations[:, None], units.inputs[d], units.outputs[:, None], model.written
+    B, D = R * plant.Bd * U / units.rate, Y * plant.Dd * U
     if plant.E is not None:  # the algebraic equations count as measurements
-        C = np.vstack([C, model.algebra @ (R * plant.A * X)])
+        C = np.vstack([C, model.algebra @ A])
         D = np.vstack([D, model.algebra @ B])
     left, right = _null_spaces(D)
     B, C = B @ right, left.T @ C
@@ -115,7 +114,7 @@ def _conditions(model: BalancedPlant) -> tuple[RankDecision, RankDecision, NDArr
     if plant.E is None:
         rank_CE = decide_rank(C @ B, rtol=BALANCED_RANK, scale=1.0)
         return rank_CE, rank_E, right @ _null_spaces(C @ B)[1]
-    whole = np.block([[R * plant.E * X, B], [C, np.zeros((len(C), B.shape[1]))]])
+    whole = np.block([[E, B], [C, np.zeros((len(C), B.shape[1]))]])
     return decide_rank(whole, rtol=BALANCED_RANK, scale=1.0), rank_E, right
 
 

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from residua.errors import DesignError
 from residua.linear.subspaces.quotient import Quotient
-from residua.linear.subspaces.rank import RankDecision
 from residua.plant import Plant
 from residua.plant.balanced import BalancedPlant
 from residua.tolerances import BALANCED_ANSWER
@@ -70,10 +69,6 @@ class FaultSpace:
             taken.append(left.pop(best))
         return taken
 
-    def leaves(self, ignored: Iterable[str]) -> bool:
-        """Tell whether any residual is left that ignores some faults and the disturbances."""
-        return len(self.basis([self.faults.index(name) for name in ignored])) < self.dimension
-
     def lasting(self, ignored: Sequence[int]) -> NDArray[np.bool_]:
         """Return which faults leave a lasting trace while constant, in some residual that ignores others."""
         return ~self.closure(ignored) & (np.linalg.norm(self.limit(ignored), axis=0) > BALANCED_ANSWER)
@@ -102,10 +97,12 @@ class FaultSpace:
                 needed = fewer
         return needed
 
-    def near(self, ignored: Sequence[int] = ()) -> tuple[RankDecision, ...]:
-        """Return the rank decisions that double precision hardly allows."""
-        q = self.model.quotient(ignored)
-        return tuple(one for one in (*q.decisions, *q.split.decisions) if not one.is_clear)
+    def why_unseen(self, fault: int) -> str:
+        """Return why no residual that ignores the disturbances sees a fault."""
+        plant = self.model.plant
+        if not plant.disturbances or not fault_space(plant.without_disturbances()).visible[fault]:
+            return "no output sees it"
+        return f"hidden by the disturbances {', '.join(plant.disturbances)}, which can imitate it"
 
     def flats(self, most: int) -> list[tuple[NDArray[np.bool_], list[int]]]:
         """Return every closed set but the whole, with a basis, those of fewest dimensions first.

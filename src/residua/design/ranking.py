@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from residua.design.banks.bank import Bank
 from residua.design.banks.matched_filters import MatchedFilters
-from residua.design.core.lasting_faults import LastingFaults
 from residua.design.core.method import Method, Noise
 from residua.design.estimation.fault_estimator import FaultEstimator
+from residua.design.lasting_faults import LastingFaults
 from residua.plant import Plant
 from residua.shown import Shown
 from residua.words import listing

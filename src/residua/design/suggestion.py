@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from residua.analysis.diagnosability import Diagnosability, diagnosability
 from residua.design.banks.bank import Bank
@@ -15,10 +14,10 @@ from residua.design.banks.matched_filters import MatchedFilters
 from residua.design.catalogue import methods
 from residua.design.core.brought import PartialDesign, as_generator, for_monitor
 from residua.design.core.generator import ResidualGenerator
-from residua.design.core.lasting_faults import LastingFaults, lasting_faults
-from residua.design.core.leak import leak, reached_inputs
+from residua.design.core.leak import reached_inputs
 from residua.design.core.method import Chosen, Method, check_design
 from residua.design.estimation.fault_estimator import FaultEstimator
+from residua.design.lasting_faults import LastingFaults, lasting_faults
 from residua.design.ranking import FIRST, UNSEEN, Entry, by_faults, by_state, few, gives, never_first, typed
 from residua.errors import AccuracyError, DesignError, ModelError, SettingError
 from residua.plant import Identification, InputOutputModel, Plant
@@ -33,6 +32,8 @@ from residua.words import counted, listing
 WANTS = ("name", "size", "state")
 #: Larger plants are tried with single filters only, and the largest not at all.
 LARGE, LARGEST, MOST_FAULTS = 60, 200, 16
+#: Residuals from which on groups of them are advised.
+_MANY = 10
 #: Seconds for the choice of a coding set; the search then takes the best one so far.
 _CHOICE_TIME = 5.0
 
@@ -214,7 +215,13 @@ def first_design(plant: Plant, *, seconds: float = 30.0) -> Suggestion:
 def _suggested(plant: Plant, want: str | None, seconds: float, *, everything: bool) -> Suggestion:
     if not isinstance(plant, Plant):
         raise ModelError(_no_plant(plant))
-    want = _checked(plant, want)
+    want = ("name" if plant.faults else "state") if want is None else want
+    if want not in WANTS:
+        raise SettingError(f"want must be one of {', '.join(WANTS)}, got {want!r}")
+    if want != "state" and not plant.faults:
+        raise SettingError(
+            "the plant has no faults: name what may fail with with_sensor_faults, with_actuator_faults or with_faults"
+        )
     if not (np.isfinite(seconds) and seconds >= 0):
         raise SettingError(f"seconds must be a number of at least zero, got {seconds}")
     watched, assumed, known, deviations = plant, "", None, {}
@@ -226,13 +233,13 @@ def _suggested(plant: Plant, want: str | None, seconds: float, *, everything: bo
             known = diagnosability(plant) if plant.faults and plant.n_states <= LARGEST else None
         except TimeUsedUpError:
             pass
-        each = sorted(
-            candidates(watched, known, assumed=watched is not plant),
-            key=lambda one: _rank_of_trial(one.method, want),  # as they come among equals
-        )
+        chosen: dict[Chosen, Any] = {}
         tried = [
-            _tried(one, want)
-            for one in each
+            _tried(one, watched, want, chosen)
+            for one in sorted(
+                _untried(watched, known, watched is not plant),
+                key=lambda one: _rank_of_trial(one.method, want),  # as they come among equals
+            )
             if (everything and want != "size") or not _rank_of_trial(one.method, want)[0]
         ]
     entries = by_state(tried, plant) if want == "state" else by_faults(tried, deviations, want)
@@ -271,18 +278,6 @@ def _no_plant(value: object) -> str:
     )
 
 
-def _checked(plant: Plant, want: str | None) -> str:
-    if want is None:
-        return "name" if plant.faults else "state"
-    if want not in WANTS:
-        raise SettingError(f"want must be one of {', '.join(WANTS)}, got {want!r}")
-    if want != "state" and not plant.faults:
-        raise SettingError(
-            "the plant has no faults: name what may fail with with_sensor_faults, with_actuator_faults or with_faults"
-        )
-    return want
-
-
 def _with_noise(plant: Plant) -> tuple[Plant, str]:
     """Return a plant with noise, and what was assumed where it has none."""
     if plant.noises:
@@ -309,78 +304,33 @@ def _deviations(plant: Plant) -> dict[str, float]:
 # -------------------------------------------------------------------------- trying
 
 
-@dataclass(frozen=True)
-class Candidate:
-    """A call, and why it makes no sense here, where it makes none.
-
-    Attributes
-    ----------
-    method : Method
-    plant : Plant
-    options : mapping of str to value
-        The options of the call.
-    pointless : str
-        Why it makes no sense; empty if it does.
-    assumed : bool
-        Whether the noise of the plant is assumed.
-    made : dict
-        Arguments that were made from the plant already, which candidates share.
-    """
-
-    method: Method
-    plant: Plant
-    options: Mapping[str, Any] = field(default_factory=dict)
-    pointless: str = ""
-    assumed: bool = False
-    made: dict[Chosen, Any] = field(default_factory=dict, repr=False)
-
-    @property
-    def call(self) -> str:
-        """The line of code."""
-        arguments = ["plant.with_assumed_noise()" if self.assumed else "plant"]
-        arguments += [one.code for one in self.method.chosen.values()]
-        arguments += [f"{name}={typed(value)}" for name, value in self.options.items()]
-        return f"{self.method.called}({', '.join(arguments)})"
-
-    def run(self) -> Any:
-        """Make the call."""
-        arguments = self.method.with_chosen(self.plant, self.options, self.made, _CHOICE_TIME)
-        return self.method.function(self.plant, **arguments)
-
-
-def candidates(plant: Plant, known: Diagnosability | None, *, assumed: bool = False) -> Iterator[Candidate]:
-    """Yield what could serve, the more usual first.
-
-    Parameters
-    ----------
-    plant : Plant
-    known : Diagnosability or None
-        Of this plant; ``None`` if it was not examined.
-    assumed : bool
-        Whether the noise of the plant is assumed.
-    """
-    made: dict[Chosen, Any] = {}
+def _untried(plant: Plant, known: Diagnosability | None, assumed: bool) -> Iterator[Entry]:
+    """Yield the calls that could serve, the more usual first, with why they make no sense where they make none."""
     for one in methods():
         asked = {option.name for option in one.options if option.required} - set(one.chosen)
         if one.takes_a_plant and not asked:
-            why = one.missing(plant, known)
+            why = one.missing(plant, known) or _too_much(one, plant)
             for options in tuple(one.calls(plant, known)) or ({},):
-                yield Candidate(one, plant, dict(options), why, assumed, made)
+                arguments = ["plant.with_assumed_noise()" if assumed else "plant"]
+                arguments += [chosen.code for chosen in one.chosen.values()]
+                arguments += [f"{name}={typed(value)}" for name, value in options.items()]
+                yield Entry(f"{one.called}({', '.join(arguments)})", one, None, why, options=dict(options))
 
 
-def _tried(one: Candidate, want: str) -> Entry:
-    record, untried = one.method, Entry(one.call, one.method, None, one.pointless, options=one.options)
-    if one.pointless or (why := _too_much(record, one.plant)):
-        return untried if one.pointless else replace(untried, reason=why)
+def _tried(entry: Entry, plant: Plant, want: str, chosen: dict[Chosen, Any]) -> Entry:
+    """Return the entry of a call that was made; ``chosen`` keeps the arguments that calls share."""
+    if entry.reason:
+        return entry
     try:
         check_time()
-        made = one.run()
-        check_design(record, made)
-        return _told(untried, made, one.plant, want)
+        arguments = entry.method.with_chosen(plant, entry.options, chosen, _CHOICE_TIME)
+        made = entry.method.function(plant, **arguments)
+        check_design(entry.method, made)
+        return _told(entry, made, plant, want)
     except TimeUsedUpError:
-        return replace(untried, reason="the time is used up: suggest(plant, seconds=...)")
+        return replace(entry, reason="the time is used up: suggest(plant, seconds=...)")
     except (DesignError, AccuracyError, ModelError) as error:
-        return replace(untried, works=False, reason=str(error))
+        return replace(entry, works=False, reason=str(error))
 
 
 def _too_much(record: Method, plant: Plant) -> str:
@@ -411,7 +361,8 @@ def _told(entry: Entry, made: Any, plant: Plant, want: str) -> Entry:
     entry = replace(entry, order=_order(generator or made), blind=blind)
     if generator is not None:
         if plant.disturbances:
-            leaks = _leaks(generator)[len(plant.inputs) :]
+            maps = generator.state_map, generator.static_map
+            leaks = reached_inputs(generator.system, generator.plant, *maps)[len(plant.inputs) :]
             reached = tuple(np.array(plant.disturbances)[leaks > LEAK].tolist())
             entry = replace(entry, reached_by=reached)
         if plant.noises and plant.faults and want != "state":
@@ -481,24 +432,15 @@ def _notes(plant: Plant, known: Diagnosability | None, entries: list[Entry]) -> 
         yield from _about_disturbances(plant, entries)
     if plant.identification is not None:
         yield from _about_identification(plant, plant.identification)
-    yield from _about_many_residuals(entries)
-    banks = [entry.made for entry in entries if isinstance(entry.made, Bank)]
-    if any(bank.strongly_isolating for bank in banks):
-        yield "faults that come together: a dedicated bank or a fault_estimator; a generalized bank names one at a time"
-
-
-#: Residuals from which on groups of them are advised.
-_MANY = 10
-
-
-def _about_many_residuals(entries: list[Entry]) -> Iterator[str]:
-    single = [entry.made for entry in entries if isinstance(entry.made, ResidualGenerator)]
-    most = max((made.n_residuals for made in single), default=0)
+    most = max((entry.made.n_residuals for entry in entries if isinstance(entry.made, ResidualGenerator)), default=0)
     if most >= _MANY:
         yield (
             f"one norm over {most} residuals hides a fault that few of them show: test them by themselves, with "
             "rs.Monitor(..., test=rs.decide.NormThreshold(groups='each')), or in groups that belong together"
         )
+    banks = [entry.made for entry in entries if isinstance(entry.made, Bank)]
+    if any(bank.strongly_isolating for bank in banks):
+        yield "faults that come together: a dedicated bank or a fault_estimator; a generalized bank names one at a time"
 
 
 def _about_identification(plant: Plant, made: Identification) -> Iterator[str]:
@@ -544,11 +486,3 @@ def _about_disturbances(plant: Plant, entries: list[Entry]) -> Iterator[str]:
 
 def _shortened(text: str, most: int = 150) -> str:
     return text if len(text) <= most else text[: most - 3].rsplit(" ", 1)[0] + " ..."
-
-
-def _leaks(generator: ResidualGenerator) -> NDArray[np.float64]:
-    """Return how far each control, then each disturbance, reaches a generator."""
-    if generator.state_map is None:
-        return reached_inputs(generator.system, generator.plant)
-    maps = generator.state_map, generator.static_map
-    return leak(generator.system, generator.plant, *maps).gains.max(axis=0, initial=0.0)

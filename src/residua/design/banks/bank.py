@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.analysis.codes import equal_codes, strongly_isolating
+from residua.analysis.codes import code_table, equal_codes, strongly_isolating
 from residua.analysis.coding_sets import Structure, structure_rows
-from residua.design.core.decoupling import IGNORED, MeasuredBefore
+from residua.design.core.decoupling import IGNORED, Approximate
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import Member, ResidualGenerator, make_generator
 from residua.design.observers.observer import Observer
 from residua.errors import AccuracyError, DesignError
-from residua.linear import StateSpace
 from residua.linear.systems.state_space import stack_systems
 from residua.plant import Plant
 from residua.shown import Shown
@@ -93,13 +92,8 @@ class Bank(Shown):
         return f"Bank({self.generator.method}: {members}, {faults})"
 
     def __str__(self) -> str:
-        width = max([len(name) for name in self.members], default=0) + 2
         lines = [f"{self.generator.method}, {counted(len(self.members), 'member')}"]
-        columns = [f"{k + 1}" for k in range(len(self.faults))]
-        lines.append(" " * width + " ".join(f"{c:>2}" for c in columns))
-        for name, row in zip(self.members, self.structure, strict=True):
-            lines.append(f"{name:<{width}}" + " ".join(" x" if fires else " ." for fires in row))
-        lines += [f"  {k + 1}: {name}" for k, name in enumerate(self.faults)]
+        lines += code_table(self.members, self.structure, self.faults)
         lines += [f"no member '{name}': {reason}" for name, reason in self.failures.items()]
         lines += [f"same code: {', '.join(group)}" for group in self.groups if len(group) > 1]
         unseen = [name for name, code in zip(self.faults, self.structure.T, strict=True) if not code.any()]
@@ -176,13 +170,12 @@ def build_bank(
     for one in wanted:
         try:
             part = design(one.name, plant.faults_as_disturbances(one.ignored))
-            generator = for_whole_plant(part, plant)
-            check_promise(generator, one)
+            check_promise(part, one)
         except (DesignError, AccuracyError) as error:
             failures[one.name] = str(error)
             kinds.add(type(error))
             continue
-        parts[one.name] = generator
+        parts[one.name] = part
         if part.observer is not None:
             observers[one.name] = part.observer
     if failures and (not allow_missing or not parts):
@@ -192,98 +185,70 @@ def build_bank(
         missing = "do not exist" if DesignError in kinds else "missed their tolerance"
         kind = DesignError if DesignError in kinds else AccuracyError
         raise kind(f"{len(failures)} of {len(wanted)} members of the bank {missing}: {reasons}{hint}{advice}")
-    generator = stacked_members(parts, method, reference)
-    codes = generator.codes
-    assert codes is not None  # stacked_members gives them
-    return Bank(generator, codes, observers, failures)
-
-
-def for_whole_plant(part: ResidualGenerator, plant: Plant) -> ResidualGenerator:
-    """Return a member as generator of the plant with all its faults, in their order; one that is that stays."""
-    if part.plant is plant:
-        return part
-    if plant.E is not None and part.plant.E is None:
-        plant = plant.explicit()
-    known = part.known_form
-    if known is not None:
-        known = known.select(inputs=_columns(part.plant, plant))
-    made = make_generator(
-        part.system,
-        plant,
-        part.method,
-        part.evidence,
-        decouples=MeasuredBefore(part.system, part.plant, part.evidence.decoupling),
-        state_map=part.state_map,
-        static_map=part.static_map,
-        known_form=known,
-    )
-    relations = None if part.relations is None else replace(part.relations, plant=plant)
-    return replace(made, relations=relations)
-
-
-def _columns(part: Plant, plant: Plant) -> list[int]:
-    """Return where the faults, disturbances and noises of a plant stand among those of its member's plant."""
-    n_f, n_d = len(part.faults), len(part.disturbances)
-    faults = [
-        part.faults.index(name) if name in part.faults else n_f + part.disturbances.index(name) for name in plant.faults
-    ]
-    return (
-        faults + [n_f + i for i in range(len(plant.disturbances))] + [n_f + n_d + i for i in range(len(plant.noises))]
-    )
+    generator = stacked_members(parts, plant, method, reference)
+    assert generator.codes is not None  # stacked_members gives them
+    return Bank(generator, generator.codes, observers, failures)
 
 
 def check_promise(generator: ResidualGenerator, one: Wanted) -> None:
     """Raise when a member answers to what it should ignore, or is blind to what it should see."""
-    seen = dict(zip(generator.faults, _code(generator), strict=True))
-    leaking = [name for name in one.ignored if seen[name]]
+    seen = _seen(generator)
+    leaking = [name for name in one.ignored if name in seen]
     if leaking:
         raise AccuracyError(
             f"the residual answers to {', '.join(leaking)}, which it should ignore: the plant is too badly "
             "conditioned; ask for another margin, or for fewer faults to be ignored"
         )
-    blind = [name for name in one.seen if not seen[name]]
+    blind = [name for name in one.seen if name not in seen]
     if blind:
         raise DesignError(
             f"a residual that ignores {', '.join(one.ignored) or 'the disturbances'} cannot see {', '.join(blind)}"
         )
 
 
-def stacked_members(parts: dict[str, ResidualGenerator], method: str, reference: str) -> ResidualGenerator:
-    """Return the members as one generator, with their codes and the leaks that were measured of each."""
-    made = _stacked(parts, method, reference)
-    relations = [part.relations for part in parts.values() if part.relations is not None]
-    if len(relations) < len(parts):
-        return made
-    return replace(made, relations=relations[0].stacked_with(relations[1:], tuple(parts)))
-
-
-def _stacked(parts: dict[str, ResidualGenerator], method: str, reference: str) -> ResidualGenerator:
-    """Return members for one plant as one generator."""
+def stacked_members(
+    parts: Mapping[str, ResidualGenerator], plant: Plant, method: str, reference: str
+) -> ResidualGenerator:
+    """Return the members as one generator of a plant with all its faults, which are disturbances of theirs or not."""
     generators = list(parts.values())
-    plant = generators[0].plant
-    system = _named(stack_systems([g.system for g in generators]), parts)
-    members, codes, start = [], [], 0
+    if plant.E is not None and generators[0].plant.E is None:
+        plant = plant.explicit()
+    system = stack_systems([g.system for g in generators])
+    # outputs are named after residual and member, or the member that has but one
+    names = [name if g.n_residuals == 1 else f"{r}, {name}" for name, g in parts.items() for r in g.residuals]
+    system = system.replaced(outputs=names)
+    members, start = [], 0
     for name, g in parts.items():
-        code = _code(g)
+        seen = _seen(g)
         rows = tuple(range(start, start + g.n_residuals))
-        members.append(Member(name, rows, tuple(f for f, seen in zip(plant.faults, code, strict=True) if seen)))
-        codes.append(code)
+        members.append(Member(name, rows, tuple(fault for fault in plant.faults if fault in seen)))
         start += g.n_residuals
+    conditions: dict[str, float] = {}
+    for g in generators:
+        conditions |= {name: max(x, conditions.get(name, 0.0)) for name, x in g.evidence.conditions.items()}
+    leaks = largest_leaks(generators, plant)
     evidence = Evidence(
         method=method,
         poles=system.poles(),
         requested_poles=np.concatenate([g.evidence.requested_poles for g in generators]),
         fixed_poles=np.concatenate([g.evidence.fixed_poles for g in generators]),
-        conditions=_worst([g.evidence for g in generators]),
+        decoupling=leaks,
+        conditions=conditions,
         notes=tuple(f"{name}: {note}" for name, g in parts.items() for note in g.evidence.notes),
         references=(reference,),
     )
-    options: dict[str, Any] = {
-        "decouples": measured_of_members(system, generators),
-        "members": tuple(members),
-        "codes": np.array(codes, dtype=bool).reshape(len(codes), len(plant.faults)),
-    }
-    return make_generator(system, plant, method, evidence, **maps_of(generators, system.outputs), **options)
+    relations = [g.relations for g in generators if g.relations is not None]
+    return make_generator(
+        system,
+        plant,
+        method,
+        evidence,
+        decouples=Approximate(next(iter(leaks), "")),
+        **maps_of(generators, names),
+        members=tuple(members),
+        codes=np.array([[fault in member.faults for fault in plant.faults] for member in members], dtype=bool),
+        relations=relations[0].stacked_with(relations[1:], tuple(parts)) if len(relations) == len(parts) else None,
+    )
 
 
 def maps_of(parts: Sequence[ResidualGenerator], names: Sequence[str]) -> dict[str, Any]:
@@ -299,32 +264,17 @@ def maps_of(parts: Sequence[ResidualGenerator], names: Sequence[str]) -> dict[st
     return {"state_map": np.vstack(maps), "static_map": np.vstack(static)}
 
 
-def measured_of_members(system: StateSpace, members: list[ResidualGenerator]) -> MeasuredBefore:
-    """Return the largest leaks of filters that have passed, for all of them side by side."""
+def largest_leaks(members: Sequence[ResidualGenerator], plant: Plant) -> dict[str, float]:
+    """Return the largest leaks of filters that have passed, into all of them side by side."""
     gains: dict[str, float] = {}
     for member in members:
         for name, gain in member.evidence.decoupling.items():
             name = "disturbance" if name == IGNORED else name
-            if name == "control" or (name == "disturbance" and member.plant.disturbances):
+            if name == "control" or (name == "disturbance" and plant.disturbances):
                 gains[name] = max(gains.get(name, 0.0), gain)
-    return MeasuredBefore(system, members[0].plant, gains)
+    return gains
 
 
-def _code(generator: ResidualGenerator) -> list[bool]:
-    """Return for each fault whether any of the residuals answers to it."""
-    return [bool(column.any()) for column in list(generator.structure.T)]
-
-
-def _named(system: StateSpace, parts: dict[str, ResidualGenerator]) -> StateSpace:
-    """Return a stacked system with its outputs named after residual and member, or the member that has but one."""
-    names = [name if g.n_residuals == 1 else f"{r}, {name}" for name, g in parts.items() for r in g.residuals]
-    return system.replaced(outputs=names)
-
-
-def _worst(all_evidence: list[Evidence]) -> dict[str, float]:
-    """Return the largest value of each condition over the members."""
-    out: dict[str, float] = {}
-    for evidence in all_evidence:
-        for name, value in evidence.conditions.items():
-            out[name] = max(out.get(name, 0.0), value)
-    return out
+def _seen(generator: ResidualGenerator) -> set[str]:
+    """Return the faults that any of the residuals answers to."""
+    return {name for name, column in zip(generator.faults, generator.structure.T, strict=True) if column.any()}

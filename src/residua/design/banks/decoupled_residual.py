@@ -139,14 +139,13 @@ def decoupled_residual(
         inputs=signal_names(plant),
         outputs=[f"r{i + 1}" for i in range(len(Hy))],
     )
-    near = [one for one in (*q.decisions, *q.split.decisions) if not one.is_clear]
     evidence = Evidence(
         method="decoupled residual",
         ranks={"unknown inputs in the outputs": q.decisions[-2]},
         conditions={"pole error": found.error, "norm of the gain": found.norm},
         notes=(
             *((f"ignores {', '.join(ignored)}",) if ignored else ()),
-            *(f"near: {one}; double precision hardly decides this rank" for one in near[:1]),
+            *(f"near: {one}; double precision hardly decides this rank" for one in q.near[:1]),
         ),
         references=("Massoumnia, Verghese and Willsky (1989), IEEE TAC 34(3)", "Gertler (1991), section 4"),
     )

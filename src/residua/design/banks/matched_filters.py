@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -246,7 +245,30 @@ def matched_filters(plant: Plant, *, window: int = 40, steady: bool = False, ali
     >>> round(matched.deviation()["p1"], 3), round(matched.deviation(5)["p1"], 3)
     (0.021, 0.054)
     """
-    _check_request(plant, window, alike)
+    if not isinstance(window, (int, np.integer)) or isinstance(window, bool) or window < 1:
+        raise DesignError(f"window must be a whole number of samples, at least 1, got {window!r}")
+    if not isinstance(alike, (int, float)) or not 0 < alike <= 1:
+        raise DesignError(f"alike must be a correlation, over 0 and up to 1, got {alike!r}")
+    if not plant.is_discrete:
+        raise DesignError(
+            "matched filters count samples since a fault arrived, and this plant is continuous: sample it first, "
+            "matched_filters(plant.discretize(dt))"
+        )
+    if not plant.faults:
+        raise DesignError(
+            "the plant has no faults: add some with with_sensor_faults, with_actuator_faults or with_faults"
+        )
+    if plant.Bw.shape[1] == 0:
+        raise DesignError(
+            "matched filters weigh a response against noise, and this plant has none: "
+            "with_noise(process=..., measurement=...)"
+        )
+    numbers = (int(window) + 1) * plant.n_outputs * len(plant.faults)
+    if numbers > _MOST_NUMBERS:
+        raise DesignError(
+            f"{len(plant.faults)} faults x {plant.n_outputs} outputs x {window} samples are {numbers:,} numbers, the "
+            f"most is {_MOST_NUMBERS:,}: shorten the window, or sample more slowly"
+        )
     kalman = kalman_filter(plant)
     responses, settled = step_responses(kalman, int(window))
     covariance = kalman.covariance
@@ -347,40 +369,13 @@ def _unit(columns: NDArray) -> NDArray[np.float64]:
     return columns / np.where(size > 0, size, 1.0)
 
 
-def _check_request(plant: Plant, window: object, alike: object) -> None:
-    if not isinstance(window, (int, np.integer)) or isinstance(window, bool) or window < 1:
-        raise DesignError(f"window must be a whole number of samples, at least 1, got {window!r}")
-    if not isinstance(alike, (int, float)) or not 0 < alike <= 1:
-        raise DesignError(f"alike must be a correlation, over 0 and up to 1, got {alike!r}")
-    if not plant.is_discrete:
-        raise DesignError(
-            "matched filters count samples since a fault arrived, and this plant is continuous: sample it first, "
-            "matched_filters(plant.discretize(dt))"
-        )
-    if not plant.faults:
-        raise DesignError(
-            "the plant has no faults: add some with with_sensor_faults, with_actuator_faults or with_faults"
-        )
-    if plant.Bw.shape[1] == 0:
-        raise DesignError(
-            "matched filters weigh a response against noise, and this plant has none: "
-            "with_noise(process=..., measurement=...)"
-        )
-    numbers = (int(window) + 1) * plant.n_outputs * len(plant.faults)
-    if numbers > _MOST_NUMBERS:
-        raise DesignError(
-            f"{len(plant.faults)} faults x {plant.n_outputs} outputs x {window} samples are {numbers:,} numbers, the "
-            f"most is {_MOST_NUMBERS:,}: shorten the window, or sample more slowly"
-        )
-
-
 def _notes(made: MatchedFilters) -> tuple[str, ...]:
     """Return notes for the reader: faults that are alike, that vanish, and whether the window is long enough."""
-    notes = [f"not told apart within the window: {_listed(group)}" for group in made.groups if len(group) > 1]
+    notes = [f"not told apart within the window: {', '.join(group)}" for group in made.groups if len(group) > 1]
     if made.unseen:
-        notes.append(f"not seen: {_listed(made.unseen)}")
+        notes.append(f"not seen: {', '.join(made.unseen)}")
     if made.vanishing:
-        notes.append(f"seen only for a while, and not once constant: {_listed(made.vanishing)}")
+        notes.append(f"seen only for a while, and not once constant: {', '.join(made.vanishing)}")
     if made.steady:
         notes.append("settled responses only: the name may be wrong until the residual has settled")
         return tuple(notes)
@@ -395,13 +390,9 @@ def _window_notes(made: MatchedFilters) -> tuple[str, ...]:
     enough = int(np.ceil(np.log(_SETTLED) / np.log(min(max(slowest, 1e-3), 1 - 1e-9))))
     longer = f", of about {enough} samples," if enough > made.window else ""
     return (
-        f"still under way at the end of the window: {_listed(made.under_way)}; a longer window{longer} sees them "
+        f"still under way at the end of the window: {', '.join(made.under_way)}; a longer window{longer} sees them "
         "settle (until then, once its arrival has left the window, a fault resembles none that is expected)",
     )
-
-
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names)
 
 
 __all__ = ["MatchedFilters", "alike_faults", "correlations", "matched_filters", "not_settled", "step_responses"]

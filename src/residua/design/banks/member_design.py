@@ -64,12 +64,10 @@ def decoupled_member(
     margin: float | None = None,
 ) -> MemberDesign:
     """Return how members that are decoupled residuals are designed, each with all faults of a plant."""
-
-    def design(_: str, part: Plant) -> ResidualGenerator:
-        ignored = part.disturbances[len(plant.disturbances) :]
-        return decoupled_residual(plant, insensitive_to=ignored, poles=poles, margin=margin)
-
-    return design
+    known = len(plant.disturbances)
+    return lambda _, part: decoupled_residual(
+        plant, insensitive_to=part.disturbances[known:], poles=poles, margin=margin
+    )
 
 
 def advice_for(kind: str) -> str:

@@ -83,9 +83,7 @@ class BalancedFilter:
         height = 1 / power_near(np.abs(whole).max(axis=1, initial=0.0))[:, None]
         return cls(
             plant,
-            R[:, None] * plant.A * X / rate,
-            Y[:, None] * plant.C * X,
-            np.eye(len(R)) if plant.E is None else R[:, None] * plant.E * X,
+            *plant.balanced.written,
             own * system.A / own[:, 0] / rate,
             own * system.B[:, :n_u] / rate,
             own * Gy,
@@ -119,7 +117,10 @@ class BalancedFilter:
     def points(self) -> NDArray[np.complex128]:
         """Points on the boundary of stability, from far below the slowest rate to far above the fastest."""
         sampled = self.plant.is_discrete
-        plant, own = (np.abs(_rates(one.poles, sampled)) for one in (self.of_plant, self.of_filter))
+        plant, own = self.of_plant.poles, self.of_filter.poles
+        if sampled:  # rates per sample; poles at zero have none
+            plant, own = (np.log(poles[np.abs(poles) > _NO_RATE]) for poles in (plant, own))
+        plant, own = np.abs(plant), np.abs(own)
         plant = plant[plant > _INTEGRATES]
         every = np.concatenate([plant, own])
         every = every[np.isfinite(every) & (every > 0)]
@@ -217,12 +218,6 @@ class SchurForm:
                 pivot = s * self.lower[i, i] - self.upper[i, i]
                 x[i] *= (1 / np.where(pivot == 0, np.finfo(float).eps, pivot))[:, None]
         return np.ascontiguousarray((self.Z @ x.reshape(n, len(s) * m)).reshape(n, len(s), m).transpose(1, 0, 2))
-
-
-def _rates(poles: NDArray, sampled: bool) -> NDArray[np.complex128]:
-    """Return poles of a sampled system as rates per sample; those at zero have none."""
-    poles = np.asarray(poles, dtype=complex)
-    return np.asarray(np.log(poles[np.abs(poles) > _NO_RATE]), dtype=complex) if sampled else poles
 
 
 def extended_sum(*products: tuple[Matrix, ...]) -> Matrix:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -12,19 +10,14 @@ from residua.design.core.balanced_filter import BalancedFilter
 from residua.design.core.evidence import measured_from
 from residua.design.core.leak import largest_defect, leak_of
 from residua.errors import AccuracyError
-from residua.linear import StateSpace
-from residua.plant import Plant
 from residua.tolerances import LEAK
 
 #: The entry of the evidence for the disturbances and the faults that are ignored, together.
 IGNORED = "everything ignored"
 
 
-class Leaks(NamedTuple):
-    """Leaks by the entry of the evidence, and the conditions that say how they were measured, if they were."""
-
-    gains: dict[str, float]
-    conditions: dict[str, float]
+#: Leaks by the entry of the evidence, and the conditions that say how they were measured, if they were.
+Leaks = tuple[dict[str, float], dict[str, float]]
 
 
 @dataclass(frozen=True)
@@ -45,10 +38,10 @@ class Decoupled:
     faults: tuple[str, ...] = ()
     apart: bool = False
 
-    def leaks(self, f: BalancedFilter | None, system: StateSpace, plant: Plant) -> Leaks:
+    def leaks(self, f: BalancedFilter | None) -> Leaks:
         """Return the leaks of a filter with a state map, and how far its identities are missed; or raise."""
-        del system
         assert f is not None
+        plant = f.plant
         ignored = [plant.faults.index(name) for name in self.faults]
         Bd, Dd = (plant.Bd, plant.Dd) if self.disturbances else (plant.Bd[:, :0], plant.Dd[:, :0])
         found = leak_of(f, np.hstack([Bd, plant.Bf[:, ignored]]), np.hstack([Dd, plant.Df[:, ignored]]))
@@ -60,8 +53,8 @@ class Decoupled:
             gains |= {IGNORED: found.gains[:, n_u:]}
         leaks = self._accepted({name: float(part.max()) for name, part in gains.items() if part.size})
         _accept(found.defects)
-        conditions = measured_from(np.array([found.slowest]), plant.dt) if leaks else {}
-        return Leaks(leaks, {"identities": found.defects} | conditions)
+        conditions = measured_from(found.slowest, plant.dt) if leaks else {}
+        return leaks, {"identities": found.defects} | conditions
 
     def _accepted(self, leaks: dict[str, float]) -> dict[str, float]:
         for name, gain in leaks.items():
@@ -77,7 +70,7 @@ class Decoupled:
 
 @dataclass(frozen=True)
 class Approximate:
-    """A design that controls and disturbances reach a little; its evidence says how far.
+    """A filter that controls and disturbances reach a little, as its evidence says: measured elsewhere, or approximate.
 
     Attributes
     ----------
@@ -87,43 +80,9 @@ class Approximate:
 
     entry: str
 
-    def leaks(self, f: BalancedFilter | None, system: StateSpace, plant: Plant) -> Leaks:
+    def leaks(self, f: BalancedFilter | None) -> Leaks:
         """Return nothing but how far the identities of a filter with a state map are missed; or raise."""
-        del system, plant
-        return _identities(f, {})
-
-
-@dataclass(frozen=True, eq=False)
-class MeasuredBefore:
-    """The filter of a design that has passed, for its plant with some disturbances as faults: its leaks stay.
-
-    Attributes
-    ----------
-    system : StateSpace
-        The same filter, in other units at most: powers of two, so that every digit is the same.
-    plant : Plant
-        The plant to which the leaks belong.
-    measured : mapping of str to float
-        The leaks.
-    """
-
-    system: StateSpace
-    plant: Plant
-    measured: Mapping[str, float]
-
-    def leaks(self, f: BalancedFilter | None, system: StateSpace, plant: Plant) -> Leaks:
-        """Return what was measured, after checking that filter and signals are those that it was measured of."""
-        one, other = ([np.frexp(getattr(s, name))[0] for name in "ABCD"] for s in (system, self.system))
-        signals = [sorted((*p.inputs, *p.disturbances, *p.faults)) for p in (plant, self.plant)]
-        if signals[0] != signals[1] or not all(np.array_equal(a, b) for a, b in zip(one, other, strict=True)):
-            raise TypeError("this is not the filter whose leaks were measured")
-        return _identities(f, self.measured)
-
-
-def _identities(f: BalancedFilter | None, leaks: Mapping[str, float]) -> Leaks:
-    """Return leaks with how far the identities of a filter are missed, or raise."""
-    missed = {} if f is None else {"identities": _accept(largest_defect(f))}
-    return Leaks(dict(leaks), missed)
+        return {}, {} if f is None else {"identities": _accept(largest_defect(f))}
 
 
 def _accept(defects: float) -> float:
@@ -137,4 +96,4 @@ def _accept(defects: float) -> float:
 
 
 #: What a design says of the controls and disturbances of its plant.
-Promise = Decoupled | Approximate | MeasuredBefore
+Promise = Decoupled | Approximate

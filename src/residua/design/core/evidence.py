@@ -27,13 +27,12 @@ AFFINE_FORM = "certified for the affine form of the set"
 _MEASURED_FROM = {False: "leaks measured from, in rad/s", True: "leaks measured from, in rad per sample"}
 
 
-def measured_from(w: NDArray[np.float64], dt: float) -> dict[str, float]:
-    """Return the first of the frequencies, in rad/s, at which leaks were measured, as an entry of the conditions."""
-    return {_MEASURED_FROM[dt > 0]: float(w[0] * (dt or 1.0))} if len(w) else {}
+def measured_from(slowest: float, dt: float) -> dict[str, float]:
+    """Return the lowest of the frequencies, in rad/s, at which leaks were measured, as an entry of the conditions."""
+    return {_MEASURED_FROM[dt > 0]: slowest * (dt or 1.0)}
 
 
-def _empty() -> NDArray[np.complex128]:
-    return np.zeros(0, dtype=complex)
+_NONE = np.zeros(0, dtype=np.complex128)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -68,9 +67,9 @@ class Evidence(Shown):
     """
 
     method: str
-    poles: NDArray[np.complex128] = field(default_factory=_empty)
-    requested_poles: NDArray[np.complex128] = field(default_factory=_empty)
-    fixed_poles: NDArray[np.complex128] = field(default_factory=_empty)
+    poles: NDArray[np.complex128] = field(default_factory=_NONE.copy)
+    requested_poles: NDArray[np.complex128] = field(default_factory=_NONE.copy)
+    fixed_poles: NDArray[np.complex128] = field(default_factory=_NONE.copy)
     decoupling: Mapping[str, float] = field(default_factory=dict)
     ranks: Mapping[str, RankDecision] = field(default_factory=dict)
     conditions: Mapping[str, float] = field(default_factory=dict)

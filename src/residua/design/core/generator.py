@@ -13,15 +13,20 @@ from numpy.typing import ArrayLike, NDArray
 from residua.design.core.balanced_filter import BalancedFilter
 from residua.design.core.decoupling import Approximate, Decoupled, Promise
 from residua.design.core.evidence import Evidence, format_pole, of_sampling
-from residua.design.core.internal_form import frequency_grid, internal_form, with_silent_inputs
+from residua.design.core.internal_form import (
+    frequency_grid,
+    internal_form,
+    refuse_growth,
+    sampled_form,
+    with_silent_inputs,
+)
 from residua.design.core.leak import reached
 from residua.design.core.responses import covariance_of_sums, steady_responses
-from residua.design.core.sampled_form import refuse_growth, sampled_form
 from residua.design.core.signals import discretized_filter, run_signals, sampled_filter
 from residua.design.core.signatures import responses_of_filter, responses_of_form, signatures_of
 from residua.design.core.state_map import state_map_of
 from residua.errors import AccuracyError
-from residua.linear import RankDecision, StateSpace, decide_rank
+from residua.linear import StateSpace, decide_rank
 from residua.plant import Plant
 from residua.progress import check_time
 from residua.tolerances import LEAK
@@ -156,7 +161,12 @@ class ResidualGenerator:
         form = self._internal_form
         skip = range(len(self.faults), len(self.faults) + len(self.plant.disturbances))
         columns = [i for i in range(form.n_inputs) if i not in skip]
-        return _rank_of_rows(form.select(inputs=columns), frequency_grid(form)).rank
+        scaled = form.select(inputs=columns).frequency_response(frequency_grid(form))
+        for axes in ((0, 1), (0, 2)):  # each input, then each output, in units of its own
+            units = np.abs(scaled).max(axis=axes, keepdims=True, initial=0.0)
+            scaled = scaled / np.where(units > 0, units, 1.0)
+        flat = scaled.transpose(1, 0, 2).reshape(form.n_outputs, -1)
+        return decide_rank(np.hstack([flat.real, flat.imag]), rtol=1e-6).rank
 
     @cached_property
     def structure(self) -> NDArray[np.bool_]:
@@ -423,16 +433,6 @@ class ResidualGenerator:
         )
 
 
-def _rank_of_rows(system: StateSpace, w: NDArray[np.float64]) -> RankDecision:
-    """Return how many outputs of a system are independent at some frequencies, inputs and outputs in own units."""
-    scaled = system.frequency_response(w)
-    for axes in ((0, 1), (0, 2)):  # each input, then each output
-        units = np.abs(scaled).max(axis=axes, keepdims=True, initial=0.0)
-        scaled = scaled / np.where(units > 0, units, 1.0)
-    flat = scaled.transpose(1, 0, 2).reshape(system.n_outputs, -1)
-    return decide_rank(np.hstack([flat.real, flat.imag]), rtol=1e-6)
-
-
 def make_generator(
     system: StateSpace,
     plant: Plant,
@@ -465,15 +465,18 @@ def make_generator(
     if isinstance(decouples, Approximate) and decouples.entry not in said:
         raise TypeError(f"an approximate design must say how far inputs reach its residual: no {decouples.entry!r}")
     f = None if state_map is None else BalancedFilter.of(system, plant, state_map, static_map)
-    leaks = decouples.leaks(f, system, plant)
+    leaks, measured = decouples.leaks(f)
     if f is not None:
         responses = responses_of_filter(f)
     else:
         form = internal_form(system, plant) if known_form is None else known_form
         responses = responses_of_form(form, len(plant.faults))
-    bases, off = signatures_of(responses, plant.faults)
     if isinstance(decouples, Decoupled):  # what is left of the faults that are ignored has passed the check
-        bases |= {name: np.zeros((system.n_outputs, 0)) for name in decouples.faults}
+        responses.values[:, :, [plant.faults.index(name) for name in decouples.faults]] = 0.0
+    if codes is not None:  # and so have those that a member ignores
+        for member, code in zip(members, codes, strict=True):
+            responses.values[:, [[i] for i in member.residuals], np.flatnonzero(~code)] = 0.0
+    bases, off = signatures_of(responses, plant.faults)
     conditions = {"response off the signatures": off} if plant.faults else {}
     if not members:
         members = (Member(method, tuple(range(system.n_outputs)), plant.faults),)
@@ -481,7 +484,7 @@ def make_generator(
         system,
         plant,
         method,
-        evidence.extended(decoupling=leaks.gains, conditions=leaks.conditions | conditions),
+        evidence.extended(decoupling=leaks, conditions=measured | conditions),
         bases,
         observer=observer,
         members=members,

@@ -131,22 +131,23 @@ def reached(
 
     From its defects where it has a state map, else from its response.
     """
-    if state_map is None:
-        gains = reached_inputs(system, plant)
-    else:
-        gains = leak(system, plant, state_map, static_map).gains.max(axis=0, initial=0.0)
+    gains = reached_inputs(system, plant, state_map, static_map)
     n_u = len(plant.inputs)
     groups = {"control": gains[:n_u], "disturbance": gains[n_u:]}
     return {name: float(part.max()) for name, part in groups.items() if len(part)}
 
 
-def reached_inputs(system: StateSpace, plant: Plant) -> Matrix:
-    """Return how far each control, then each disturbance, reaches a filter without a state map, such as a sampled one.
+def reached_inputs(
+    system: StateSpace, plant: Plant, state_map: Matrix | None, static_map: Matrix | None = None
+) -> Matrix:
+    """Return how far each control, then each disturbance, reaches a filter: of its residuals the one that most do.
 
-    Of each input and residual the peak of the response over the peak of the sum of the sizes of its terms; of the
-    residuals the largest. The response is the sum of what goes through
-    the filter directly and through the plant: rounding of these terms, 1e-16 of them, is part of it.
+    Without a state map, as of a sampled filter, it is the peak of the response over the peak of the sum of the sizes of
+    its terms. The response is the sum of what goes through the filter directly and through the plant: rounding of these
+    terms, 1e-16 of them, is part of it.
     """
+    if state_map is not None:
+        return leak(system, plant, state_map, static_map).gains.max(axis=0, initial=0.0)
     f, n_u = BalancedFilter.of(system, plant, np.zeros((system.n_states, plant.n_states))), len(plant.inputs)
     B, D, U = f.entering(np.hstack([plant.B, plant.Bd]), np.hstack([plant.D, plant.Dd]))
     Q = f.L @ f.of_filter(np.hstack([f.Gu * U[:n_u], f.Gy]), f.points) + np.hstack([f.Ju * U[:n_u], f.Jy])

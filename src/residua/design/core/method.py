@@ -340,38 +340,23 @@ def method(
 
 
 def _check(record: Method) -> None:
-    """Raise where a function cannot be a method of this name."""
-    function, other = record.function, METHODS.get(record.name)
-    if not record.signature.parameters:
-        raise SettingError(
-            f"{record.name} takes nothing: a design function takes a plant, or what it is designed for, first"
-        )
-    for name, kinds in (("designs_for", Subject), ("noise", Noise), ("time_course", TimeCourse)):
-        if getattr(record, name) not in get_args(kinds):
-            raise SettingError(f"{name} must be one of {', '.join(get_args(kinds))}, got {echo(getattr(record, name))}")
-    _check_annotations(record)
-    same = other is None or (other.function.__module__, other.function.__qualname__) == (
-        function.__module__,
-        function.__qualname__,
-    )
-    if not same:
-        assert other is not None
-        raise SettingError(f"the name {record.name!r} is that of {other.function.__module__}: take another")
-
-
-def _check_annotations(record: Method) -> None:
-    """Raise where a function does not say what it returns, or what it is for."""
-    first = next(iter(record.signature.parameters.values()))
+    """Raise where a function cannot be a method of this name, or does not say what it returns or what it is for."""
+    name, parameters, other = record.name, tuple(record.signature.parameters.values()), METHODS.get(record.name)
+    if not parameters:
+        raise SettingError(f"{name} takes nothing: a design function takes a plant, or what it is designed for, first")
+    for setting, kinds in (("designs_for", Subject), ("noise", Noise), ("time_course", TimeCourse)):
+        value = getattr(record, setting)
+        if value not in get_args(kinds):
+            raise SettingError(f"{setting} must be one of {', '.join(get_args(kinds))}, got {echo(value)}")
     if record.result is None or record.result is inspect.Signature.empty:
         raise SettingError(
-            f"{record.name} does not say what it returns: write '-> rs.design.Observer', or another class of designs"
+            f"{name} does not say what it returns: write '-> rs.design.Observer', or another class of designs"
         )
-    if record.designs_for == "plant" and not any(kind in _PLANTS for kind in kinds_of(first.annotation)):
+    if record.designs_for == "plant" and not {Plant, InputOutputModel} & set(kinds_of(parameters[0].annotation)):
         raise SettingError(
-            f"{record.name} designs for a plant, but its first parameter is not annotated as one: "
-            f"write '{first.name}: rs.Plant', or say what it designs for, designs_for=..."
+            f"{name} designs for a plant, but its first parameter is not annotated as one: "
+            f"write '{parameters[0].name}: rs.Plant', or say what it designs for, designs_for=..."
         )
-
-
-#: What may stand in the annotation of what a design for a plant takes.
-_PLANTS = (Plant, InputOutputModel)
+    places = [(one.__module__, one.__qualname__) for one in (record.function, other.function)] if other else []
+    if len(set(places)) > 1:
+        raise SettingError(f"the name {name!r} is that of {places[1][0]}: take another")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,26 +15,6 @@ if TYPE_CHECKING:
     from residua.analysis.diagnosability import Diagnosability
 
 
-def _no_noise(plant: Plant, known: Diagnosability | None) -> str:
-    return "" if plant.noises else "the plant has no noise: give it with plant.with_noise(...)"
-
-
-def _not_sampled(plant: Plant, known: Diagnosability | None) -> str:
-    return "" if plant.is_discrete else "it counts samples: plant.discretize(dt) first"
-
-
-def _no_faults(plant: Plant, known: Diagnosability | None) -> str:
-    return "" if plant.faults else "the plant has no faults"
-
-
-def _no_sensor_faults(plant: Plant, known: Diagnosability | None) -> str:
-    return "" if "sensor" in plant.fault_kinds else "the plant has no sensor faults"
-
-
-def _no_actuator_faults(plant: Plant, known: Diagnosability | None) -> str:
-    return "" if "actuator" in plant.fault_kinds else "the plant has no actuator faults"
-
-
 def _not_two_groups(plant: Plant, known: Diagnosability | None) -> str:
     if not plant.faults:
         return "the plant has no faults"
@@ -43,21 +23,23 @@ def _not_two_groups(plant: Plant, known: Diagnosability | None) -> str:
     return "" if len(known.groups) > 1 else "no two of its faults can be told apart"
 
 
-NOISE = Need("noise", _no_noise)
-SAMPLED = Need("sampled", _not_sampled)
-FAULTS = Need("faults", _no_faults)
-SENSOR_FAULTS = Need("sensor faults", _no_sensor_faults)
-ACTUATOR_FAULTS = Need("actuator faults", _no_actuator_faults)
+def _has(text: str, has: Callable[[Plant], object], missing: str) -> Need:
+    return Need(text, lambda plant, known: "" if has(plant) else missing)
+
+
+NOISE = _has("noise", lambda plant: plant.noises, "the plant has no noise: give it with plant.with_noise(...)")
+SAMPLED = _has("sampled", lambda plant: plant.is_discrete, "it counts samples: plant.discretize(dt) first")
+FAULTS = _has("faults", lambda plant: plant.faults, "the plant has no faults")
+SENSOR_FAULTS = _has("sensor faults", lambda plant: "sensor" in plant.fault_kinds, "the plant has no sensor faults")
+ACTUATOR_FAULTS = _has(
+    "actuator faults", lambda plant: "actuator" in plant.fault_kinds, "the plant has no actuator faults"
+)
 FAULTS_APART = Need("faults", _not_two_groups)
 
 
 def disturbances(text: str, instead: str) -> Need:
     """Return the need of disturbances: its name, and what serves a plant without."""
-
-    def missing(plant: Plant, known: Diagnosability | None) -> str:
-        return "" if plant.disturbances else f"the plant has no disturbances: {instead}"
-
-    return Need(text, missing)
+    return _has(text, lambda plant: plant.disturbances, f"the plant has no disturbances: {instead}")
 
 
 def each_scheme(plant: Plant, known: Diagnosability | None) -> Iterable[Mapping[str, Any]]:
@@ -73,10 +55,8 @@ def least_order_unless_singular(plant: Plant, known: Diagnosability | None) -> I
 def groups_of_faults(plant: Plant, known: Diagnosability | None) -> Iterator[Mapping[str, Any]]:
     """Yield all faults, all of one kind, and each fault that is seen."""
     seen = plant.faults if known is None else tuple(np.asarray(plant.faults)[known.detectable].tolist())
-    groups: list[tuple[str, ...]] = [plant.faults]
-    for kind in ("actuator", "sensor", "component"):
-        groups.append(tuple(fault.name for fault in plant.fault_list if fault.kind == kind))
-    groups += [(name,) for name in seen]
-    for group in dict.fromkeys(groups):
+    kinds = ("actuator", "sensor", "component")
+    groups = [tuple(fault.name for fault in plant.fault_list if fault.kind == kind) for kind in kinds]
+    for group in dict.fromkeys([plant.faults, *groups, *((name,) for name in seen)]):
         if group:
             yield {} if group == plant.faults else {"faults": group}

@@ -52,9 +52,17 @@ class Option:
 
 def options_of(function: Callable[..., Any], signature: inspect.Signature) -> tuple[Option, ...]:
     """Return the options of a function with this signature: all parameters after the first but ``*args``, ``**kw``."""
-    described = parameters_in(inspect.getdoc(function) or "")
-    named = [one for one in list(signature.parameters.values())[1:] if one.kind not in _ANY_NUMBER]
-    return tuple(_option(one, *described.get(one.name, ("", ""))) for one in named)
+    described, found = parameters_in(inspect.getdoc(function) or ""), []
+    for one in list(signature.parameters.values())[1:]:
+        if one.kind not in _ANY_NUMBER:
+            kind, text = described.get(one.name, ("", ""))
+            braces = re.match(r"\{(.*?)\}", kind)
+            choices = re.findall(r'"([^"]*)"', braces[1]) if braces else []
+            for part in kinds_of(one.annotation):
+                if typing.get_origin(part) is typing.Literal:
+                    choices += [value for value in typing.get_args(part) if isinstance(value, str)]
+            found.append(Option(one.name, one.annotation, one.default, text, tuple(choices)))
+    return tuple(found)
 
 
 #: The kinds of parameters that stand for any number of arguments, none too.
@@ -70,15 +78,6 @@ def signature_of(function: Callable[..., Any]) -> inspect.Signature:
             f"the annotations of {function.__name__} cannot be read: {error}; import or define what they name above "
             "the function, and not under 'if TYPE_CHECKING:'"
         ) from error
-
-
-def _option(one: inspect.Parameter, kind: str, text: str) -> Option:
-    braces = re.match(r"\{(.*?)\}", kind)
-    choices = tuple(re.findall(r'"([^"]*)"', braces[1])) if braces else ()
-    for part in kinds_of(one.annotation):
-        if typing.get_origin(part) is typing.Literal:
-            choices += tuple(value for value in typing.get_args(part) if isinstance(value, str))
-    return Option(one.name, one.annotation, one.default, text, choices)
 
 
 def kinds_of(annotation: Any) -> tuple[Any, ...]:

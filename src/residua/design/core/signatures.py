@@ -129,25 +129,26 @@ def signatures_of(
     """
     units, reached, bases = residual_units(responses), responses.reached, {}
     for i, name in enumerate(faults):
-        own = _own_units(responses, i, units)
-        columns = _unit_columns(responses.values[:, :, i].T / own[:, None])
+        values, sizes = responses.values[:, :, i], responses.sizes[:, :, i]
+        # each residual as this fault moves it: others may move it millions of times further at low frequencies; a
+        # design misses the direction that it aims at by a little of the terms, hence the bound
+        own = np.where(reached[:, i], np.maximum(np.abs(values), _LEAST_ANSWER * sizes).max(axis=0), units)
+        columns = _unit_columns(values.T / own[:, None])
         if columns.shape[1] == 0:
             bases[name] = np.zeros((len(own), 0))
             continue
-        spanning = (own / responses.residuals)[:, None] * _directions(columns, rtol)
-        basis = np.linalg.qr(spanning)[0]
+        spanning = np.ones((1, 1))
+        if len(own) > 1:
+            U, s, _ = np.linalg.svd(np.concatenate([columns.real, columns.imag], axis=1), full_matrices=False)
+            spanning = U[:, : _dimension(s, rtol)]
+        basis = np.linalg.qr((own / responses.residuals)[:, None] * spanning)[0]
         if basis.shape[1] == 1 and basis[:, 0] @ first_response(responses, i) < 0:
             basis = -basis
-        bases[name] = _marked(basis, reached[:, i])
+        basis = np.where(reached[:, i, None], basis, 0.0)
+        lost = reached[:, i] & ~np.any(basis, axis=1)  # rounding has left nothing of so small a row
+        basis[lost, 0] = np.finfo(float).tiny
+        bases[name] = basis
     return bases, max(outside_subspaces(responses, bases, faults).values(), default=0.0)
-
-
-def _directions(columns: NDArray[np.complex128], rtol: float) -> Matrix:
-    """Return the directions that the columns of a response take, as orthonormal columns."""
-    if len(columns) == 1:
-        return np.ones((1, 1))
-    U, s, _ = np.linalg.svd(np.concatenate([columns.real, columns.imag], axis=1), full_matrices=False)
-    return U[:, : _dimension(s, rtol)]
 
 
 def _dimension(s: Matrix, rtol: float) -> int:
@@ -178,16 +179,6 @@ def residual_units(responses: FaultResponses) -> Matrix:
     return np.where(units > 0, units, 1.0)
 
 
-def _own_units(responses: FaultResponses, fault: int, units: Matrix) -> Matrix:
-    """Return the size of each residual as one fault moves it, or a little of what that response is made of if larger.
-
-    Directions of one fault are told apart by how large *its* answers are: other faults may move a residual millions
-    of times further at low frequencies. A design misses what it aims at by so much of the terms, hence the bound.
-    """
-    own = np.maximum(np.abs(responses.values[:, :, fault]), _LEAST_ANSWER * responses.sizes[:, :, fault]).max(axis=0)
-    return np.where(np.any(responses.values[:, :, fault], axis=0), own, units)
-
-
 def outside_subspaces(responses: FaultResponses, spans: dict[str, Matrix], faults: tuple[str, ...]) -> dict[str, float]:
     """Return for each fault the largest fraction of its response, at any frequency, that lies outside a subspace."""
     units = residual_units(responses)
@@ -208,14 +199,6 @@ def _unit_columns(response: NDArray[np.complex128]) -> NDArray[np.complex128]:
     size = np.linalg.norm(response, axis=0)
     keep = (size > 0) & (size > _FAINT * size.max(initial=0.0))
     return response[:, keep] / size[keep]
-
-
-def _marked(basis: Matrix, reached: NDArray[np.bool_]) -> Matrix:
-    """Return a basis that is zero in the rows that are not reached, and only there."""
-    basis = np.where(reached[:, None], basis, 0.0)
-    lost = reached & ~np.any(basis, axis=1)  # rounding has left nothing of so small a row
-    basis[lost, 0] = np.finfo(float).tiny
-    return basis
 
 
 def first_response(responses: FaultResponses, fault: int) -> Matrix:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
@@ -45,9 +43,14 @@ def state_map_of(system: StateSpace, plant: Plant) -> tuple[StateSpace, Matrix, 
     ndarray, shape (residuals, n), or None
         ``V``; none where ``E`` is invertible.
     """
-    shown = _without_unseen(system, plant)
-    T = state_map(shown, plant)
-    return shown, T, static_map(shown, plant, T)
+    states, rows = _sizes(system, plant)
+    A, C = system.A / states[:, None] * states, system.C * states
+    split = observable_split(A / power_near(np.abs(A).max(initial=0.0)), rows * C)
+    if split.hidden.shape[1]:
+        O = split.seen  # noqa: E741
+        system = system.replaced(A=O.T @ A @ O, B=O.T / states @ system.B, C=C @ O, states=None)
+    T = state_map(system, plant)
+    return system, T, static_map(system, plant, T)
 
 
 def state_map(system: StateSpace, plant: Plant) -> Matrix:
@@ -69,7 +72,12 @@ def state_map(system: StateSpace, plant: Plant) -> Matrix:
         S, Z = scipy.linalg.schur(A, output="complex") if n else (A, A)
         P, Q = E, Z
     else:
-        S, P, _, _, Q, Z = scipy.linalg.ordqz(A, E, sort=_most_finite(finite), output="complex")
+
+        def finite_first(alpha: Columns, beta: Columns) -> NDArray[np.bool_]:
+            order = np.argsort(-np.abs(beta) / np.hypot(np.abs(alpha), np.abs(beta)))
+            return np.isin(np.arange(n), order[:finite])
+
+        S, P, _, _, Q, Z = scipy.linalg.ordqz(A, E, sort=finite_first, output="complex")
     G, J = system.B[:, n_u:] / states[:, None] / Y / rate @ C @ Z, rows * system.D[:, n_u:] / Y @ C @ Z
     X = np.zeros((k, n), dtype=complex)
     for j in range(n if k else 0):
@@ -95,17 +103,6 @@ def static_map(system: StateSpace, plant: Plant, T: Matrix) -> Matrix | None:
     return -read @ model.algebra * units.equations / rows / units.rate
 
 
-def _without_unseen(system: StateSpace, plant: Plant) -> StateSpace:
-    """Return a filter without the states that its outputs do not see."""
-    states, rows = _sizes(system, plant)
-    A, C = system.A / states[:, None] * states, system.C * states
-    split = observable_split(A / power_near(np.abs(A).max(initial=0.0)), rows * C)
-    if not split.hidden.shape[1]:
-        return system
-    O = split.seen  # noqa: E741
-    return system.replaced(A=O.T @ A @ O, B=O.T / states @ system.B, C=C @ O, states=None)
-
-
 def _sizes(system: StateSpace, plant: Plant) -> tuple[Matrix, Matrix]:
     """Return how large balanced signals make the states of a filter, and factors that make its outputs near one.
 
@@ -118,14 +115,3 @@ def _sizes(system: StateSpace, plant: Plant) -> tuple[Matrix, Matrix]:
     states = power_near(np.abs(responses).max(axis=(0, 2), initial=0.0))
     whole = np.abs(np.hstack([system.C * states, system.D * signals]))
     return states, 1 / power_near(whole.max(axis=1, initial=0.0))[:, None]
-
-
-def _most_finite(count: int) -> Callable[[Columns, Columns], NDArray[np.bool_]]:
-    """Return what orders the eigenvalues ``alpha / beta`` of a pencil: some number of them first."""
-
-    def first(alpha: Columns, beta: Columns) -> NDArray[np.bool_]:
-        chosen = np.zeros(len(alpha), dtype=bool)
-        chosen[np.argsort(-np.abs(beta) / np.hypot(np.abs(alpha), np.abs(beta)))[:count]] = True
-        return chosen
-
-    return first

@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 
 from residua.analysis.existence import unknown_input_observer_existence
 from residua.arrays import index_of
-from residua.design.banks.bank import measured_of_members
+from residua.design.banks.bank import largest_leaks, maps_of
+from residua.design.core.decoupling import Approximate
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import Member, ResidualGenerator, make_generator
 from residua.design.core.method import method
@@ -323,7 +324,9 @@ def _stacked(parts: list[ResidualGenerator], groups: list[list[FaultEvent]], ide
     if len(parts) == 1:
         return replace(first, members=tuple(members))
     system = stack_systems([part.system for part in parts])
+    leaks = largest_leaks(parts, first.plant)
     evidence = first.evidence.extended(
+        decoupling=leaks,
         poles=system.poles(),
         requested_poles=np.concatenate([part.evidence.requested_poles for part in parts]),
         fixed_poles=np.concatenate([part.evidence.fixed_poles for part in parts]),
@@ -333,8 +336,8 @@ def _stacked(parts: list[ResidualGenerator], groups: list[list[FaultEvent]], ide
         first.plant,
         first.method,
         evidence,
-        decouples=measured_of_members(system, parts),
-        state_map=np.vstack([part.state_map for part in parts if part.state_map is not None]),
+        decouples=Approximate(next(iter(leaks), "")),
+        **maps_of(parts, system.outputs),
         observer=first.observer,
         members=tuple(members),
     )

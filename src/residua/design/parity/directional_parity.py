@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -134,10 +134,16 @@ def directional_parity(
     if order is not None and (order != int(order) or order < 0):
         raise DesignError(f"order must be a whole number of past samples, got {order!r}")
     wanted = wanted.kept_by(model, ignored)
-    solutions = _solutions(model, wanted, ignored, order)
-    rows = solutions.best(divide=order is not None)
+    space, one, rank = _solution(model, wanted, ignored, order)
+    p, q, roots = one.p, one.q, one.divided
+    if order is not None:  # in those of the smallest order there is no factor that all share
+        both, roots, _ = without_common_factor(np.hstack([p, q]), one.basis)
+        p, q = both[:, : p.shape[1]], both[:, p.shape[1] :]
+    rows = [replace(row, divided=roots) for row in wanted.apart(p, q, one.basis, one.equations)]
     relations = relations_of(model.plant, rows, directions=wanted)
-    notes = (*model.notes, *((f"ignores {', '.join(ignored)}",) if ignored else ()), *_free(model, wanted, ignored))
+    free = [name for name in model.plant.faults if name not in (*wanted.faults, *ignored)]
+    notes = (*model.notes, *((f"ignores {', '.join(ignored)}",) if ignored else ()))
+    notes += (f"{', '.join(free)}: no direction was asked for",) if free else ()
     try:
         made = relations.with_poles(poles, method="directional parity relations", notes=notes)
     except AccuracyError as error:
@@ -146,58 +152,10 @@ def directional_parity(
             f"as relations of order {k} with these poles, {error}; give {counted(k, 'pole')} near those of "
             "the plant, or ask for fewer directions"
         ) from error
-    made = with_rank(made, solutions.space)
-    r, rank = made.n_residuals, solutions.rank
+    made, r = with_rank(made, space), made.n_residuals
     short = (f"only {rank} of the {r} residuals are independent",) if rank < r else ()
     references = (*made.evidence.references, "Gertler (1991), section 5.2, eqs. (5-9) to (5-18)")
     return replace(made, evidence=made.evidence.extended(references=references, notes=short))
-
-
-@dataclass(frozen=True, eq=False)
-class _Solutions:
-    """All solutions of at most a degree, with what decides between them.
-
-    Attributes
-    ----------
-    wanted : Directions
-    space : RelationSpace
-        Of the copies of the plant; its responses are the ``gamma``.
-    rank : int
-        How many residuals can be independent.
-    """
-
-    wanted: Directions
-    space: RelationSpace
-    rank: int
-
-    def quality(self, tries: Matrix) -> tuple[Matrix, Matrix]:
-        """Return for combinations the size of the weakest response, and what the weakest residual reads of its own."""
-        gammas = np.einsum("tn,nkf->tkf", tries, self.space.responses)
-        own = _read(self.space, self.wanted, tries)[..., self.rank - 1] if self.rank else np.ones((len(tries), 1))
-        return np.linalg.norm(gammas, axis=1).min(axis=1, initial=np.inf), np.median(own, axis=1)
-
-    @property
-    def serves(self) -> bool:
-        """Whether some combination answers to all faults, with as many independent residuals as are attainable."""
-        if not self.space.count:
-            return False
-        response, own = self.quality(combinations_to_try(self.space.responses))
-        return bool(np.any((response > SEEN) & (own > SEEN)))
-
-    def best(self, *, divide: bool) -> list[Relation]:
-        """Return the combination of which the weakest response, or residual, is strongest, as relations.
-
-        In those of the smallest degree there is no factor that all share: what is left without it would be shorter.
-        """
-        tries = combinations_to_try(self.space.responses)
-        response, own = self.quality(tries)
-        one = self.space.combined(tries[simplest_of_the_best(np.minimum(response / response.max(), own / own.max()))])
-        p, q, roots = one.p, one.q, one.divided
-        if divide:
-            both, roots, _ = without_common_factor(np.hstack([p, q]), one.basis)
-            p, q = both[:, : p.shape[1]], both[:, p.shape[1] :]
-        rows = self.wanted.apart(p, q, one.basis, one.equations)
-        return [replace(row, divided=roots) for row in rows]
 
 
 def _checked(directions: Mapping[str, ArrayLike], plant: Plant) -> Directions:
@@ -224,31 +182,47 @@ def _checked(directions: Mapping[str, ArrayLike], plant: Plant) -> Directions:
     return Directions(faults, np.column_stack(columns))
 
 
-def _solutions(model: RelationModel, wanted: Directions, ignored: Sequence[str], order: int | None) -> _Solutions:
-    """Return the solutions of an order, or of the smallest at which there are some; or say why there are none."""
+def _solution(
+    model: RelationModel, wanted: Directions, ignored: Sequence[str], order: int | None
+) -> tuple[RelationSpace, Relation, int]:
+    """Return the relations of an order, or the smallest that serves, the best of them and its independent residuals.
+
+    Of combinations that are tried it is the one of which the weakest response, or residual, is strongest.
+    """
+    _check_attainable(model, wanted, ignored)
     equations = wanted.equations
     assert equations is not None
-    _check_attainable(model, wanted, ignored)
     assert equations.orders is not None
-    columns = wanted.responses(model)
-    smallest, longest = equations.orders
+    columns, (smallest, longest) = wanted.responses(model), equations.orders
     whole = relation_space(equations, longest, columns)
     mixed = np.random.default_rng(21).standard_normal((5, whole.count))
     rank = int((_read(whole, wanted, mixed) > SEEN).sum(axis=2).max())
-    tried = (_Solutions(wanted, relation_space(equations, k, columns), rank) for k in range(smallest, longest + 1))
-    if order is None:
-        found = next((one for one in tried if one.serves), None)
-        if found is None:
-            raise AccuracyError(
-                f"solutions exist, but none of a degree up to {longest} is found to working precision: ask for fewer "
-                "directions, or give the plant in better units"
-            )
+
+    def best(order: int) -> tuple[RelationSpace, Relation, int] | None:
+        space = relation_space(equations, order, columns)
+        if not space.count:
+            return None
+        tries = combinations_to_try(space.responses)
+        response = np.linalg.norm(np.einsum("tn,nkf->tkf", tries, space.responses), axis=1).min(axis=1, initial=np.inf)
+        own = np.median(_read(space, wanted, tries)[..., rank - 1], axis=1) if rank else np.ones(len(tries))
+        if not np.any((response > SEEN) & (own > SEEN)):
+            return None
+        scores = np.minimum(response / response.max(), own / own.max())
+        return space, space.combined(tries[simplest_of_the_best(scores)]), rank
+
+    found = None if order is None else best(int(order))
+    if found is not None:
         return found
-    asked = _Solutions(wanted, relation_space(equations, int(order), columns), rank)
-    if not asked.serves:
-        least = next((one.space.order for one in tried if one.serves), longest)
-        raise DesignError(f"no relations of order {order} have these directions: the smallest order is {least}")
-    return asked
+    least = next((one for one in map(best, range(smallest, longest + 1)) if one is not None), None)
+    if order is not None:
+        smallest = longest if least is None else least[0].order
+        raise DesignError(f"no relations of order {order} have these directions: the smallest order is {smallest}")
+    if least is None:
+        raise AccuracyError(
+            f"solutions exist, but none of a degree up to {longest} is found to working precision: ask for fewer "
+            "directions, or give the plant in better units"
+        )
+    return least
 
 
 def _read(space: RelationSpace, wanted: Directions, tries: Matrix) -> Matrix:
@@ -288,9 +262,3 @@ def _check_attainable(model: RelationModel, wanted: Directions, ignored: Sequenc
             f"where residuals keep {', '.join(wanted.faults)} to their directions, the response to {', '.join(blind)} "
             f"vanishes: {said}; {why}: choose other directions, decouple less or add a sensor"
         )
-
-
-def _free(model: RelationModel, wanted: Directions, ignored: Sequence[str]) -> tuple[str, ...]:
-    """Return a note on the faults that may move the residual anywhere."""
-    others = [name for name in model.plant.faults if name not in (*wanted.faults, *ignored)]
-    return (f"{', '.join(others)}: no direction was asked for",) if others else ()

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
+from residua.design.core.brought import as_generator, for_monitor
 from residua.design.core.evidence import format_pole
 from residua.design.core.generator import ResidualGenerator
 from residua.design.core.internal_form import frequency_grid
-from residua.design.parity.conversion import RowFraction, row_fractions
-from residua.design.parity.realization import chain, pole_basis
+from residua.design.parity.conversion import row_fractions
+from residua.design.parity.relation import chain, pole_basis
+from residua.design.parity.relations import ParityRelations
 from residua.errors import AccuracyError, DesignError, ModelError
 from residua.linear import StateSpace, decide_rank
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
@@ -59,12 +61,8 @@ class RowTransformation:
 
     def evaluate(self, points: NDArray[np.complex128]) -> NDArray[np.complex128]:
         """Return the transfer function at some points."""
-        value = np.full(len(points), self.gain, dtype=np.complex128)
-        for zero in self.zeros:
-            value = value * (points - zero)
-        for pole in self.poles:
-            value = value / (points - pole)
-        return value
+        points = np.asarray(points)[:, None]
+        return self.gain * np.prod(points - self.zeros, axis=1) / np.prod(points - self.poles, axis=1)
 
     def __str__(self) -> str:
         text = f"{self.second} = {self.gain:.6g}"
@@ -227,9 +225,12 @@ class Equivalence(Shown):
         return "\n".join([*lines, *(f"  {row}" for row in self.rows)])
 
 
-def equivalence(first: ResidualGenerator, second: ResidualGenerator, *, rtol: float = _PARALLEL) -> Equivalence:
+def equivalence(first: Any, second: Any) -> Equivalence:
     """Tell whether two generators are the same up to a transformation; see :meth:`ResidualGenerator.equivalent_to`."""
-    first, second = _generator(first), _generator(second)
+    first, second = (
+        one.with_poles() if isinstance(one, ParityRelations) else as_generator(for_monitor(one))
+        for one in (first, second)
+    )
     a, b = first.system, second.system
     if a.n_inputs != b.n_inputs or len(first.plant.inputs) != len(second.plant.inputs) or a.dt != b.dt:
         raise ModelError(
@@ -237,12 +238,6 @@ def equivalence(first: ResidualGenerator, second: ResidualGenerator, *, rtol: fl
             f"{first.plant.n_outputs} outputs, dt={a.dt:g} and {len(second.plant.inputs)} inputs, "
             f"{second.plant.n_outputs} outputs, dt={b.dt:g}"
         )
-    return _compared(first, second, rtol)
-
-
-def _compared(first: ResidualGenerator, second: ResidualGenerator, rtol: float) -> Equivalence:
-    """Return what one generator is to another of the same signals."""
-    a, b = first.system, second.system
     w = frequency_grid(a, b)
     Qa, Qb = a.frequency_response(w), b.frequency_response(w)
     units = _signal_units(first, Qa, w)
@@ -251,13 +246,13 @@ def _compared(first: ResidualGenerator, second: ResidualGenerator, rtol: float) 
     Qa, Qb = Qa / units, Qb / units
     note, rows, zeros = "", (), False
     try:
-        rows, zeros = _matched(first, second, Qa, Qb, rtol)
+        rows, zeros = _matched(first, second, Qa, Qb)
     except (AccuracyError, DesignError) as error:
         note = f"zeros and poles of the filters are not known: {error}"
     if rows:
         plain = not any(len(row.zeros) or len(row.poles) for row in rows)
         same = plain and all(
-            abs(row.gain - 1) < rtol and second.residuals.index(row.second) == first.residuals.index(row.first)
+            abs(row.gain - 1) < _PARALLEL and second.residuals.index(row.second) == first.residuals.index(row.first)
             for row in rows
         )
         kind = "identical" if same else "scale" if plain else "filter" if zeros else "poles"
@@ -268,23 +263,9 @@ def _compared(first: ResidualGenerator, second: ResidualGenerator, rtol: float) 
         (True, False): "part",
         (False, True): "whole",
         (False, False): "different",
-    }[forth < rtol, back < rtol]
+    }[forth < _PARALLEL, back < _PARALLEL]
     error = max(forth, back) if kind in ("transformation", "different") else min(forth, back)
     return Equivalence(kind == "transformation", kind, (), error, a, b, first.plant, note)
-
-
-def _generator(design: Any) -> ResidualGenerator:
-    """Return a generator, or the one of a bank or an observer."""
-    if isinstance(design, ResidualGenerator):
-        return design
-    inner = getattr(design, "generator", None)
-    if inner is None and hasattr(design, "residual_generator"):
-        inner = design.residual_generator()
-    if inner is None and hasattr(design, "with_poles"):
-        inner = design.with_poles()
-    if not isinstance(inner, ResidualGenerator):
-        raise ModelError(f"a residual generator is compared with another one, got {type(design).__name__}")
-    return inner
 
 
 def _signal_units(generator: ResidualGenerator, Q: NDArray, w: NDArray) -> NDArray[np.float64]:
@@ -303,7 +284,7 @@ def _signal_units(generator: ResidualGenerator, Q: NDArray, w: NDArray) -> NDArr
 
 
 def _matched(
-    first: ResidualGenerator, second: ResidualGenerator, Qa: NDArray, Qb: NDArray, rtol: float
+    first: ResidualGenerator, second: ResidualGenerator, Qa: NDArray, Qb: NDArray
 ) -> tuple[tuple[RowTransformation, ...], bool]:
     """Return for each residual of the second which one of the first it is, filtered; nothing if one is none.
 
@@ -313,44 +294,29 @@ def _matched(
         return (), False
     free, pairs = list(range(first.n_residuals)), []
     for j in range(second.n_residuals):
-        misses = [(_missed(Qa[:, i : i + 1], Qb[:, j : j + 1]), i) for i in free]
-        error, i = min(misses)
-        if not error < rtol:
+        error, i = min((_missed(Qa[:, i : i + 1], Qb[:, j : j + 1]), i) for i in free)
+        if not error < _PARALLEL:
             return (), False
         free.remove(i)
         pairs.append((i, j, error))
-    fractions = row_fractions(first), row_fractions(second)
-    w = frequency_grid(first.system, second.system)
-    rows = tuple(_row(first, second, fractions, i, j, error, Qa, Qb, w) for i, j, error in pairs)
-    worst = max((row.error for row in rows), default=0.0)
-    if not worst < _FILTER_ERROR:
-        raise AccuracyError(f"filters made of them miss by {worst:.2g}")
-    own = [_cancelled(fractions[1][j].zeros, fractions[0][i].zeros, first.dt) for i, j, _ in pairs]
-    return rows, any(len(left) for pair in own for left in pair)
-
-
-def _row(
-    first: ResidualGenerator,
-    second: ResidualGenerator,
-    fractions: tuple[list[RowFraction], list[RowFraction]],
-    i: int,
-    j: int,
-    error: float,
-    Qa: NDArray,
-    Qb: NDArray,
-    w: NDArray,
-) -> RowTransformation:
-    """Return the filter from one residual to another, with the gain that fits best."""
-    a, b = fractions[0][i], fractions[1][j]
-    zeros, poles = _cancelled(np.concatenate([b.zeros, a.poles]), np.concatenate([a.zeros, b.poles]), first.dt)
-    shape = RowTransformation(first.residuals[i], second.residuals[j], 1.0, zeros, poles, error)
-    dt = first.system.dt
-    filtered = Qa[:, i] * shape.evaluate(np.exp(1j * w * dt) if dt else 1j * w)[:, None]
-    size = np.linalg.norm(filtered, axis=1)
-    weight = 1 / np.maximum(size, TINY)[:, None] ** 2
-    gain = float((weight * (filtered.conj() * Qb[:, j])).sum().real / (weight * np.abs(filtered) ** 2).sum())
-    off = np.linalg.norm(gain * filtered - Qb[:, j], axis=1) / np.maximum(np.linalg.norm(Qb[:, j], axis=1), TINY)
-    return RowTransformation(shape.first, shape.second, gain, zeros, poles, float(max(error, np.median(off))))
+    w, dt = frequency_grid(first.system, second.system), first.dt
+    points = np.asarray(np.exp(1j * w * dt) if dt else 1j * w, dtype=np.complex128)
+    ours, theirs = row_fractions(first), row_fractions(second)
+    rows, own = [], False
+    for i, j, error in pairs:
+        a, b = ours[i], theirs[j]
+        zeros, poles = _cancelled(np.concatenate([b.zeros, a.poles]), np.concatenate([a.zeros, b.poles]), dt)
+        row = RowTransformation(first.residuals[i], second.residuals[j], 1.0, zeros, poles, error)
+        filtered = Qa[:, i] * row.evaluate(points)[:, None]
+        weight = 1 / np.maximum(np.linalg.norm(filtered, axis=1), TINY)[:, None] ** 2
+        gain = float((weight * (filtered.conj() * Qb[:, j])).sum().real / (weight * np.abs(filtered) ** 2).sum())
+        off = np.linalg.norm(gain * filtered - Qb[:, j], axis=1) / np.maximum(np.linalg.norm(Qb[:, j], axis=1), TINY)
+        missed = float(max(error, np.median(off)))
+        if not missed < _FILTER_ERROR:
+            raise AccuracyError(f"filters made of them miss by {missed:.2g}")
+        rows.append(replace(row, gain=gain, error=missed))
+        own |= any(len(left) for left in _cancelled(b.zeros, a.zeros, dt))
+    return tuple(rows), own
 
 
 def _cancelled(zeros: NDArray, poles: NDArray, dt: float) -> tuple[NDArray, NDArray]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from itertools import combinations
 from math import comb
-from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +12,10 @@ from numpy.typing import NDArray
 from residua import arrays
 from residua.design.core.generator import ResidualGenerator
 from residua.design.core.method import method
-from residua.design.parity.relation_model import RelationModel, relation_model
+from residua.design.parity.relation_model import relation_model
 from residua.design.parity.relations import Poles, relations_of
-from residua.design.parity.shortest import RelationSpace, made_of_shortest, relation_space, with_rank
+from residua.design.parity.shortest import relation_space, shortest_space, with_rank
 from residua.errors import DesignError, SettingError
-from residua.linear.polynomials.pair_relations import PairRelations
 from residua.plant import Plant
 from residua.plant.input_output_model import InputOutputModel
 
@@ -106,20 +104,26 @@ def parity_relations(
     model = relation_model(plant)
     ignored = [model.plant.faults[i] for i in arrays.positions(insensitive_to, model.plant.faults, "fault")]
     chosen = model.reading(outputs)
-    equations = chosen.equations(ignored)
-    if order is not None:
-        _check_size(model, _whole(order))
-    if equations.orders is None or (order is not None and order < equations.orders[0]):
-        _none_such(chosen, ignored, order, equations)
-    notes = (*model.notes, *((f"ignores {', '.join(ignored)}",) if ignored else ()))
-
-    def design(space: RelationSpace) -> ResidualGenerator:
-        return relations_of(model.plant, space.relations).with_poles(poles, notes=notes)
-
+    equations, C = chosen.equations(ignored), model.plant.C
+    if order is not None and (states := _whole(order) * max((order + 1) * len(C) - C.shape[1], 1)) > _MOST_STATES:
+        raise SettingError(
+            f"order {order} means up to {states} states of filters, the most is {_MOST_STATES}; above the "
+            f"{C.shape[1]} states of the plant relations are shifted copies of shorter ones: ask for a lower order"
+        )
+    what = ", ".join(f"'{name}'" for name in (*model.plant.disturbances, *ignored)) or "nothing"
+    if equations.orders is None:
+        raise DesignError(
+            f"no parity relation ignores {what}: the measurements are all used up; add a sensor, read more outputs or "
+            "ignore less"
+        )
+    if order is not None and order < equations.orders[0]:
+        raise DesignError(f"no relation of order {order} ignores {what}: the smallest order is {equations.orders[0]}")
     if order is None:
-        return made_of_shortest(chosen, equations, design)
-    space = relation_space(equations, order, chosen.balanced.faults)
-    return with_rank(design(space), space)
+        space = shortest_space(chosen, equations)
+    else:
+        space = relation_space(equations, order, chosen.balanced.faults)
+    notes = (*model.notes, *((f"ignores {', '.join(ignored)}",) if ignored else ()))
+    return with_rank(relations_of(model.plant, space.relations).with_poles(poles, notes=notes), space)
 
 
 def parity_orders(
@@ -228,25 +232,3 @@ def _whole(order: int) -> int:
     if isinstance(order, bool) or not isinstance(order, (int, np.integer)) or order < 0:
         raise SettingError(f"order must be a whole number of past samples, got {order!r}")
     return int(order)
-
-
-def _check_size(model: RelationModel, order: int) -> None:
-    """Raise when all relations of an order are too many to be of use."""
-    states = max((order + 1) * model.plant.n_outputs - model.plant.n_states, 1) * order
-    if states > _MOST_STATES:
-        raise SettingError(
-            f"order {order} means up to {states} states of filters, the most is {_MOST_STATES}; above the "
-            f"{model.plant.n_states} states of the plant relations are shifted copies of shorter ones: ask for a "
-            "lower order"
-        )
-
-
-def _none_such(model: RelationModel, ignored: list[str], order: int | None, equations: PairRelations) -> NoReturn:
-    """Raise, with the smallest order at which there is a relation, if any."""
-    what = ", ".join(f"'{name}'" for name in (*model.plant.disturbances, *ignored)) or "nothing"
-    if equations.orders is not None:
-        raise DesignError(f"no relation of order {order} ignores {what}: the smallest order is {equations.orders[0]}")
-    raise DesignError(
-        f"no parity relation ignores {what}: the measurements are all used up; add a sensor, read more outputs or "
-        "ignore less"
-    )

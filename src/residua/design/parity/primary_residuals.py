@@ -14,7 +14,7 @@ from residua.design.core.signals import signal_names
 from residua.design.parity.relation import Relation
 from residua.design.parity.relation_model import RelationModel, relation_model
 from residua.design.parity.relations import Poles, relations_of
-from residua.design.parity.shortest import shortest_relations
+from residua.design.parity.shortest import relation_space
 from residua.errors import DesignError
 from residua.linear import StateSpace, is_stable_mode
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
@@ -108,10 +108,10 @@ def _shortest_of_each(equations: RelationModel) -> list[Relation]:
     """Return for each output of a plant the shortest relation that reads no other."""
     rows, open_to_all = [], replace(equations, decouples=False)
     for name in equations.plant.outputs:
-        space = shortest_relations(open_to_all.reading([name]), ())
-        if space is None:
+        own = open_to_all.reading([name]).equations()
+        if own.orders is None:
             raise DesignError(f"no relation reads {name!r} alone: algebraic equations tie it to other signals")
-        rows.append(space.relations[0])
+        rows.append(relation_space(own, own.orders[0], equations.balanced.faults).relations[0])
     return rows
 
 

@@ -17,19 +17,25 @@ from residua.design.core.evidence import Evidence, format_pole
 from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.design.core.signals import signal_names
 from residua.design.parity.directions import Directions, check_directions
-from residua.design.parity.realization import Realization, controls_of, realize_by_least_squares, realize_relation
-from residua.design.parity.relation import Relation, default_poles, filter_basis, left_of_faults
+from residua.design.parity.relation import (
+    Realization,
+    Relation,
+    controls_of,
+    filter_basis,
+    lost_digits,
+    plant_rate,
+    realize_by_least_squares,
+    realize_relation,
+)
 from residua.errors import AccuracyError, DesignError, SettingError
 from residua.linear import PolynomialMatrix, StateSpace, is_stable_mode
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.plant import Plant
 from residua.shown import Shown
-from residua.tolerances import LEAK, RESPONSE_ROUNDING, above_rounding
+from residua.tolerances import RESPONSE_ROUNDING, above_rounding
 from residua.words import counted
 
 Matrix = NDArray[np.float64]
-#: What known inputs leave of a residual, beside the fault that moves it most.
-_HIDDEN = 0.1
 #: Coefficients of which nothing is left of the others, in any unit.
 _HUGE = 1e50
 #: Of several relations those of which the newest sample counts for less are nearly of a lower order.
@@ -39,8 +45,8 @@ _OTHER_POLES = "with the usual poles too many digits cancel: the poles are those
 _LOST = "digits lost to cancellation"
 #: Measurements seldom have more digits than this.
 _MANY = 6.0
-#: Digits of a sum of many terms in double precision.
-_DIGITS = 14.0
+#: Of the digits of a sum of many terms in double precision, all but one.
+_MOST = 13.0
 #: Poles of the filters of parity relations: one list for all, or one for each residual by name.
 Poles = Sequence[complex] | ArrayLike | Mapping[str, Sequence[complex]]
 
@@ -181,7 +187,7 @@ class ParityRelations(Shown):
             between residuals that keep directions together, which would bend them.
         AccuracyError
             If rounding of the coefficients shows in the residual: known inputs reach it by more than 1e-6 of the terms
-            that cancel.
+            that cancel, or more than 13 digits of the data cancel in what a fault does.
 
         References
         ----------
@@ -201,7 +207,7 @@ class ParityRelations(Shown):
         return made
 
     def _on_poles(self, poles: list[NDArray[np.complex128]], method: str, notes: Sequence[str]) -> ResidualGenerator:
-        """Return the filter with poles for each relation."""
+        """Return the filter with poles for each relation; raise where its rounding hides the faults."""
         bases = {one.tobytes(): filter_basis(self.plant, one) for one in {x.tobytes(): x for x in poles}.values()}
         rows = self._moved([bases[one.tobytes()] for one in poles])
         rows = [row.times(1 / float(np.prod(row.basis.sizes[: row.order]))) for row in rows]  # monic again
@@ -211,7 +217,19 @@ class ParityRelations(Shown):
         if self.directions is not None:
             off = check_directions(made, self.directions)
             made = replace(made, evidence=made.evidence.extended(conditions={"response off the directions": off}))
-        return self._with_digits(made, rows)
+        lost = lost_digits(rows, made)
+        if lost is None:
+            return made
+        share = f"{10 ** (lost - 16):.0e} of" if lost < 16 else "as large as"
+        remark = (
+            f"{lost:.0f} digits of the data cancel: rounding of numbers of 16 digits alone makes residuals {share} "
+            "what a fault leaves, that of measurements more; choose poles near those of the plant (with_poles), or "
+            "structured_bank"
+        )
+        if lost > _MOST:
+            raise AccuracyError(f"with these poles rounding hides what a fault does: {remark}, or decoupled_residual")
+        remarks = (remark,) if lost > _MANY else ()
+        return replace(made, evidence=made.evidence.extended(conditions={_LOST: lost}, notes=remarks))
 
     def _by_least_squares(self, method: str, notes: Sequence[str]) -> ResidualGenerator:
         """Return the filter of which each relation has the poles of a gain by least squares."""
@@ -221,65 +239,53 @@ class ParityRelations(Shown):
     def _generator(
         self, parts: Sequence[Realization], method: str, notes: Sequence[str], requested: NDArray[np.complex128]
     ) -> ResidualGenerator:
-        system, state_map, static_map = self._side_by_side(parts)
-        evidence = Evidence(
-            method=method,
-            poles=system.poles(),
-            requested_poles=requested,
-            notes=(*self._told(), *notes),
-            references=("Gertler (1991), sections 3.1, 3.2 and 3.5",),
-        )
-        return make_generator(
-            system,
-            self.plant,
-            method,
-            evidence,
-            decouples=Decoupled(disturbances=not self._disturbed()),
-            state_map=state_map,
-            static_map=static_map,
-            relations=self,
-        )
-
-    def _side_by_side(self, made: Sequence[Realization]) -> tuple[StateSpace, Matrix, Matrix | None]:
-        """Return filters of relations side by side, driven by the same signals, with their maps."""
-        plant, units, n_u = self.plant, self.plant.balanced.units, len(self.plant.inputs)
-        heights = self.heights[:, None]
-        largest = max((float(np.abs(one.B).max(initial=0.0)) for one in made), default=0.0)
+        """Return filters of relations side by side, driven by the same signals."""
+        plant, units, heights = self.plant, self.plant.balanced.units, self.heights[:, None]
+        largest = max((float(np.abs(one.B).max(initial=0.0)) for one in parts), default=0.0)
         if not largest < _HUGE:
             raise AccuracyError(
                 f"of a relation of order {max(self.orders)} with these poles the newest sample counts 1, others "
                 f"{largest:.0e}: it is lost in rounding; choose poles near those of the plant, or use "
                 "decoupled_residual"
             )
-        signals = np.concatenate([np.ones(n_u), units.outputs])
+        signals = np.concatenate([np.ones(len(plant.inputs)), units.outputs])
         system = StateSpace(
-            units.rate * scipy.linalg.block_diag(*[one.A for one in made]),
-            units.rate * np.vstack([one.B for one in made]) * signals,
-            heights * scipy.linalg.block_diag(*[one.C for one in made]),
-            heights * np.vstack([one.D for one in made]) * signals,
+            units.rate * scipy.linalg.block_diag(*[one.A for one in parts]),
+            units.rate * np.vstack([one.B for one in parts]) * signals,
+            heights * scipy.linalg.block_diag(*[one.C for one in parts]),
+            heights * np.vstack([one.D for one in parts]) * signals,
             dt=plant.dt,
             inputs=signal_names(plant),
             outputs=self.names,
         )
-        state_map = np.vstack([one.state_map for one in made]) * units.equations
-        static_map = heights * np.vstack([one.static_map for one in made]) * units.equations / units.rate
-        return system, state_map, None if plant.E is None else static_map
-
-    def _with_digits(self, made: ResidualGenerator, rows: Sequence[Relation]) -> ResidualGenerator:
-        """Return a filter with the digits that cancel in its evidence, or raise where they hide the faults."""
-        left = left_of_faults(rows, made)
-        if left is None:
-            return made
-        hidden = max(left.least, 10 ** (left.digits - _DIGITS))
-        if left.digits > _MANY and not hidden <= _HIDDEN:
-            raise AccuracyError(
-                f"with these poles known inputs and disturbances leave {hidden:.2g} > {_HIDDEN:g} of what any "
-                f"fault does: {_cancelling(left.digits)}, or decoupled_residual"
-            )
-        remarks = (_cancelling(left.digits),) if left.digits > _MANY else ()
-        if left.digits > _MANY and left.leak > LEAK:
-            remarks += (f"known inputs and disturbances leave {left.leak:.1g} of what the faintest fault does",)
-        return replace(made, evidence=made.evidence.extended(conditions={_LOST: left.digits}, notes=remarks))
+        static_map = heights * np.vstack([one.static_map for one in parts]) * units.equations / units.rate
+        divided = (
+            f"{name}: a factor common to all signals was divided out, with root{'s' * (len(roots) > 1)} "
+            f"{', '.join(map(format_pole, roots))}"
+            for name, roots in zip(self.names, self.divided, strict=True)
+            if len(roots)
+        )
+        evidence = Evidence(
+            method=method,
+            poles=system.poles(),
+            requested_poles=requested,
+            notes=(*divided, *notes),
+            references=("Gertler (1991), sections 3.1, 3.2 and 3.5",),
+        )
+        Bd, Dd = plant.balanced.disturbances
+        disturbed = any(
+            np.abs(row.p @ Bd + row.q @ Dd).max(initial=0.0) > 1e-8 * np.abs(row.q).max() for row in self.rows
+        )
+        return make_generator(
+            system,
+            plant,
+            method,
+            evidence,
+            decouples=Decoupled(disturbances=not disturbed),
+            state_map=np.vstack([one.state_map for one in parts]) * units.equations,
+            static_map=None if plant.E is None else static_map,
+            relations=self,
+        )
 
     def stacked_with(self, others: Sequence[ParityRelations], names: Sequence[str]) -> ParityRelations:
         """Return these and further relations of the same plant as one set, with new names."""
@@ -289,20 +295,11 @@ class ParityRelations(Shown):
     def _poles(self, poles: Poles | None) -> list[NDArray[np.complex128]]:
         """Return the poles of each relation, checked."""
         if poles is None:
-            usual = {k: default_poles(self.plant, k) for k in set(self.orders)}
-            return [usual[k] for k in self.orders]
+            usual = 0.0 if self.plant.is_discrete else -plant_rate(self.plant)
+            return [np.full(k, usual, dtype=np.complex128) for k in self.orders]
         if isinstance(poles, Mapping):
-            unknown = set(poles) - set(self.names)
-            missing = [name for name, k in zip(self.names, self.orders, strict=True) if k and name not in poles]
-            if unknown or missing:
-                raise SettingError(
-                    f"poles are given by residual, {', '.join(self.names)}; "
-                    + (
-                        f"there is no {', '.join(map(repr, sorted(unknown)))}"
-                        if unknown
-                        else f"none for {missing[0]!r}"
-                    )
-                )
+            needed = [name for name, k in zip(self.names, self.orders, strict=True) if k]
+            check_pole_names(poles, self.names, needed, "residual")
             shares = [poles.get(name, ()) for name in self.names]
         else:
             shares = [poles for _ in self.names]
@@ -317,18 +314,6 @@ class ParityRelations(Shown):
                         f"{', '.join(self.directions.faults)} together: give all of them the same poles"
                     )
         return chosen
-
-    def _disturbed(self) -> bool:
-        """Tell whether disturbances reach a relation by more than rounding."""
-        B, D = self.plant.balanced.disturbances
-        return any(np.abs(row.p @ B + row.q @ D).max(initial=0.0) > 1e-8 * np.abs(row.q).max() for row in self.rows)
-
-    def _told(self) -> Iterator[str]:
-        """Yield what was divided out silently elsewhere."""
-        for name, roots in zip(self.names, self.divided, strict=False):
-            if len(roots):
-                words = f"root{'s' * (len(roots) > 1)} {', '.join(map(format_pole, roots))}"
-                yield f"{name}: a factor common to all signals was divided out, with {words}"
 
     # -------------------------------------------------------------------- texts
 
@@ -379,13 +364,12 @@ def relations_of(
     return ParityRelations(plant, scaled, names, np.array(heights, dtype=float), directions)
 
 
-def _cancelling(lost: float) -> str:
-    """Return what is to be said of a filter in which many digits cancel."""
-    share = f"{10 ** (lost - 16):.0e} of" if lost < 16 else "as large as"
-    return (
-        f"{lost:.0f} digits of the data cancel: rounding of numbers of 16 digits alone makes residuals {share} what a "
-        "fault leaves, that of measurements more; choose poles near those of the plant (with_poles), or structured_bank"
-    )
+def check_pole_names(poles: Mapping[str, Any], names: Sequence[str], needed: Sequence[str], kind: str) -> None:
+    """Raise when poles are given for names that do not exist, or not for all that need some."""
+    unknown, missing = [name for name in poles if name not in names], [name for name in needed if name not in poles]
+    if unknown or missing:
+        why = f"there is no {unknown[0]!r}" if unknown else f"there are none for {missing[0]!r}"
+        raise SettingError(f"poles are given by {kind}, {', '.join(names)}; {why}")
 
 
 def _checked_poles(poles: Any, order: int, name: str, plant: Plant) -> NDArray[np.complex128]:

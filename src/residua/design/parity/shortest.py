@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -12,12 +12,10 @@ from numpy.typing import NDArray
 from residua.design.core.generator import ResidualGenerator
 from residua.design.parity.relation import Relation
 from residua.design.parity.relation_model import RelationModel
-from residua.errors import AccuracyError, DesignError
+from residua.errors import AccuracyError
 from residua.linear.polynomials.pair_relations import PairRelations
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.linear.subspaces.rank import RankDecision
-from residua.tolerances import BALANCED_ANSWER
-from residua.words import used_up
 
 Matrix = NDArray[np.float64]
 #: A fault is seen by a relation when more than this of the largest response that its size allows is left.
@@ -123,49 +121,8 @@ def shortest_space(model: RelationModel, equations: PairRelations, seen: Sequenc
     return space
 
 
-def made_of_shortest(
-    model: RelationModel,
-    equations: PairRelations,
-    make: Callable[[RelationSpace], ResidualGenerator],
-    *,
-    seen: Sequence[int] = (),
-) -> ResidualGenerator:
-    """Return what is made of the relations of the smallest order that answer to some faults."""
-    space = shortest_space(model, equations, seen)
-    return with_rank(make(space), space)
-
-
 def with_rank(made: ResidualGenerator, space: RelationSpace) -> ResidualGenerator:
     """Return a generator whose evidence holds the rank decisions behind its relations."""
     ranks = {**made.evidence.ranks, "states and ignored signals": space.decision}
     notes = tuple(f"near: {one}; double precision hardly decides this rank" for one in space.equations.near[:1])
     return replace(made, evidence=made.evidence.extended(ranks=ranks, notes=notes))
-
-
-def shortest_relations(model: RelationModel, ignored: Sequence[str]) -> RelationSpace | None:
-    """Return the relations of the smallest order that ignore some faults and all disturbances, if there are any."""
-    equations = model.equations(ignored)
-    return None if equations.orders is None else relation_space(equations, equations.orders[0], model.balanced.faults)
-
-
-def equations_seeing(model: RelationModel, ignored: Sequence[str], seen: Sequence[str]) -> PairRelations:
-    """Return the relations that ignore some faults and all disturbances, some of which answer to others.
-
-    Raises
-    ------
-    DesignError
-        If there is none: which of the faults no relation sees, or that there is no relation at all.
-    """
-    faults, equations = [model.plant.faults.index(name) for name in seen], model.equations(ignored)
-    what = ", ".join(f"'{name}'" for name in (*model.plant.disturbances, *ignored)) or "nothing"
-    if equations.orders is None:
-        raise DesignError(
-            f"no parity relation ignores {what}: the {used_up(model.plant.n_outputs)}; add a sensor or ignore less"
-        )
-    drive = np.linalg.norm(equations.quotient.drive(*model.balanced.faults), axis=0)[faults]
-    if blind := [name for name, size in zip(seen, drive, strict=True) if not size > BALANCED_ANSWER]:
-        raise DesignError(
-            f"a parity relation that ignores {what} cannot see {', '.join(blind)}: of up to order "
-            f"{equations.orders[1]}, there is none that answers"
-        )
-    return equations

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+
+import numpy as np
 
 from residua.analysis.coding_sets import Structure
 from residua.design.banks.bank import Bank, build_bank, wanted_rows
@@ -11,11 +13,13 @@ from residua.design.core.generator import ResidualGenerator
 from residua.design.core.method import method
 from residua.design.core.needs import FAULTS_APART
 from residua.design.parity.relation_model import relation_model
-from residua.design.parity.relations import Poles, relations_of
-from residua.design.parity.shortest import RelationSpace, equations_seeing, made_of_shortest
-from residua.errors import AccuracyError, SettingError
+from residua.design.parity.relations import Poles, check_pole_names, relations_of
+from residua.design.parity.shortest import shortest_space, with_rank
+from residua.errors import AccuracyError, DesignError
 from residua.plant import Plant
 from residua.plant.input_output_model import InputOutputModel
+from residua.tolerances import BALANCED_ANSWER
+from residua.words import used_up
 
 
 @method(
@@ -95,27 +99,38 @@ def structured_parity(
     """
     model = relation_model(plant)
     wanted = wanted_rows(structure, model.plant.faults)
-    _check_names(poles, [one.name for one in wanted])
+    if isinstance(poles, Mapping):
+        names = [one.name for one in wanted]
+        check_pole_names(poles, names, names, "row")
 
     def design(name: str, part: Plant) -> ResidualGenerator:  # its faults are those that the row answers to
         ignored = tuple(fault for fault in model.plant.faults if fault not in part.faults)
-        equations = equations_seeing(model, ignored, part.faults)
-        ones = [model.plant.faults.index(fault) for fault in part.faults]
+        ones, equations = [model.plant.faults.index(fault) for fault in part.faults], model.equations(ignored)
+        what = ", ".join(f"'{fault}'" for fault in (*model.plant.disturbances, *ignored)) or "nothing"
+        if equations.orders is None:
+            raise DesignError(
+                f"no parity relation ignores {what}: the {used_up(model.plant.n_outputs)}; add a sensor or ignore less"
+            )
+        drive = np.linalg.norm(equations.quotient.drive(*model.balanced.faults), axis=0)[ones]
+        blind = [fault for fault, size in zip(part.faults, drive, strict=True) if not size > BALANCED_ANSWER]
+        if blind:
+            raise DesignError(
+                f"a parity relation that ignores {what} cannot see {', '.join(blind)}: of up to order "
+                f"{equations.orders[1]}, there is none that answers"
+            )
         own = poles[name] if isinstance(poles, Mapping) else poles
 
-        def make(space: RelationSpace) -> ResidualGenerator:
-            relations = relations_of(model.plant, [space.best(ones)], [name])
-            made = relations.with_poles(own, method="structured parity relation", notes=model.notes)
-            blind = [fault for i, fault in zip(ones, part.faults, strict=True) if not made.structure[0, i]]
-            if blind:
-                raise AccuracyError(
-                    f"a relation of order {relations.orders[0]} answers to {', '.join(blind)}, but as a filter with "
-                    "these poles its response is lost in the rounding of its terms: choose poles near those of the "
-                    "plant, or use structured_bank"
-                )
-            return made
-
-        return made_of_shortest(model, equations, make, seen=ones)
+        space = shortest_space(model, equations, seen=ones)
+        relations = relations_of(model.plant, [space.best(ones)], [name])
+        made = relations.with_poles(own, method="structured parity relation", notes=model.notes)
+        blind = [fault for i, fault in zip(ones, part.faults, strict=True) if not made.structure[0, i]]
+        if blind:
+            raise AccuracyError(
+                f"a relation of order {relations.orders[0]} answers to {', '.join(blind)}, but as a filter with "
+                "these poles its response is lost in the rounding of its terms: choose poles near those of the "
+                "plant, or use structured_bank"
+            )
+        return with_rank(made, space)
 
     return build_bank(
         model.plant,
@@ -125,15 +140,3 @@ def structured_parity(
         allow_missing=allow_missing,
         reference="Gertler (1991), section 4.1",
     )
-
-
-def _check_names(poles: Poles | None, rows: Sequence[str]) -> None:
-    """Raise when ``poles`` names rows that do not exist, or not all of those that do."""
-    if not isinstance(poles, Mapping):
-        return
-    unknown, missing = [name for name in poles if name not in rows], [name for name in rows if name not in poles]
-    if unknown or missing:
-        raise SettingError(
-            f"poles are given by row, {', '.join(rows)}; "
-            + (f"there is no {unknown[0]!r}" if unknown else f"there are none for {missing[0]!r}")
-        )

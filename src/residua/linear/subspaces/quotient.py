@@ -81,6 +81,11 @@ class Quotient:
         """The states that ``G`` sees, and those that it does not."""
         return observable_split(*self.pair, self.tolerance)
 
+    @property
+    def near(self) -> tuple[RankDecision, ...]:
+        """The rank decisions that double precision hardly allows."""
+        return tuple(one for one in (*self.decisions, *self.split.decisions) if not one.is_clear)
+
     @cached_property
     def hidden_modes(self) -> NDArray[np.complex128]:
         """Eigenvalues of what is not seen: poles of every filter that estimates ``z``."""

@@ -354,7 +354,7 @@ def _search(search: Search | str | None, seed: int) -> Search:
 def _bank(loop: UncertainPlant, made: Mapping[str, tuple[RobustEstimator, str]]) -> RobustL1Bank:
     parts = {name: _generator(loop, one, note) for name, (one, note) in made.items()}
     estimators = {name: one for name, (one, _) in made.items()}
-    generator = stacked_members(parts, _METHOD, _REFERENCE)
+    generator = stacked_members(parts, loop.nominal, _METHOD, _REFERENCE)
     assert generator.codes is not None  # stacked_members gives them
     return RobustL1Bank(generator, generator.codes, {}, {}, loop, estimators)
 

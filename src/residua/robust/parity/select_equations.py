@@ -283,7 +283,7 @@ def _cheapest(
     few = 1e-6 * float(costs.max(initial=0.0)) + TINY
     aim = (costs + few) / (costs.max(initial=0.0) + few)
     constraints = [(cover.demands.astype(float), 1.0, np.inf)]
-    result = integer_program(aim, constraints, allowed.astype(float), np.ones(len(costs)), time_limit)
+    result = integer_program(aim, constraints, allowed.astype(float), time_limit)
     if result.x is None:
         chosen = np.flatnonzero(allowed)
     else:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from residua.design.core.evidence import format_pole
 from residua.design.core.signals import signal_names
-from residua.design.parity.realization import chain, pole_basis
+from residua.design.parity.relation import chain, pole_basis
 from residua.errors import DesignError
 from residua.linear import StateSpace
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis

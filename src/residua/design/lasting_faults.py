@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri, chndtr, chndtrinc
 
 from residua.design.core.generator import ResidualGenerator
 from residua.errors import DesignError
@@ -44,13 +45,10 @@ class LastingFaults:
         Sampled.
     whitening : tuple of (tuple of int, ndarray)
         For each part that is tested by itself its residuals, and :math:`S^{-1/2}` over them.
-    rate : float
-        Of false alarms, of all parts together.
     """
 
     generator: ResidualGenerator
     whitening: tuple[tuple[tuple[int, ...], NDArray[np.float64]], ...] = field(repr=False)
-    rate: float
 
     @cached_property
     def sizes(self) -> dict[str, float]:
@@ -96,8 +94,6 @@ class LastingFaults:
 
     def share(self, fault: str, size: float) -> float:
         """Return the share of 1,500 samples from its onset on in which a constant fault is in alarm."""
-        from scipy.special import chndtr  # slow to import
-
         g = self.generator
         response = g.internal_form().select(inputs=[g.faults.index(fault)]).simulate(np.ones((_FOLLOWED, 1)))
         sums = np.cumsum(response, axis=0)
@@ -118,8 +114,6 @@ class LastingFaults:
     @cached_property
     def _of_parts(self) -> NDArray[np.float64]:
         """The size from which on each part sees each fault, shape (parts, faults)."""
-        from scipy.special import chndtrinc  # slow to import
-
         found = np.full((len(self.whitening), len(self.generator.faults)), np.inf)
         for row, (_, whiten), away in zip(found, self.whitening, self._settled, strict=True):
             d = np.linalg.norm(away, axis=0)
@@ -129,12 +123,10 @@ class LastingFaults:
         return found
 
     def _limit(self, whiten: NDArray[np.float64]) -> float:
-        from scipy.special import chdtri  # slow to import
-
-        return float(chdtri(len(whiten), self.rate / len(self.whitening)))
+        return float(chdtri(len(whiten), RATE / len(self.whitening)))
 
 
-def lasting_faults(generator: ResidualGenerator, dt: float, *, rate: float = RATE) -> LastingFaults:
+def lasting_faults(generator: ResidualGenerator, dt: float) -> LastingFaults:
     """Return what a test on sums of 127 samples sees of constant faults, in the noise of the plant.
 
     Parameters
@@ -142,8 +134,6 @@ def lasting_faults(generator: ResidualGenerator, dt: float, *, rate: float = RAT
     generator : ResidualGenerator
     dt : float
         The step that a continuous one is sampled with, in seconds.
-    rate : float
-        Of false alarms in a sample.
 
     Returns
     -------
@@ -157,7 +147,7 @@ def lasting_faults(generator: ResidualGenerator, dt: float, *, rate: float = RAT
     Examples
     --------
     >>> import residua as rs
-    >>> from residua.design.core.lasting_faults import lasting_faults
+    >>> from residua.design.lasting_faults import lasting_faults
     >>> plant = rs.Plant([[0.9]], [[1.0]], [[1.0]], dt=1).with_sensor_faults()
     >>> found = lasting_faults(rs.design.kalman_filter(plant.with_noise(process=0.1, measurement=0.2)), 1)
     >>> round(found.sizes["y1 sensor"], 2), round(found.share("y1 sensor", found.sizes["y1 sensor"]), 2)
@@ -170,13 +160,11 @@ def lasting_faults(generator: ResidualGenerator, dt: float, *, rate: float = RAT
     parts: Sequence[tuple[int, ...]] = [tuple(range(sampled.n_residuals))]
     if sampled.codes is not None:
         parts = [member.residuals for member in sampled.members]
-    return LastingFaults(sampled, tuple((part, _whitening(S[np.ix_(part, part)])) for part in parts), rate)
-
-
-def _whitening(S: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return ``S^(-1/2)`` over the directions that noise moves, (directions, residuals)."""
-    spread = np.sqrt(np.diag(S))
-    units = np.where(spread > 0, spread, 1.0)
-    values, vectors = np.linalg.eigh(S / np.outer(units, units))
-    kept = values > RANK * values.max(initial=0.0)
-    return (vectors[:, kept] / np.sqrt(values[kept])).T / units
+    whitening = []
+    for part in parts:  # S^(-1/2) over the directions that noise moves
+        own = S[np.ix_(part, part)]
+        units = np.sqrt(np.where(np.diag(own) > 0, np.diag(own), 1.0))
+        values, vectors = np.linalg.eigh(own / np.outer(units, units))
+        kept = values > RANK * values.max(initial=0.0)
+        whitening.append((part, (vectors[:, kept] / np.sqrt(values[kept])).T / units))
+    return LastingFaults(sampled, tuple(whitening))
