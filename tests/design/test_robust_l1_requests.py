@@ -10,10 +10,9 @@ from residua.design import DifferentialEvolution, GeneticSearch
 from residua.errors import DesignError, ModelError, NoCertificateError, SettingError
 from residua.linear import StateSpace, smallest_gain
 from residua.plant import Perturbation, UncertainPlant
-from residua.robust.estimators import estimator_search
+from residua.robust.estimators import robust_estimator
 from residua.robust.estimators.certified_threshold import certified_threshold
-from residua.robust.estimators.estimator_family import estimator_family
-from residua.robust.estimators.starting_gains import starting_gains
+from residua.robust.estimators.estimator_family import estimator_family, starting_gains
 from residua.robust.sets.uncertain_loop import residual_over_set
 from residua.robust.sets.uncertain_plant import make_uncertain_plant
 from robust_loops import random_loop
@@ -194,7 +193,7 @@ def test_faster_estimators_where_no_threshold_is_certified(monkeypatch, given):
             raise NoCertificateError("method 'star' found no certificate: cut it into parts with boxes=4")
         return certified_threshold(*args, **options)
 
-    monkeypatch.setattr(estimator_search, "certified_threshold", slow_ones_fail)
+    monkeypatch.setattr(robust_estimator, "certified_threshold", slow_ones_fail)
     options = {"search": QUICK, "method": "star", "settling": given, "progress": False}
     if given is not None:
         with pytest.raises(
