@@ -38,9 +38,8 @@ def controlled_loop(seed: int = 0, units: np.ndarray | None = None, *, size: flo
     p = loop.nominal
     scaled = {name: getattr(p, name) * u[:, None] for name in ("B", "Bd", "Bf", "Bw")}
     p = p._with(A=p.A * u[:, None] / u, C=p.C / u, **scaled)
-    return make_uncertain_plant(
-        p, loop.parameters, loop.channels, [(loop.Hx * u[:, None], loop.Hy, loop.Gx / u, loop.Gu)]
-    )
+    G = np.hstack([loop.Gx / u, loop.Gu, loop.Gd, loop.Gf])
+    return make_uncertain_plant(p, loop.parameters, loop.channels, np.vstack([loop.Hx * u[:, None], loop.Hy]), G)
 
 
 def test_units_of_states_do_not_matter_to_what_a_fault_leaves():
@@ -66,8 +65,8 @@ def test_units_of_states_do_not_matter_to_a_bank(u, actuator):
         loop = controlled_loop(0, units)
         if actuator:  # divided out, where the sensors alone are not
             plant = loop.nominal.with_faults({"valve": units * [0.1, 0.02, 0, 0]}, kind="actuator")
-            blocks = [(loop.Hx, loop.Hy, loop.Gx, loop.Gu)]
-            loop = make_uncertain_plant(plant, loop.parameters, loop.channels, blocks)
+            H, G = np.vstack([loop.Hx, loop.Hy]), np.hstack([loop.Gx, loop.Gu, loop.Gd, np.zeros((len(loop.Gf), 3))])
+            loop = make_uncertain_plant(plant, loop.parameters, loop.channels, H, G)
         ignored = ["valve"] if actuator else ["y2 sensor"]
         bank = rs.design.robust_l1_bank(
             loop, ["y1 sensor"], decouple=ignored, search=QUICK, method="star", progress=False

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.robust.bounds.member_response import MemberResponse
-from residua.robust.sets.visited_members import REMEDY, check_modes, corner_points
+from residua.robust.sets.uncertain_system import REMEDY, check_modes, corner_points
 
 Points = NDArray[np.float64]
 _FREQUENCIES = 9

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from residua.errors import AccuracyError
 from residua.linear.norms.peak_norm import peak_norm
 from residua.robust.bounds.member_response import balanced_states
-from residua.robust.sets.uncertain_system import MOST_CORNERS, UncertainSystem
-from residua.robust.sets.visited_members import REMEDY, check_modes, corner_points
+from residua.robust.sets.uncertain_system import MOST_CORNERS, REMEDY, UncertainSystem, check_modes, corner_points
 
 Matrix = NDArray[np.float64]
 #: Numbers of impulse responses that are held at a time.
