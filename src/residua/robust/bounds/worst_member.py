@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from residua.errors import AccuracyError
 from residua.linear.norms.peak_norm import peak_norm
-from residua.robust.bounds.member_response import balanced_states
 from residua.robust.sets.uncertain_system import MOST_CORNERS, REMEDY, UncertainSystem, check_modes, corner_points
 
 Matrix = NDArray[np.float64]
@@ -76,7 +75,7 @@ def _attained(system: UncertainSystem, values: NDArray[np.float64]) -> float:
 def _visit(system: UncertainSystem, points: Matrix) -> tuple[NDArray[np.float64], float]:
     """Return an output that some unit input attains, for every member, and the largest spectral radius."""
     p, m = system.Dzw.shape
-    T = balanced_states(system)
+    T = system.balanced_states()
     own = list(system.channels)
     A0, Bp, Cq = system.A / T[:, None] * T, system.Bp / T[:, None], system.Cq * T
     Bw, Cz = system.Bw / T[:, None], system.Cz * T

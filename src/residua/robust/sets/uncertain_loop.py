@@ -16,6 +16,7 @@ from residua.linear.poles.stability import is_stable_mode
 from residua.plant.plant import Plant
 from residua.robust.sets.uncertain_plant import UncertainPlant, make_uncertain_plant, visited_values
 from residua.robust.sets.uncertain_system import UncertainSystem, check_modes, parameter_values
+from residua.tolerances import RESPONSE_ROUNDING
 
 Matrix = NDArray[np.float64]
 
@@ -289,7 +290,9 @@ def residual_over_set(
     D2 = np.hstack([p.Dd, p.Df])[:, chosen] * scale
     Gw = np.hstack([loop.Gd, loop.Gf])[:, chosen] * scale
     F, K, H, J = flt.A, flt.B, flt.C, flt.D
-    A = np.block([[p.A, np.zeros((n, len(F)))], [T @ p.A - F @ T - K @ p.C, F]])
+    corner = T @ p.A - F @ T - K @ p.C
+    rounding = RESPONSE_ROUNDING * (np.abs(T) @ np.abs(p.A) + np.abs(F) @ np.abs(T) + np.abs(K) @ np.abs(p.C))
+    A = np.block([[p.A, np.zeros((n, len(F)))], [np.where(np.abs(corner) > rounding, corner, 0.0), F]])
     Bp, Bw = -np.vstack([loop.Hx, T @ loop.Hx - K @ loop.Hy]), np.vstack([D1, T @ D1 - K @ D2])
     Cq, Cz, Dzw = np.hstack([loop.Gx, np.zeros((len(loop.Gx), len(F)))]), np.hstack([H @ T + J @ p.C, -H]), J @ D2
     if np.any(Gw):

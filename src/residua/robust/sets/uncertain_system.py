@@ -13,6 +13,7 @@ from residua.arrays import frozen, matrix
 from residua.errors import DesignError, ModelError, SettingError
 from residua.linear.poles.spectrum import describe_modes
 from residua.linear.poles.stability import is_stable_mode
+from residua.linear.systems.scaling import scaling
 from residua.linear.systems.state_space import StateSpace, square
 
 #: With more parameters than this a box has too many corners to visit.
@@ -209,6 +210,11 @@ class UncertainSystem:
         new = object.__new__(UncertainSystem)
         new.__dict__.update(vars(self) | {"low": low_, "high": high_})
         return new
+
+    def balanced_states(self) -> NDArray[np.float64]:
+        """Return balanced units of the states, with the channels of the parameters."""
+        B, C = np.hstack([self.Bw, self.Bp]), np.vstack([self.Cz, self.Cq])
+        return scaling(self.A, B, C, np.zeros((len(C), B.shape[1])), sampled=self.dt > 0).states
 
     def vertices(self) -> NDArray[np.float64]:
         """Return the corners of the box, shape (2^parameters, parameters); for up to 12 parameters."""
