@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from residua.errors import DesignError, NoCertificateError
 from residua.linear import StateSpace
 from residua.progress import Progress
+from residua.robust.bounds.robust_peak_norm import worst_member
 from residua.robust.bounds.smallest_gain import SmallestGain, smallest_gain
-from residua.robust.bounds.worst_member import worst_member
 from residua.robust.estimators.certified_threshold import CertifiedThreshold, certified_threshold
 from residua.robust.estimators.estimator_family import EstimatorFamily, starting_gains
 from residua.robust.estimators.genetic_search import GeneticSearch, settings_of

@@ -18,7 +18,7 @@ from residua.design.core.method import method
 from residua.errors import DesignError, ModelError, SettingError
 from residua.linear.poles.spectrum import spectral_radius
 from residua.progress import Progress, progress_of
-from residua.robust.bounds.box_bound import check_method
+from residua.robust.bounds.robust_peak_norm import check_method
 from residua.robust.estimators.certified_threshold import check_uncertain, checked_sizes, left_out
 from residua.robust.estimators.estimator_family import estimator_family
 from residua.robust.estimators.genetic_search import GeneticSearch
