@@ -47,8 +47,7 @@ if TYPE_CHECKING:
     from residua.robust.estimators.robust_estimator import RobustEstimator
     from residua.robust.estimators.robust_l1_bank import RobustL1Bank, robust_l1_bank
     from residua.robust.parity.insensitive_parity import InsensitiveParity, insensitive_parity
-    from residua.robust.parity.model_spread import model_spread
-    from residua.robust.parity.multi_model_parity import MultiModelParity, multi_model_parity
+    from residua.robust.parity.multi_model_parity import MultiModelParity, model_spread, multi_model_parity
     from residua.robust.parity.optimal_parity import OptimalParity, optimal_parity
     from residua.robust.parity.select_equations import EquationChoice, select_equations
 
@@ -162,8 +161,7 @@ hand_on(
         "residua.robust.estimators.robust_estimator": ("RobustEstimator",),
         "residua.robust.estimators.robust_l1_bank": ("RobustL1Bank", "robust_l1_bank"),
         "residua.robust.parity.insensitive_parity": ("InsensitiveParity", "insensitive_parity"),
-        "residua.robust.parity.model_spread": ("model_spread",),
-        "residua.robust.parity.multi_model_parity": ("MultiModelParity", "multi_model_parity"),
+        "residua.robust.parity.multi_model_parity": ("MultiModelParity", "model_spread", "multi_model_parity"),
         "residua.robust.parity.optimal_parity": ("OptimalParity", "optimal_parity"),
         "residua.robust.parity.select_equations": ("EquationChoice", "select_equations"),
     },

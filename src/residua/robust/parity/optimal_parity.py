@@ -19,12 +19,12 @@ from residua.design.parity.shortest import SEEN, RelationSpace, relation_space
 from residua.errors import DesignError, ModelError
 from residua.linear.polynomials.pair_relations import PairRelations
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
-from residua.linear.subspaces.parts import part_numbers
+from residua.linear.subspaces.parts import part_numbers, row_parts
 from residua.plant import Plant
 from residua.plant.input_output_model import InputOutputModel
-from residua.robust.parity.best_ratios import best_ratios
 from residua.robust.parity.expected_signals import ExpectedSignals, Sizes, size_factor
 from residua.shown import Shown
+from residua.tolerances import DESIGN_ROUNDING, IDENTITY
 
 Columns = tuple[NDArray[np.float64], NDArray[np.float64]]
 _METHOD = "optimal parity relations"
@@ -412,3 +412,68 @@ def variant_columns(
     U, s, _ = np.linalg.svd(columns / units, full_matrices=False)
     kept = s > 1e-14 * s.max(initial=0.0)
     return units * U[:, kept] * s[kept]
+
+
+def best_ratios(
+    wanted: NDArray[np.float64], unwanted: NDArray[np.float64], rank: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    r"""Return the stationary values of :math:`|c^T F| / |c^T D|`, the largest first, and the combinations ``c``.
+
+    The generalised eigenproblem :math:`F F^T c = \lambda D D^T c`, by singular values alone, nothing is squared: with
+    :math:`D = U S V^T` of that rank, those of :math:`S^{-1} U^T F`. Combinations that ``D`` annihilates are
+    left out; they must annihilate ``F`` too, or the ratio has no largest value. Rounding chooses nothing where ratios
+    are equal: rows that share no signal are not combined then, and of those that do, the combination comes first that
+    answers most to a single wanted signal.
+
+    Parameters
+    ----------
+    wanted : ndarray, shape (rows, p)
+        ``F``.
+    unwanted : ndarray, shape (rows, q)
+        ``D``.
+    rank : int
+        Of ``D``.
+
+    Returns
+    -------
+    ratios : ndarray, shape (rank,)
+    combinations : ndarray, shape (rank, rows)
+        With :math:`|c^T D| = 1`.
+    """
+    pairs = []
+    for part in row_parts(np.hstack([wanted, unwanted])):
+        U, s, _ = np.linalg.svd(unwanted[part], full_matrices=False)
+        pairs.append((np.eye(len(unwanted))[:, part] @ U, s))
+    sizes = np.concatenate([s for _, s in pairs])
+    kept = np.zeros(len(sizes), dtype=bool)
+    kept[np.argsort(-sizes, kind="stable")[:rank]] = True
+    ratios, combinations, at = [], [], 0
+    for U, s in pairs:
+        chosen = kept[at : at + len(s)]
+        at += len(s)
+        scaled = U[:, chosen] / s[chosen]
+        seen = scaled.T @ wanted
+        left, values, _ = np.linalg.svd(seen, full_matrices=True)
+        left = _without_choice(left, values, seen)
+        ratios += [*values, *np.zeros(len(left) - len(values))]
+        combinations += list((scaled @ left).T)
+    order = np.argsort([-float(f"{x:.9e}") for x in ratios], kind="stable")
+    return np.array(ratios)[order], np.array(combinations).reshape(len(ratios), len(wanted))[order]
+
+
+def _without_choice(left: NDArray[np.float64], values: NDArray[np.float64], seen: NDArray[np.float64]) -> NDArray:
+    """Return left singular vectors; of those with one value, the ones that answer most to one column, then the next."""
+    left, start = left.copy(), 0
+    for end in range(1, len(values) + 1):
+        if end < len(values) and values[end] > (1 - DESIGN_ROUNDING) * values[start]:
+            continue
+        if end > start + 1 and values[start] > 0:
+            rest = left[:, start:end]
+            for k in range(start, end):
+                answers = rest.T @ seen
+                sizes = np.linalg.norm(answers, axis=0)
+                first = answers[:, np.flatnonzero(sizes > (1 - IDENTITY) * sizes.max())[0]]
+                turned = np.linalg.qr(first[:, None], mode="complete")[0]
+                left[:, k], rest = rest @ (first / np.linalg.norm(first)), rest @ turned[:, 1:]
+        start = end
+    return left
