@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -220,15 +221,15 @@ def robust_peak_norm(
     if min(most, searches, samples) < 1 or not (rtol >= 0 and atol >= 0):
         raise SettingError("boxes, searches and samples must be at least 1, rtol and atol 0 or more")
     worst = worst_member(system, samples=samples, seed=seed)
-    task = _Task(used, worst, rate, searches)
-    parts = _cut(system, task, most, worst.attained * (1 + rtol) + atol)
+    search = {"worst": worst, "rate": rate, "searches": searches}
+    parts = _cut(system, used, most, worst.attained * (1 + rtol) + atol, **search)
     if method is None and parts[0].bound > _FAR * worst.attained + atol:
         if system.n_states + 2 * len(system.channels) > _PRACTICAL:
             note = "'lifted' was not tried: it would take many minutes; method='lifted' does"
         elif not lmi.has_solver():
             note = f"{_WITHOUT}: 'lifted' was not tried; pip install 'residua[lmi]'"
         else:
-            lifted = _box_bound(system, replace(task, method="lifted"))
+            lifted = _box_bound(system, "lifted", **search)
             parts = [lifted] if lifted.bound < parts[0].bound else parts
     top = parts[0]
     if not np.isfinite(top.bound):
@@ -272,16 +273,6 @@ def check_method(method: str | None) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class _Task:
-    """The task for every box."""
-
-    method: str
-    worst: WorstMember
-    rate: float | None
-    searches: int
-
-
-@dataclass(frozen=True, eq=False)
 class _BoxBound:
     """The bound of one box of parameters, infinite where there is none, and the parameter along which to cut it."""
 
@@ -295,28 +286,31 @@ class _BoxBound:
     unit: float = 1.0
 
 
-def _cut(system: UncertainSystem, task: _Task, boxes: int, enough: float) -> list[_BoxBound]:
+def _cut(system: UncertainSystem, method: str, boxes: int, enough: float, **search: Any) -> list[_BoxBound]:
     """Bound the set, cut in two where the bound is largest until it is small enough; the largest bound comes first."""
-    parts = [_box_bound(system, task)]
+    parts = [_box_bound(system, method, **search)]
     while len(parts) < boxes and parts[0].bound > enough and np.isfinite(parts[0].widest):
         first = parts.pop(0)
         whole, i = first.system, int(first.widest)
         low, high = whole.low.copy(), whole.high.copy()
         low[i] = high[i] = (whole.low[i] + whole.high[i]) / 2
-        parts += [_box_bound(half, task) for half in (whole.within(whole.low, high), whole.within(low, whole.high))]
+        halves = whole.within(whole.low, high), whole.within(low, whole.high)
+        parts += [_box_bound(half, method, **search) for half in halves]
         parts.sort(key=lambda part: -part.bound)
     return parts
 
 
-def _box_bound(system: UncertainSystem, task: _Task) -> _BoxBound:
+def _box_bound(
+    system: UncertainSystem, method: str, *, worst: WorstMember, rate: float | None, searches: int
+) -> _BoxBound:
     """Bound the output of all members of one box; infinite where the method has no certificate."""
     none = _BoxBound(system)
     if not np.any(system.Bw) or not (np.any(system.Cz) or np.any(system.Dzp)):
-        return replace(none, bound=spectral_norm(system.Dzw), method=task.method)
+        return replace(none, bound=spectral_norm(system.Dzw), method=method)
     centred = none
     # where it is too slow, or too far from normal, for its equations to be solved, a method has no bound
     with suppress(AccuracyError):
-        expansion = centred_bound(system) if task.method == "centred" else None
+        expansion = centred_bound(system) if method == "centred" else None
         if expansion is not None:
             terms = {"linear": expansion.linear, "second": expansion.second, "rest": expansion.rest}
             centred = _BoxBound(
@@ -327,14 +321,14 @@ def _box_bound(system: UncertainSystem, task: _Task) -> _BoxBound:
                 certificate={name: np.array(value) for name, value in terms.items()},
                 eigenvalues={"small gain": 1 - expansion.gain},
             )
-    if centred.bound <= _LOOSE * task.worst.attained:
+    if centred.bound <= _LOOSE * worst.attained:
         return centred
     other = none
     with suppress(AccuracyError):
         problem = scaled_problem(system)
         other = replace(none, widest=problem.widest())
-        if task.method not in ("star", "centred"):
-            return _by_inequalities(other, Inequalities(problem, task.method), task)
+        if method not in ("star", "centred"):
+            return _by_inequalities(other, Inequalities(problem, method), worst.radius, rate, searches)
         ellipsoid = common_ellipsoid(problem)
         sure = None if ellipsoid is None else verified_star(system, problem, ellipsoid)
         if sure is not None:
@@ -348,18 +342,20 @@ def _box_bound(system: UncertainSystem, task: _Task) -> _BoxBound:
     return other if other.bound < centred.bound or np.isnan(centred.widest) else centred
 
 
-def _by_inequalities(part: _BoxBound, inequalities: Inequalities, task: _Task) -> _BoxBound:
+def _by_inequalities(
+    part: _BoxBound, inequalities: Inequalities, radius: float, rate: float | None, searches: int
+) -> _BoxBound:
     """Bound one box by matrix inequalities, at the rate that is asked for or the best, on a logistic scale."""
     found: list[Certificate] = []
 
     def size(t: float) -> float:
-        made = inequalities.solve(task.rate or room / (1 + np.exp(-t)))
+        made = inequalities.solve(rate or room / (1 + np.exp(-t)))
         found.extend([] if made is None else [made])
         return _TOO_LARGE if made is None else float(np.log(made.bound))
 
     system, problem = part.system, inequalities.problem
-    room = 1 - task.worst.radius**2
-    if task.rate is not None:
+    room = 1 - radius**2
+    if rate is not None:
         size(0.0)
     else:
         from scipy.optimize import minimize_scalar  # slow to import, and not needed to run a monitor
@@ -367,12 +363,12 @@ def _by_inequalities(part: _BoxBound, inequalities: Inequalities, task: _Task) -
         start = peak_norm(system.member((system.low + system.high) / 2), kind="star").rate
         share = float(np.clip(start / room, 0.05, 0.8))
         t = float(np.log(share / (1 - share)))
-        guesses = [t + shift for shift in _SHIFTS[: task.searches]]
-        tried = next((k for k, guess in enumerate(guesses, 1) if size(guess) < _TOO_LARGE), task.searches)
-        if tried < task.searches:
+        guesses = [t + shift for shift in _SHIFTS[:searches]]
+        tried = next((k for k, guess in enumerate(guesses, 1) if size(guess) < _TOO_LARGE), searches)
+        if tried < searches:
             # the search looks at 0.38 of its span first
             span = (guesses[tried - 1] - 0.381966 * _SPAN, guesses[tried - 1] + 0.618034 * _SPAN)
-            options = {"xatol": _SETTLED, "maxiter": task.searches - tried}
+            options = {"xatol": _SETTLED, "maxiter": searches - tried}
             minimize_scalar(size, bounds=span, method="bounded", options=options)
     if not found:
         return part
@@ -380,7 +376,7 @@ def _by_inequalities(part: _BoxBound, inequalities: Inequalities, task: _Task) -
     return replace(
         part,
         bound=best.bound * problem.unit,
-        method=task.method,
+        method=inequalities.method,
         rate=best.rate,
         certificate=best.matrices | {"T": problem.T},
         eigenvalues=best.eigenvalues,
@@ -475,12 +471,10 @@ def _sizes(A: Matrix, B: Matrix, C: Matrix, D: Matrix, count: int) -> NDArray[np
     for k in range(1, count):
         H[:, k] = C @ X
         X = A @ X
-    if p == 1:
-        return np.linalg.norm(H, axis=3).sum(axis=1)[:, 0]
     rows = np.linalg.norm(H, axis=3).sum(axis=1)
     g = np.eye(p)[np.argmax(rows, axis=1)]
     best = rows.max(axis=1)
-    for _ in range(8):
+    for _ in range(8 if p > 1 else 0):
         parts = np.einsum("vkpm,vp->vkm", H, g)
         length = np.linalg.norm(parts, axis=2, keepdims=True)
         best = np.maximum(best, length.sum(axis=(1, 2)))

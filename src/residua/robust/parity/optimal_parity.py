@@ -19,7 +19,7 @@ from residua.design.parity.shortest import SEEN, RelationSpace, relation_space
 from residua.errors import DesignError, ModelError
 from residua.linear.polynomials.pair_relations import PairRelations
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
-from residua.linear.subspaces.parts import part_numbers, row_parts
+from residua.linear.subspaces.parts import part_numbers
 from residua.plant import Plant
 from residua.plant.input_output_model import InputOutputModel
 from residua.robust.parity.expected_signals import ExpectedSignals, Sizes, size_factor
@@ -422,8 +422,7 @@ def best_ratios(
     The generalised eigenproblem :math:`F F^T c = \lambda D D^T c`, by singular values alone, nothing is squared: with
     :math:`D = U S V^T` of that rank, those of :math:`S^{-1} U^T F`. Combinations that ``D`` annihilates are
     left out; they must annihilate ``F`` too, or the ratio has no largest value. Rounding chooses nothing where ratios
-    are equal: rows that share no signal are not combined then, and of those that do, the combination comes first that
-    answers most to a single wanted signal.
+    are equal: of those combinations the one comes first that answers most to a single wanted signal.
 
     Parameters
     ----------
@@ -440,25 +439,12 @@ def best_ratios(
     combinations : ndarray, shape (rank, rows)
         With :math:`|c^T D| = 1`.
     """
-    pairs = []
-    for part in row_parts(np.hstack([wanted, unwanted])):
-        U, s, _ = np.linalg.svd(unwanted[part], full_matrices=False)
-        pairs.append((np.eye(len(unwanted))[:, part] @ U, s))
-    sizes = np.concatenate([s for _, s in pairs])
-    kept = np.zeros(len(sizes), dtype=bool)
-    kept[np.argsort(-sizes, kind="stable")[:rank]] = True
-    ratios, combinations, at = [], [], 0
-    for U, s in pairs:
-        chosen = kept[at : at + len(s)]
-        at += len(s)
-        scaled = U[:, chosen] / s[chosen]
-        seen = scaled.T @ wanted
-        left, values, _ = np.linalg.svd(seen, full_matrices=True)
-        left = _without_choice(left, values, seen)
-        ratios += [*values, *np.zeros(len(left) - len(values))]
-        combinations += list((scaled @ left).T)
-    order = np.argsort([-float(f"{x:.9e}") for x in ratios], kind="stable")
-    return np.array(ratios)[order], np.array(combinations).reshape(len(ratios), len(wanted))[order]
+    U, s, _ = np.linalg.svd(unwanted, full_matrices=False)
+    scaled = U[:, :rank] / s[:rank]
+    seen = scaled.T @ wanted
+    left, values, _ = np.linalg.svd(seen, full_matrices=True)
+    left = _without_choice(left, values, seen)
+    return np.concatenate([values, np.zeros(len(left) - len(values))]), (scaled @ left).T
 
 
 def _without_choice(left: NDArray[np.float64], values: NDArray[np.float64], seen: NDArray[np.float64]) -> NDArray:
