@@ -239,7 +239,18 @@ class _Expansion:
         largest = np.argsort([-np.linalg.norm(z) for z in parts])
         most = _CORNERS if len(self.Cz) <= 1 else _CORNERS_OF_MANY
         added = sum(_peak(parts[i]) for i in largest[most:])
-        return _largest_corner(centre, [parts[i] for i in largest[:most]]) + added + missed
+        # convex, so that it is largest at a corner: the centre plus or minus each of the parts
+        visited = [parts[i] for i in largest[:most]]
+        signs = 1.0 - 2.0 * ((np.arange(2 ** len(visited))[:, None] >> np.arange(len(visited))) & 1)
+        flat, reached = np.array(visited).reshape(len(visited), centre.size), 0.0
+        step = max(1, _CHUNK // max(centre.size, 1))
+        for start in range(0, len(signs), step):
+            H = (signs[start : start + step] @ flat).reshape(-1, *centre.shape) + centre
+            if centre.shape[1] <= 1:
+                reached = max(reached, float(np.linalg.norm(H, axis=3).sum(axis=(1, 2)).max()))
+            else:
+                reached = max(reached, *(_peak(one) for one in H))
+        return reached + added + missed
 
     def _second(self, seen: list[Real]) -> Matrix:
         """Return the norms of all products of two parameters, at their half widths; symmetric."""
@@ -291,17 +302,3 @@ def _peak(H: Real) -> float:
     if H.shape[1] <= 1:
         return float(np.linalg.norm(H, axis=2).sum())
     return largest_sum(H, rtol=1e-3).upper
-
-
-def _largest_corner(centre: Real, parts: list[Real]) -> float:
-    """Return the largest peak norm of ``centre`` plus or minus each of the parts: of a convex function over a box."""
-    signs = 1.0 - 2.0 * ((np.arange(2 ** len(parts))[:, None] >> np.arange(len(parts))) & 1)
-    flat = np.array(parts).reshape(len(parts), centre.size)
-    step, largest = max(1, _CHUNK // max(centre.size, 1)), 0.0
-    for start in range(0, len(signs), step):
-        H = (signs[start : start + step] @ flat).reshape(-1, *centre.shape) + centre
-        if centre.shape[1] <= 1:
-            largest = max(largest, float(np.linalg.norm(H, axis=3).sum(axis=(1, 2)).max()))
-        else:
-            largest = max(largest, *(_peak(one) for one in H))
-    return largest

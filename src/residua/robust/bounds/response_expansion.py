@@ -66,15 +66,11 @@ class MemberResponse:
         F = values[:, self.owners][:, :, None] * self.Cq
         return self.A + self.Bp @ F, self.Cz + self.Dzp @ F
 
-    def responses(self, points: NDArray[np.float64]) -> Array:
-        """Return frequency responses, shape (count, p, m); infinite where a pole is in the way."""
-        A, C = self.members(points[:, :-1])
-        M = self.variable(points[:, -1])[:, None, None] * np.eye(len(self.A)) - A
-        return C @ solved(M, np.broadcast_to(self.Bw, (len(M), *self.Bw.shape))) + self.Dzw
-
     def gains(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the smallest singular value at every point; infinite where a pole is in the way."""
-        T = self.responses(points)
+        A, C = self.members(points[:, :-1])
+        M = self.variable(points[:, -1])[:, None, None] * np.eye(len(self.A)) - A
+        T = C @ solved(M, np.broadcast_to(self.Bw, (len(M), *self.Bw.shape))) + self.Dzw
         fine = np.all(np.isfinite(T), axis=(1, 2))
         if T.shape[2] == 1:
             sizes = np.linalg.norm(T[:, :, 0], axis=1)
@@ -276,7 +272,12 @@ class Centre:
 
 
 def centre(response: MemberResponse, low: Real, high: Real) -> Centre:
-    """Return the forms of boxes of points ``(parameters, theta)``, shapes (boxes, coordinates)."""
+    """Return the forms of boxes of points ``(parameters, theta)``, shapes (boxes, coordinates).
+
+    Frequency is a parameter with a channel for each state, which takes all points of the arc: with
+    ``z = z_c (1 + jt) / (1 - jt)``, ``t = tan(theta/2)`` of the deviation ``theta``, ``z x = z_c x + 2j z_c t xi`` and
+    ``xi = x + jt xi``. In continuous time ``s = s_c + jt``.
+    """
     middle, radii = (low + high) / 2, (high - low) / 2
     values, n = middle[:, :-1], len(response.A)
     A, C = response.members(values)
@@ -296,49 +297,24 @@ def centre(response: MemberResponse, low: Real, high: Real) -> Centre:
     select = np.eye(low.shape[1])[response.owners]
     M12, M21, M22 = left @ response.Bp + U @ response.Dzp, response.Cq @ right, response.Cq @ R @ response.Bp
     if not response.constant and n:
-        M12, M22, M21, condition = _with_frequency(
-            response, (A, z + response.origin, R), (M12, M22, M21), (left, right)
-        )
+        # with eigenvectors, or Schur vectors where those are too much alike, the resolvent is about diagonal
+        basis = np.linalg.eig(A)[1].astype(complex)
+        for i in np.flatnonzero(~(np.linalg.cond(basis) < _ILL_CONDITIONED)):
+            basis[i] = scipy.linalg.schur(A[i], output="complex")[1]
+        back = np.linalg.inv(basis)
+        factor = -2j * (z + 1) if response.dt else -1j
+        driven, seen = factor * R @ basis, back @ R @ response.Bp
+        own = back @ driven + (1j * np.eye(n) if response.dt else 0)
+        upper = np.concatenate([M22, response.Cq @ driven], axis=2)
+        M22 = np.concatenate([upper, np.concatenate([seen, own], axis=2)], axis=1)
+        M12 = np.concatenate([M12, factor * left @ basis], axis=2)
+        M21 = np.concatenate([M21, back @ right], axis=1)
         select = np.vstack([select, np.repeat(np.eye(low.shape[1])[-1:], n, axis=0)])
-        relative = relative + condition
+        relative = relative + np.linalg.norm(basis, axis=(1, 2)) * np.linalg.norm(back, axis=(1, 2))
         if response.dt:
             radii[:, -1] = np.tan(radii[:, -1] / 2)
     relative = np.where(regular, RESPONSE_ROUNDING * relative, 1.0)
     return Centre(T, M12, M22, M21, radii, select, RESPONSE_ROUNDING * (error + np.abs(U @ response.Dzw @ V)), relative)
-
-
-def _with_frequency(
-    response: MemberResponse, state: tuple[Array, Array, Array], M: tuple[Array, ...], ends: tuple[Array, Array]
-) -> tuple[Array, Array, Array, Real]:
-    """Append frequency as a parameter with a channel for each state, which takes all points of the arc.
-
-    With ``z = z_c (1 + jt) / (1 - jt)``, ``t = tan(theta/2)`` of the deviation ``theta``, ``z x = z_c x + 2j z_c t xi``
-    and ``xi = x + jt xi``. In continuous time ``s = s_c + jt``. In coordinates that make the resolvent about diagonal.
-    """
-    A, z, R = state
-    (M12, M22, M21), (left, right) = M, ends
-    sampled = response.dt > 0
-    basis, back = _resolvent_basis(A)
-    factor = -2j * z if sampled else -1j
-    driven, seen = factor * R @ basis, back @ R @ response.Bp
-    own = back @ driven + (1j * np.eye(len(response.A)) if sampled else 0)
-    upper = np.concatenate([M22, response.Cq @ driven], axis=2)
-    lower = np.concatenate([seen, own], axis=2)
-    condition = np.linalg.norm(basis, axis=(1, 2)) * np.linalg.norm(back, axis=(1, 2))
-    return (
-        np.concatenate([M12, factor * left @ basis], axis=2),
-        np.concatenate([upper, lower], axis=1),
-        np.concatenate([M21, back @ right], axis=1),
-        condition,
-    )
-
-
-def _resolvent_basis(A: Array) -> tuple[Array, Array]:
-    """Return eigenvectors, or Schur vectors where those are too much alike, and the inverses."""
-    basis = np.linalg.eig(A)[1].astype(complex)
-    for i in np.flatnonzero(~(np.linalg.cond(basis) < _ILL_CONDITIONED)):
-        basis[i] = scipy.linalg.schur(A[i], output="complex")[1]
-    return basis, np.linalg.inv(basis)
 
 
 def inverse(c: Centre) -> Centre:
@@ -397,7 +373,13 @@ class Series:
 
 def series(c: Centre) -> Series:
     """Expand to second order, and bound the rest by the same series of absolute values."""
-    first, second = _terms(c)
+    boxes, p, m = c.T.shape
+    q = c.select.shape[1]
+    rows = (c.M12[:, :, None, :] * c.select.T).reshape(boxes, p * q, -1)
+    columns = (c.M21[:, :, :, None] * c.select[:, None, :]).reshape(boxes, -1, m * q)
+    first = (rows @ c.M21).reshape(boxes, p, q, m).swapaxes(2, 3)
+    second = (rows @ c.M22 @ columns).reshape(boxes, p, q, m, q).swapaxes(2, 3)
+    second = second + second.swapaxes(3, 4)
     b, N, a = np.abs(c.M12), np.abs(c.M22), np.abs(c.M21)
     D = (c.radii @ c.select.T)[:, None, :]
     P, bD = N * D, b * D
@@ -423,16 +405,6 @@ def series(c: Centre) -> Series:
         resolved,
         np.where(c.relative < _UNRELIABLE, 1.0, 0.0)[:, None] * ((P.sum(axis=1) + P.sum(axis=2)) @ c.select),
     )
-
-
-def _terms(c: Centre) -> tuple[Array, Array]:
-    boxes, p, m = c.T.shape
-    q = c.select.shape[1]
-    left = (c.M12[:, :, None, :] * c.select.T).reshape(boxes, p * q, -1)
-    right = (c.M21[:, :, :, None] * c.select[:, None, :]).reshape(boxes, -1, m * q)
-    first = (left @ c.M21).reshape(boxes, p, q, m).swapaxes(2, 3)
-    second = (left @ c.M22 @ right).reshape(boxes, p, q, m, q).swapaxes(2, 3)
-    return first, second + second.swapaxes(3, 4)
 
 
 def _neumann(P: Real, relative: Real) -> tuple[Real, NDArray[np.bool_]]:

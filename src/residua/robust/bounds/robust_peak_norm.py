@@ -249,20 +249,8 @@ def robust_peak_norm(
             f"{top.method!r}: the certificate is wrong in double precision; use another method"
         )
     values = dict(zip(system.parameters, (float(v) for v in worst.values), strict=True))
-    return RobustPeakNorm(
-        top.bound,
-        top.method,
-        worst.attained,
-        values,
-        worst.visited,
-        worst.all_corners,
-        top.rate,
-        top.certificate,
-        top.eigenvalues,
-        top.unit,
-        len(parts),
-        note,
-    )
+    proof = top.rate, top.certificate, top.eigenvalues, top.unit, len(parts), note
+    return RobustPeakNorm(top.bound, top.method, worst.attained, values, worst.visited, worst.all_corners, *proof)
 
 
 def check_method(method: str | None) -> None:

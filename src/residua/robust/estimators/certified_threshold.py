@@ -130,7 +130,9 @@ def certified_threshold(
             "give the plant its disturbances, with_disturbances(...)"
         )
 
-    def bound(signals: tuple[str, ...], *, rtol: float = 0.0, atol: float = 0.0, boxes: int | None = None):
+    def bound(
+        signals: tuple[str, ...], *, rtol: float = 0.0, atol: float = 0.0, boxes: int | None = None
+    ) -> tuple[RobustPeakNorm, float]:
         """Bound the residual for some signals, no smaller than rounding; and what it would be without cancellation."""
         system = residual_over_set(loop, residual_filter, state_map, signals=signals)
         scale = rounding_scale(plant, residual_filter, signals)

@@ -431,19 +431,10 @@ def insensitive_parity(
     system = window_filter(weights, np.concatenate([equations.inputs, *equations.input_slopes]), plant, labels, chosen)
     slowest = float(np.abs(chosen).max(initial=0.0))
     settle = len(chosen) + (int(np.ceil(np.log(1e-3) / np.log(slowest))) if slowest > 1e-12 else 0)
-    running = ParameterRunning(
-        system.A,
-        system.B,
-        system.C,
-        system.D,
-        np.eye(m),
-        np.array([sizes[name] for name in names]),
-        tuple(tuple(names.index(name) for name in one) for one in ignored),
-        1.0,
-        int(memory),
-        settle,
-        np.full(len(ignored), np.inf),
-    )
+    expected = np.array([sizes[name] for name in names])
+    which = tuple(tuple(names.index(name) for name in one) for one in ignored)
+    filters, none = (system.A, system.B, system.C, system.D), np.full(len(ignored), np.inf)
+    running = ParameterRunning(*filters, np.eye(m), expected, which, 1.0, int(memory), settle, none)
     # from rest, under white inputs
     v = np.random.default_rng(41).standard_normal((400, len(plant.inputs)))
     growth = float(spectral_radius(plant.A))

@@ -82,23 +82,18 @@ class MultiModelParity(Shown):
     def __str__(self) -> str:
         s = self.singular_values
         kept = len(self.output_weights)
+        what, values = ("faults for leak", self.ratios) if len(self.ratios) else ("singular values", s[::-1])
+        following = f"; next {values[kept]:.3g}" if kept < len(values) else ""
         lines = [
             f"{_METHOD}: {kept} of {len(s)} relations of order {self.output_weights.shape[1] - 1}, "
             f"{len(self.plants)} models",
-            _listed("faults for leak", self.ratios, kept)
-            if len(self.ratios)
-            else _listed("singular values", s[::-1], kept),
+            f"  {what}, kept: {', '.join(f'{x:.3g}' for x in values[:kept])}{following}",
             "  fault that settles to the leak (rms), nominal / worst model:",
         ]
         smallest = self.smallest_faults
         for j, fault in enumerate(self.generator.faults):
             lines.append(f"    {fault}: {smallest[self.nominal, j]:.3g} / {smallest[:, j].max():.3g}")
         return "\n".join(lines)
-
-
-def _listed(what: str, values: NDArray[np.float64], kept: int) -> str:
-    text = f"  {what}, kept: {', '.join(f'{x:.3g}' for x in values[:kept])}"
-    return text + (f"; next {values[kept]:.3g}" if kept < len(values) else "")
 
 
 @method(

@@ -235,7 +235,13 @@ def _compare(made: UncertainPlant, plants: list[Plant], points: NDArray[np.float
         exact = False
         off = np.where(off > rounding[name], off, 0.0)
         if name in _FIXED:
-            kept[name] = _moved(off, np.abs(_all_matrices(made.nominal)[name]))
+            # relative to the largest of its column, in even units of the rows
+            nominal, most = np.abs(_all_matrices(made.nominal)[name]), off.max(axis=0)
+            rows = np.maximum(nominal, most).max(axis=1, keepdims=True)
+            columns, moved = ((M / np.where(rows > 0, rows, 1.0)).max(axis=0) for M in (nominal, most))
+            # a column that is zero in the nominal plant moves by all that it is
+            share = np.where(columns > 0, moved / np.where(columns > 0, columns, 1.0), np.sign(moved))
+            kept[name] = float(share.max(initial=0.0))
             continue
         spread = np.maximum(np.ptp(true, axis=0), rounding[name])
         worst = (off / np.where(spread > 0, spread, np.finfo(float).tiny)).reshape(len(points), -1).max(axis=1)
@@ -243,15 +249,6 @@ def _compare(made: UncertainPlant, plants: list[Plant], points: NDArray[np.float
             relative, where = float(worst.max()), int(np.argmax(worst))
     values = dict(zip(made.names, (float(v) for v in points[where]), strict=True))
     return Linearisation(exact, deviation, relative, values, len(points), kept)
-
-
-def _moved(off: Matrix, nominal: Matrix) -> float:
-    """Return the largest deviation of an entry, relative to the largest of its column, in even units of the rows."""
-    most = np.maximum(nominal, off.max(axis=0)).max(axis=1)
-    unit = np.where(most > 0, most, 1.0)[:, None]
-    columns, moved = (nominal / unit).max(axis=0), (off.max(axis=0) / unit).max(axis=0)
-    # a column that is zero in the nominal plant moves by all that it is
-    return float(np.where(columns > 0, moved / np.where(columns > 0, columns, 1.0), np.sign(moved)).max(initial=0.0))
 
 
 def uncertain_plant_from_plants(plants: Iterable[Plant]) -> UncertainPlant:

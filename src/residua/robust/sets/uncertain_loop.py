@@ -229,7 +229,7 @@ def residual_over_set(
        B_w = \begin{bmatrix} D_1 \\ T D_1 - K D_2 \end{bmatrix}, \\
        C_z = [H T + J C, \; -H], \quad D_{zp} = -J H_y, \quad D_{zw} = J D_2
 
-    True for any ``T``; that of the filter makes the corner of :math:`\tilde A` zero.
+    True for any ``T``; that of the filter makes the corner of :math:`\tilde A` zero; rounding in it is cleared.
 
     Where the directions :math:`D_1, D_2` of a signal that was asked for depend on the parameters, by :math:`G_w`, all
     signals come one sample later, by a state each, :math:`v_{k+1} = w_k`, and everything uncertain stands in ``A`` and
@@ -349,13 +349,13 @@ def loop_parameters(loop: UncertainPlant, deviations: Mapping[str, float] | Arra
     return dict(zip(loop.names, np.clip(nominal + v, loop.low, loop.high).tolist(), strict=True))
 
 
-def check_members_stable(loop: UncertainPlant, *, samples: int = 256, seed: int = 0) -> None:
+def check_members_stable(loop: UncertainPlant) -> None:
     """Raise a DesignError that names the least stable member, by its pole and parameters, unless all are stable.
 
     Visited are the nominal plant, the corners of the set (up to 10 parameters; beyond, as many at random) and points
     inside.
     """
-    points = visited_values(loop, samples, seed)
+    points = visited_values(loop, inside=256, seed=0)
     F = (points - loop.nominal_values)[:, list(loop.channels)]
     poles = np.linalg.eigvals(loop.nominal.A - (loop.Hx * F[:, None, :]) @ loop.Gx)
     consequence = "nothing is bounded in it: narrow the set, or change the controller"
