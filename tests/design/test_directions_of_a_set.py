@@ -10,8 +10,9 @@ from residua.errors import ModelError
 from residua.linear import StateSpace, peak_input, peak_norm, smallest_gain
 from residua.plant import Perturbation, UncertainPlant
 from residua.robust.estimators.certified_threshold import certified_threshold
-from residua.robust.estimators.estimator_family import estimator_family, starting_gains
+from residua.robust.estimators.estimator_family import estimator_family
 from residua.robust.estimators.sampled_cost import Weights, sampled_cost
+from residua.robust.estimators.starting_gains import starting_gains
 from residua.robust.sets.uncertain_loop import residual_over_set
 
 #: Sums of some hundred products of doubles.

@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 import residua as rs
+from effort import cases
 from residua.errors import DesignError
-from residua.linear import peak_norm
-from residua.robust.estimators.estimator_family import estimator_family, starting_gains
+from residua.linear import StateSpace, peak_norm
+from residua.linear.norms import lmi
+from residua.robust.estimators.estimator_family import estimator_family
 from residua.robust.estimators.sampled_cost import PENALTY, Norms, Weights, sampled_cost
+from residua.robust.estimators.starting_gains import error_system, least_star_gains, starting_gains
 from residua.robust.sets.uncertain_loop import residual_over_set
 from robust_loops import random_loop
 
@@ -140,3 +143,24 @@ def test_size_of_the_residual_is_the_best_one():
     costs = 0.3 * 2 * sizes + 0.7 / (5 * sizes) + 0.7 * 2 / 5
     assert costs.argmin() == 1
     assert costs[1] == pytest.approx(weights.cost(np.array(2.0), np.array(5.0)))
+
+
+@pytest.mark.skipif(not lmi.has_solver(), reason="needs the extra lmi")
+@pytest.mark.parametrize("seed", cases(range(4), 2))
+def test_convex_start_is_the_least_star_norm(seed):
+    """Nothing that is tried from Kalman gains on, at random, has a smaller star norm."""
+    loop = random_loop(seed)
+    family = estimator_family(loop.nominal, loop.nominal.faults[0], others(loop, loop.nominal.faults[0]))
+    s = error_system(family)
+
+    def star(Z):
+        closed = StateSpace(s.A - Z @ s.C, s.B - Z @ s.D, s.C, s.D, dt=1.0)
+        return peak_norm(closed, kind="star").value if closed.is_stable() else np.inf
+
+    convex = min(star(Z) for Z in least_star_gains(s, np.linspace(0.05, 0.9, 8)))
+    rng = np.random.default_rng(seed)
+    starts = starting_gains(family, 0.95)
+    assert len(starts) >= 4
+    tried = [Z + size * rng.standard_normal(Z.shape) for Z in starts for size in (0, 0.01, 0.1, 1) for _ in range(10)]
+    different = {Z.tobytes(): Z for Z in tried}  # a start itself is there ten times
+    assert convex <= 1.03 * min(star(Z) for Z in different.values())

@@ -12,7 +12,8 @@ from residua.linear import StateSpace, smallest_gain
 from residua.plant import Perturbation, UncertainPlant
 from residua.robust.estimators import robust_estimator
 from residua.robust.estimators.certified_threshold import certified_threshold
-from residua.robust.estimators.estimator_family import estimator_family, starting_gains
+from residua.robust.estimators.estimator_family import estimator_family
+from residua.robust.estimators.starting_gains import starting_gains
 from residua.robust.sets.uncertain_loop import residual_over_set
 from residua.robust.sets.uncertain_plant import make_uncertain_plant
 from robust_loops import random_loop

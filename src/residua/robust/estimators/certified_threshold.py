@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from numbers import Real
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -155,7 +156,7 @@ def certified_threshold(
         others, reached = {}, own.attained > _DECOUPLED * scale
         for name in dict.fromkeys((*faults, *sized)) if reached or sized else ():
             # what leaks matters by what it adds to the threshold, and hardly if it is only reported
-            close = {"atol": _COUNTS * own.bound / sized[name]} if name in sized else _ONLY_TOLD
+            close: dict[str, Any] = {"atol": _COUNTS * own.bound / sized[name]} if name in sized else _ONLY_TOLD
             others[name], unit = bound((name,), **close)
             reached |= name in sized and others[name].attained > _DECOUPLED * unit
     except DesignError:
@@ -271,7 +272,7 @@ def certified_thresholds(
     return out
 
 
-def _part(made: ResidualGenerator, rows: list[str]) -> tuple[StateSpace, ArrayLike | None]:
+def _part(made: ResidualGenerator, rows: list[int]) -> tuple[StateSpace, ArrayLike | None]:
     """Return the filter of some residuals without the states that do not reach them: those of other members."""
     part = made.system.explicit().select(outputs=rows)
     reaching = np.any(part.C, axis=0)

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from residua.design.core.signals import signal_names
-from residua.errors import AccuracyError, DesignError
+from residua.errors import DesignError
 from residua.linear import StateSpace
 from residua.linear.poles.observer_gain import cleared
-from residua.linear.poles.riccati import filter_riccati
 from residua.plant import Plant
 from residua.tolerances import RESPONSE_ROUNDING
 
 Matrix = NDArray[np.float64]
-#: How much noise is taken to drive the states, relative to the disturbances of the loop.
-_LEVELS = (1e-4, 1e-2, 1e-1, 1.0, 1e1, 1e2, 1e4)
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,23 +144,3 @@ def estimator_family(plant: Plant, target: str, decoupled: tuple[str, ...]) -> E
             "integral action, the control inputs as further outputs)"
         )
     return family
-
-
-def starting_gains(family: EstimatorFamily, radius: float) -> list[Matrix]:
-    """Return gains that a search begins with: none, and Kalman gains for much and little noise.
-
-    Some of them have all poles within a radius, wherever there are any such: the Kalman gain of the system divided by
-    the radius is stable for that one, and so within the radius for this.
-    """
-    p = family.plant
-    B, D = family.state_map @ p.Bd - family.inject @ p.Dd, family.read @ p.Dd
-    drive, seen = B @ B.T, D @ D.T
-    drive = drive + 1e-6 * max(float(np.trace(drive)), 1e-12) / max(len(drive), 1) * np.eye(len(drive))
-    least = max(float(np.trace(seen)), float(np.trace(family.C @ drive @ family.C.T)), 1e-12)
-    seen = seen + 1e-6 * least * np.eye(len(seen))
-    gains = [np.zeros((family.order, family.rows))]
-    for r in (1.0, radius):
-        for level in _LEVELS:
-            with suppress(DesignError, AccuracyError):
-                gains.append(np.asarray(filter_riccati(family.A / r, family.C / r, level * drive, seen, dt=1.0).gain))
-    return [gain for gain in gains if np.isfinite(gain).all()]

@@ -17,10 +17,11 @@ from residua.progress import Progress
 from residua.robust.bounds.robust_peak_norm import worst_member
 from residua.robust.bounds.smallest_gain import SmallestGain, smallest_gain
 from residua.robust.estimators.certified_threshold import CertifiedThreshold, certified_threshold
-from residua.robust.estimators.estimator_family import EstimatorFamily, starting_gains
+from residua.robust.estimators.estimator_family import EstimatorFamily
 from residua.robust.estimators.genetic_search import GeneticSearch, settings_of
 from residua.robust.estimators.global_search import DifferentialEvolution, SearchResult
 from residua.robust.estimators.sampled_cost import PENALTY, SampledCost, Weights, sampled_cost
+from residua.robust.estimators.starting_gains import starting_gains
 from residua.robust.sets.uncertain_loop import loop_parameters, residual_over_set
 from residua.robust.sets.uncertain_plant import UncertainPlant
 

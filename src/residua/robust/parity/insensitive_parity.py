@@ -255,9 +255,7 @@ class InsensitiveParity(Shown):
         _, outcome = self.block(self.initial_state(len(whole)), whole[..., :n_u] if n_u else None, whole[..., n_u:])
         if data.ndim == 3:
             return outcome
-        return ParameterResiduals(
-            outcome.primary[0], outcome.sensitivities[0], outcome.residuals[0], outcome.statistic[0], outcome.fired[0]
-        )
+        return ParameterResiduals(*(part[0] for part in vars(outcome).values()))
 
     def fit(self, u: ArrayLike | None, y: ArrayLike, *, false_alarm_rate: float = 1e-4) -> InsensitiveParity:
         """Return the same with units and thresholds from fault-free data at the nominal parameters.

@@ -114,9 +114,7 @@ class Perturbation:
         labels = None if names is None else (names,) if isinstance(names, str) else tuple(names)
         if labels is not None and (len(labels) != k or not all(isinstance(x, str) and x.strip() for x in labels)):
             raise ModelError(f"d{matrix}: {k} columns of H need {k} names, got {labels!r}")
-        fields = {"matrix": matrix, "H": H_, "G": G_, "low": low_, "high": high_, "names": labels}
-        for name, value in fields.items():
-            object.__setattr__(self, name, value)
+        self.__dict__.update(matrix=matrix, H=H_, G=G_, low=low_, high=high_, names=labels)
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)

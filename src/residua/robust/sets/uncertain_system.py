@@ -164,22 +164,20 @@ class UncertainSystem:
         own = tuple(range(k) if channels is None else map(int, channels))
         if len(own) != k or any(not 0 <= i < len(low_) for i in own):
             raise ModelError(f"channels must hold {k} numbers from 0 to {len(low_) - 1}, got {own}")
-        fields = {
-            "A": A_,
-            "Bp": Bp_,
-            "Bw": Bw_,
-            "Cq": matrix(Cq, "Cq", (k, n), what="channels x states"),
-            "Cz": Cz_,
-            "Dzp": frozen(np.zeros((r, k))) if Dzp is None else matrix(Dzp, "Dzp", (r, k), what="outputs x channels"),
-            "Dzw": frozen(np.zeros((r, m))) if Dzw is None else matrix(Dzw, "Dzw", (r, m), what="outputs x inputs"),
-            "low": low_,
-            "high": high_,
-            "channels": own,
-            "parameters": arrays.names(parameters, len(low_), "f", "parameters"),
-            "dt": arrays.sample_step(dt),
-        }
-        for name, value in fields.items():
-            object.__setattr__(self, name, value)
+        self.__dict__.update(
+            A=A_,
+            Bp=Bp_,
+            Bw=Bw_,
+            Cq=matrix(Cq, "Cq", (k, n), what="channels x states"),
+            Cz=Cz_,
+            Dzp=frozen(np.zeros((r, k))) if Dzp is None else matrix(Dzp, "Dzp", (r, k), what="outputs x channels"),
+            Dzw=frozen(np.zeros((r, m))) if Dzw is None else matrix(Dzw, "Dzw", (r, m), what="outputs x inputs"),
+            low=low_,
+            high=high_,
+            channels=own,
+            parameters=arrays.names(parameters, len(low_), "f", "parameters"),
+            dt=arrays.sample_step(dt),
+        )
 
     @property
     def n_states(self) -> int:
