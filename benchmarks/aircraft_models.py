@@ -28,8 +28,7 @@ from numpy.typing import NDArray
 
 import residua as rs
 from residua.robust.parity.expected_signals import ExpectedSignals
-from residua.robust.parity.model_spread import model_spread
-from residua.robust.parity.multi_model_parity import multi_model_parity
+from residua.robust.parity.multi_model_parity import model_spread, multi_model_parity
 from residua.robust.parity.optimal_parity import optimal_parity
 
 OUTPUT = Path(__file__).resolve().parent.parent / "docs" / "data" / "aircraft_models.csv"

@@ -10,7 +10,7 @@ from residua.design import DifferentialEvolution, GeneticSearch
 from residua.errors import DesignError, ModelError, NoCertificateError, SettingError
 from residua.linear import StateSpace, smallest_gain
 from residua.plant import Perturbation, UncertainPlant
-from residua.robust.estimators import estimator_search
+from residua.robust.estimators import robust_estimator
 from residua.robust.estimators.certified_threshold import certified_threshold
 from residua.robust.estimators.estimator_family import estimator_family
 from residua.robust.estimators.starting_gains import starting_gains
@@ -39,9 +39,8 @@ def controlled_loop(seed: int = 0, units: np.ndarray | None = None, *, size: flo
     p = loop.nominal
     scaled = {name: getattr(p, name) * u[:, None] for name in ("B", "Bd", "Bf", "Bw")}
     p = p._with(A=p.A * u[:, None] / u, C=p.C / u, **scaled)
-    return make_uncertain_plant(
-        p, loop.parameters, loop.channels, [(loop.Hx * u[:, None], loop.Hy, loop.Gx / u, loop.Gu)]
-    )
+    G = np.hstack([loop.Gx / u, loop.Gu, loop.Gd, loop.Gf])
+    return make_uncertain_plant(p, loop.parameters, loop.channels, np.vstack([loop.Hx * u[:, None], loop.Hy]), G)
 
 
 def test_units_of_states_do_not_matter_to_what_a_fault_leaves():
@@ -67,8 +66,8 @@ def test_units_of_states_do_not_matter_to_a_bank(u, actuator):
         loop = controlled_loop(0, units)
         if actuator:  # divided out, where the sensors alone are not
             plant = loop.nominal.with_faults({"valve": units * [0.1, 0.02, 0, 0]}, kind="actuator")
-            blocks = [(loop.Hx, loop.Hy, loop.Gx, loop.Gu)]
-            loop = make_uncertain_plant(plant, loop.parameters, loop.channels, blocks)
+            H, G = np.vstack([loop.Hx, loop.Hy]), np.hstack([loop.Gx, loop.Gu, loop.Gd, np.zeros((len(loop.Gf), 3))])
+            loop = make_uncertain_plant(plant, loop.parameters, loop.channels, H, G)
         ignored = ["valve"] if actuator else ["y2 sensor"]
         bank = rs.design.robust_l1_bank(
             loop, ["y1 sensor"], decouple=ignored, search=QUICK, method="star", progress=False
@@ -194,7 +193,7 @@ def test_faster_estimators_where_no_threshold_is_certified(monkeypatch, given):
             raise NoCertificateError("method 'star' found no certificate: cut it into parts with boxes=4")
         return certified_threshold(*args, **options)
 
-    monkeypatch.setattr(estimator_search, "certified_threshold", slow_ones_fail)
+    monkeypatch.setattr(robust_estimator, "certified_threshold", slow_ones_fail)
     options = {"search": QUICK, "method": "star", "settling": given, "progress": False}
     if given is not None:
         with pytest.raises(

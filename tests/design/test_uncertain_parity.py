@@ -12,8 +12,7 @@ import residua as rs
 from effort import cases
 from generated import random_plant
 from residua.errors import DesignError, ModelError, SettingError
-from residua.robust.parity.model_spread import model_spread
-from residua.robust.parity.multi_model_parity import MultiModelParity, multi_model_parity
+from residua.robust.parity.multi_model_parity import MultiModelParity, model_spread, multi_model_parity
 from residua.robust.parity.optimal_parity import optimal_parity
 
 

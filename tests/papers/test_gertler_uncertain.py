@@ -8,8 +8,7 @@ import scipy.linalg
 
 import residua as rs
 from residua.robust.parity.insensitive_parity import insensitive_parity
-from residua.robust.parity.model_spread import model_spread
-from residua.robust.parity.multi_model_parity import multi_model_parity
+from residua.robust.parity.multi_model_parity import model_spread, multi_model_parity
 from residua.robust.parity.optimal_parity import optimal_parity
 from residua.robust.parity.select_equations import select_equations
 

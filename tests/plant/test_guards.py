@@ -70,7 +70,7 @@ def test_a_denominator_of_zero_is_refused(monkeypatch: pytest.MonkeyPatch) -> No
 def test_a_box_that_misses_its_plants_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     slow, fast = (rs.Plant([[-a]], [[a]], [[1.0]]) for a in (1.0, 2.0))
     UncertainPlant.from_plants([slow, fast])
-    changed(monkeypatch, "robust.sets.linearisation:_channels_of", lambda parts: (off(parts[0]), *parts[1:]))
+    changed(monkeypatch, "robust.sets.linearisation:_channels_of", lambda parts: (parts[0], off(parts[1]), parts[2]))
     with pytest.raises(AccuracyError, match="misses the plants"):
         UncertainPlant.from_plants([slow, fast])
 

@@ -40,14 +40,12 @@ if TYPE_CHECKING:
     from residua.design.parity.structured_parity import structured_parity
     from residua.design.suggestion import Suggestion
     from residua.robust.estimators.certified_threshold import CertifiedThreshold, certified_thresholds
-    from residua.robust.estimators.differential_evolution import DifferentialEvolution
     from residua.robust.estimators.genetic_search import GeneticSearch
+    from residua.robust.estimators.global_search import DifferentialEvolution, SearchResult
     from residua.robust.estimators.robust_estimator import RobustEstimator
     from residua.robust.estimators.robust_l1_bank import RobustL1Bank, robust_l1_bank
-    from residua.robust.estimators.search_result import SearchResult
     from residua.robust.parity.insensitive_parity import InsensitiveParity, insensitive_parity
-    from residua.robust.parity.model_spread import model_spread
-    from residua.robust.parity.multi_model_parity import MultiModelParity, multi_model_parity
+    from residua.robust.parity.multi_model_parity import MultiModelParity, model_spread, multi_model_parity
     from residua.robust.parity.optimal_parity import OptimalParity, optimal_parity
     from residua.robust.parity.select_equations import EquationChoice, select_equations
 
@@ -154,14 +152,12 @@ hand_on(
         "residua.design.parity.structured_parity": ("structured_parity",),
         "residua.design.suggestion": ("Suggestion",),
         "residua.robust.estimators.certified_threshold": ("CertifiedThreshold", "certified_thresholds"),
-        "residua.robust.estimators.differential_evolution": ("DifferentialEvolution",),
         "residua.robust.estimators.genetic_search": ("GeneticSearch",),
+        "residua.robust.estimators.global_search": ("DifferentialEvolution", "SearchResult"),
         "residua.robust.estimators.robust_estimator": ("RobustEstimator",),
         "residua.robust.estimators.robust_l1_bank": ("RobustL1Bank", "robust_l1_bank"),
-        "residua.robust.estimators.search_result": ("SearchResult",),
         "residua.robust.parity.insensitive_parity": ("InsensitiveParity", "insensitive_parity"),
-        "residua.robust.parity.model_spread": ("model_spread",),
-        "residua.robust.parity.multi_model_parity": ("MultiModelParity", "multi_model_parity"),
+        "residua.robust.parity.multi_model_parity": ("MultiModelParity", "model_spread", "multi_model_parity"),
         "residua.robust.parity.optimal_parity": ("OptimalParity", "optimal_parity"),
         "residua.robust.parity.select_equations": ("EquationChoice", "select_equations"),
     },

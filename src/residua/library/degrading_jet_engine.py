@@ -11,8 +11,7 @@ from residua.errors import DesignError, ModelError, SettingError
 from residua.library.simulation import Course, SimulatedRecording, fault_courses, filled
 from residua.linear import StateSpace, filter_riccati
 from residua.plant import Plant
-from residua.robust.sets.perturbation import Perturbation
-from residua.robust.sets.uncertain_plant import UncertainPlant
+from residua.robust.sets.uncertain_plant import Perturbation, UncertainPlant
 
 DT = 0.01  #: Sample step, seconds.
 #: As printed, but for the two entries that the scan leaves open.

@@ -40,7 +40,8 @@ if TYPE_CHECKING:
     )
     from residua.linear.systems.sampling import sample
     from residua.linear.systems.state_space import StateSpace
-    from residua.robust.bounds import RobustPeakNorm, SmallestGain, robust_peak_norm, smallest_gain
+    from residua.robust.bounds.robust_peak_norm import RobustPeakNorm, robust_peak_norm
+    from residua.robust.bounds.smallest_gain import SmallestGain, smallest_gain
     from residua.robust.sets.uncertain_system import UncertainSystem
 
 __all__ = [
@@ -138,7 +139,8 @@ hand_on(
         ),
         "residua.linear.systems.sampling": ("sample",),
         "residua.linear.systems.state_space": ("StateSpace",),
-        "residua.robust.bounds": ("RobustPeakNorm", "SmallestGain", "robust_peak_norm", "smallest_gain"),
+        "residua.robust.bounds.robust_peak_norm": ("RobustPeakNorm", "robust_peak_norm"),
+        "residua.robust.bounds.smallest_gain": ("SmallestGain", "smallest_gain"),
         "residua.robust.sets.uncertain_system": ("UncertainSystem",),
     },
 )

@@ -29,9 +29,8 @@ if TYPE_CHECKING:
         uncertain_plant_from_parameters,
         uncertain_plant_from_plants,
     )
-    from residua.robust.sets.perturbation import Perturbation, UncertainParameter
     from residua.robust.sets.uncertain_loop import close_loop, estimator_residual, loop_parameters, residual_over_set
-    from residua.robust.sets.uncertain_plant import UncertainPlant
+    from residua.robust.sets.uncertain_plant import Perturbation, UncertainParameter, UncertainPlant
 
 __all__ = [
     "Fault",
@@ -95,13 +94,12 @@ hand_on(
             "uncertain_plant_from_parameters",
             "uncertain_plant_from_plants",
         ),
-        "residua.robust.sets.perturbation": ("Perturbation", "UncertainParameter"),
         "residua.robust.sets.uncertain_loop": (
             "close_loop",
             "estimator_residual",
             "loop_parameters",
             "residual_over_set",
         ),
-        "residua.robust.sets.uncertain_plant": ("UncertainPlant",),
+        "residua.robust.sets.uncertain_plant": ("Perturbation", "UncertainParameter", "UncertainPlant"),
     },
 )

@@ -17,16 +17,18 @@ the parameters, has a spectral radius below one; that also proves every member s
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.linear.norms.impulse_terms import StableSystem, impulse_blocks, response_blocks
+from residua.errors import DesignError, ModelError
+from residua.linear.norms.impulse_terms import StableSystem, impulse_blocks, response_blocks, stable_system
 from residua.linear.norms.peak_direction import largest_sum
 from residua.linear.norms.peak_norm import peak_norm
+from residua.linear.norms.star_norm import ellipsoid_shape, star_ellipsoid
 from residua.linear.poles.spectrum import spectral_radius
-from residua.robust.bounds.reached_middle import ReachedMiddle, reached_middle
+from residua.linear.systems.state_space import StateSpace
 from residua.robust.sets.uncertain_system import UncertainSystem
 from residua.tolerances import RESPONSE_ROUNDING
 
@@ -40,8 +42,64 @@ _TERMS, _STORED = 1_000_000, 20_000_000
 _CORNERS, _CORNERS_OF_MANY = 10, 4
 #: Numbers of the responses at corners that are held at a time.
 _CHUNK = 4_000_000
+#: Inputs reach a state by way of so many parameters, one after the other.
+_WIDENINGS = 3
 #: What rounding of sums of responses may do to the bound.
 _ROUNDED = 1 + 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class ReachedMiddle:
+    """The middle of the set, and what inputs of unit size reach of it, by way of parameters as well.
+
+    Attributes
+    ----------
+    middle : StableSystem
+        In balanced units of its states.
+    Q : ndarray, shape (n, n)
+        An ellipsoid about what is reached, in these.
+    reach : ndarray, shape (channels,)
+        How large ``q`` gets, about; 0 if nothing drives it.
+    unit : float
+        How large the output gets, about; 1 if nothing reaches it.
+    rate : float
+        Of the smallest ellipsoid, for the outputs, about what is reached.
+    """
+
+    middle: StableSystem
+    Q: Matrix
+    reach: NDArray[np.float64]
+    unit: float
+    rate: float
+
+
+def reached_middle(system: UncertainSystem) -> ReachedMiddle:
+    """Return units for an uncertain system.
+
+    Where the middle of the set is not driven or not seen, other members may be: units come from all that inputs reach
+    by way of parameters, else they would be units of rounding.
+    """
+    middle = system.member((system.low + system.high) / 2)
+    both = StateSpace(middle.A, np.hstack([middle.B, system.Bp]), np.vstack([middle.C, system.Cq]), dt=system.dt)
+    try:
+        s = stable_system(both)
+    except ModelError as error:
+        raise DesignError(f"the middle of the set has no peak norm: {error}") from error
+    s = replace(s, B=s.B[:, : middle.n_inputs], C=s.C[: middle.n_outputs], D=middle.D)
+    half = (system.high - system.low)[list(system.channels)] / 2
+    B, C, direct = half * system.Bp / s.units[:, None], system.Cq * s.units, half * system.Dzp
+    # not the rate that is best for the outputs: what these do not see would grow without end
+    rate = 0.5 * (1 - s.radius**2)
+    Q, reach, wider = np.zeros_like(s.A), np.zeros(len(half)), s
+    for _ in range(_WIDENINGS + 1):
+        shape = ellipsoid_shape(s.A, wider.B, rate)
+        if shape is None or not np.isfinite(shape).all():
+            break
+        Q = shape
+        reach = np.sqrt(np.maximum(np.sum((C @ Q) * C, axis=1), 0.0))
+        wider = replace(s, B=np.hstack([s.B, B * reach]), D=np.hstack([s.D, direct * reach]))
+    star = star_ellipsoid(wider)
+    return ReachedMiddle(s, Q, reach, float(star.bound) or 1.0, star.rate)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,107 +137,55 @@ def centred_bound(system: UncertainSystem) -> CentredBound | None:
     if not np.any((system.high - system.low)[list(system.channels)]):
         alone = peak_norm(system.member((system.low + system.high) / 2), rtol=1e-4).value
         return CentredBound(alone, 0.0, 0.0, np.zeros(system.n_parameters), 0.0)
-    reached = reached_middle(system)
-    centre = _centre(system, reached)
-    gains = _gains(centre)
-    return None if gains is None else _Expansion(system, centre, gains).bound(reached.unit)
-
-
-@dataclass(frozen=True, eq=False)
-class _Centre:
-    """The centre of the set, in even units: from inputs ``w`` and channels ``p`` to ``z`` and ``q``."""
-
-    A: Matrix
-    Bw: Matrix
-    Bp: Matrix
-    Cz: Matrix
-    Cq: Matrix
-    Dzw: Matrix
-    Dzp: Matrix
-    radius: float
-
-
-def _centre(system: UncertainSystem, reached: ReachedMiddle) -> _Centre:
-    s = reached.middle
-    unit = np.where(reached.reach > 0, reached.reach, 1.0)
-    return _Centre(
-        s.A,
-        s.B,
-        system.Bp / s.units[:, None] * unit,
-        s.C / reached.unit,
-        system.Cq * s.units / unit[:, None],
-        s.D / reached.unit,
-        system.Dzp * unit / reached.unit,
-        s.radius,
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class _Gains:
-    """Norms of the impulse responses of the centre.
-
-    Attributes
-    ----------
-    zw : ndarray, shape (terms, outputs, inputs)
-        The response itself.
-    zp, qp : ndarray
-        Sums of absolute values, shape (rows, columns).
-    qw : ndarray, shape (channels,)
-        Sums of lengths.
-    tail : float
-        No sum over what is cut off is larger, of any entry; it is in the others already.
-    """
-
-    zw: Real
-    zp: Real
-    qp: Real
-    qw: Real
-    tail: float
-
-    @property
-    def terms(self) -> int:
-        """How many terms are not cut off."""
-        return len(self.zw)
-
-
-def _gains(c: _Centre) -> _Gains | None:
-    p, m = c.Dzw.shape
-    k = len(c.Cq)
-    B, C = np.hstack([c.Bw, c.Bp]), np.vstack([c.Cz, c.Cq])
-    D = np.zeros((p + k, m + k))
-    D[:p, :m], D[:p, m:] = c.Dzw, c.Dzp
-    zw, zp, qp, qw, tail = [], np.zeros((p, k)), np.zeros((k, k)), np.zeros(k), np.inf
-    system = StableSystem(c.A, B, C, D, np.ones(len(c.A)), c.radius)
-    for H, tail in impulse_blocks(system, most=min(_TERMS, _STORED // max(p * m * (2 + 2 * k), 1))):
-        zw.append(H[:, :p, :m])
-        zp += np.abs(H[:, :p, m:]).sum(axis=0)
-        qp += np.abs(H[:, p:, m:]).sum(axis=0)
-        qw += np.linalg.norm(H[:, p:, :m], axis=2).sum(axis=0)
-        if tail <= _TAIL:
-            break
-    if tail > _LARGEST_TAIL:
-        return None
-    return _Gains(np.concatenate(zw), zp + tail, qp + tail, qw + tail, tail)
+    e = _Expansion(system)
+    return None if e.tail > _LARGEST_TAIL else e.bound()
 
 
 class _Expansion:
-    """The terms of the expansion: responses of chains of the centre, each driving the next by way of a parameter."""
+    """The terms of the expansion: responses of chains of the centre, each driving the next by way of a parameter.
 
-    def __init__(self, system: UncertainSystem, centre: _Centre, gains: _Gains) -> None:
-        self.c, self.gains = centre, gains
+    All in even units: of states, of what the parameters see, and of the outputs. ``zw`` is the response itself, shape
+    (terms, outputs, inputs); ``zp`` and ``qp`` are sums of absolute values, ``qw`` sums of lengths. No sum over what is
+    cut off is larger than ``tail``, of any entry; it is in the others already.
+    """
+
+    def __init__(self, system: UncertainSystem) -> None:
+        reached = reached_middle(system)
+        s, self.unit = reached.middle, reached.unit
+        unit = np.where(reached.reach > 0, reached.reach, 1.0)
+        self.A, self.Bw, self.Bp = s.A, s.B, system.Bp / s.units[:, None] * unit
+        self.Cz, self.Cq = s.C / reached.unit, system.Cq * s.units / unit[:, None]
+        self.Dzw, self.Dzp = s.D / reached.unit, system.Dzp * unit / reached.unit
         half = (system.high - system.low) / 2
         self.moving = [i for i in range(len(half)) if half[i] > 0 and i in system.channels]
         self.owned = [np.flatnonzero(np.array(system.channels) == i) for i in self.moving]
         self.half, self.count = half[self.moving], len(half)
         self.width = half[list(system.channels)]
-        self.loops = [centre.Bp[:, own] @ centre.Cq[own] for own in self.owned]
-        self.directs = [centre.Dzp[:, own] @ centre.Cq[own] for own in self.owned]
+        self.loops = [self.Bp[:, own] @ self.Cq[own] for own in self.owned]
+        self.directs = [self.Dzp[:, own] @ self.Cq[own] for own in self.owned]
+        (p, m), k = self.Dzw.shape, len(self.Cq)
+        D = np.block([[self.Dzw, self.Dzp], [np.zeros((k, m + k))]])
+        both = StableSystem(
+            s.A, np.hstack([self.Bw, self.Bp]), np.vstack([self.Cz, self.Cq]), D, np.ones(len(s.A)), s.radius
+        )
+        zw, self.zp, self.qp, self.qw, self.tail = [], np.zeros((p, k)), np.zeros((k, k)), np.zeros(k), np.inf
+        for H, self.tail in impulse_blocks(both, most=min(_TERMS, _STORED // max(p * m * (2 + 2 * k), 1))):
+            zw.append(H[:, :p, :m])
+            self.zp += np.abs(H[:, :p, m:]).sum(axis=0)
+            self.qp += np.abs(H[:, p:, m:]).sum(axis=0)
+            self.qw += np.linalg.norm(H[:, p:, :m], axis=2).sum(axis=0)
+            if self.tail <= _TAIL:
+                break
+        self.zw, self.terms = np.concatenate(zw), sum(map(len, zw))
+        self.zp, self.qp, self.qw = self.zp + self.tail, self.qp + self.tail, self.qw + self.tail
 
-    def bound(self, unit: float) -> CentredBound:
+    def bound(self) -> CentredBound:
         """Return the bound; its parts are infinite where small gains prove nothing."""
-        around = self.gains.qp * self.width
-        gain = float(spectral_radius(around))
-        none = CentredBound(np.inf, np.inf, np.inf, self._weights(around), gain)
+        around = self.qp * self.width
+        gain, blame = float(spectral_radius(around)), np.zeros(self.count)
+        for i, own in zip(self.moving, self.owned, strict=True):
+            blame[i] = (around.sum(axis=0) + around.sum(axis=1))[own].sum()
+        none = CentredBound(np.inf, np.inf, np.inf, blame, gain)
         if not gain < 1:
             return none
         first = [self._first(i) for i in range(len(self.moving))]
@@ -188,51 +194,63 @@ class _Expansion:
         if away is None:
             return none
         linear, second = self._linear([z for z, _ in first]), self._second(seen)
-        front = sum((h * self._front(i) for i, h in enumerate(self.half)), np.zeros_like(self.gains.zp))
-        rest = front * self.width * away
-        blame = np.zeros(self.count)
+        front = sum((h * self._front(i) for i, h in enumerate(self.half)), np.zeros_like(self.zp))
+        rest, blame = front * self.width * away, np.zeros(self.count)
         for i, own, row in zip(self.moving, self.owned, second, strict=True):
             blame[i] = np.linalg.norm(rest[:, own], axis=0).sum() + row.sum()
         both, last = float(np.triu(second).sum()), float(np.linalg.norm(rest.sum(axis=1)))
-        return CentredBound(float(unit * linear), float(unit * both), float(unit * last), blame, gain)
+        return CentredBound(float(self.unit * linear), float(self.unit * both), float(self.unit * last), blame, gain)
 
     def _first(self, i: int) -> tuple[Real, Real]:
         """Return the response of ``z`` to a parameter, to first order, and the norms of that of ``q``."""
-        c, g, own, p = self.c, self.gains, self.owned[i], len(self.c.Cz)
-        zero = np.zeros_like(c.A)
-        A = np.block([[c.A, zero], [self.loops[i], c.A]])
-        C = np.block([[self.directs[i], c.Cz], [np.zeros_like(c.Cq), c.Cq]])
-        z, q = [np.zeros((1, *c.Dzw.shape))], np.zeros(len(c.Cq))
-        for H, _ in response_blocks(A, np.vstack([c.Bw, np.zeros_like(c.Bw)]), C, 2 * g.terms):
+        own, p = self.owned[i], len(self.Cz)
+        zero = np.zeros_like(self.A)
+        A = np.block([[self.A, zero], [self.loops[i], self.A]])
+        C = np.block([[self.directs[i], self.Cz], [np.zeros_like(self.Cq), self.Cq]])
+        z, q = [np.zeros((1, *self.Dzw.shape))], np.zeros(len(self.Cq))
+        for H, _ in response_blocks(A, np.vstack([self.Bw, np.zeros_like(self.Bw)]), C, 2 * self.terms):
             z.append(H[:, :p])
             q += np.linalg.norm(H[:, p:], axis=2).sum(axis=0)
-        missed = g.tail * (g.qw[own].sum() + g.qp[:, own].sum(axis=1)) + RESPONSE_ROUNDING * (g.qp[:, own] @ g.qw[own])
+        missed = self.tail * (self.qw[own].sum() + self.qp[:, own].sum(axis=1)) + RESPONSE_ROUNDING * (
+            self.qp[:, own] @ self.qw[own]
+        )
         return np.concatenate(z), q + missed
 
     def _front(self, i: int) -> Matrix:
         """Return the norms of ``T_zp Phi T_qp`` for one parameter, shape (outputs, channels)."""
-        c, g, own = self.c, self.gains, self.owned[i]
-        A = np.block([[c.A, np.zeros_like(c.A)], [self.loops[i], c.A]])
-        norms = np.zeros_like(g.zp)
-        C = np.hstack([self.directs[i], c.Cz])
-        for H, _ in response_blocks(A, np.vstack([c.Bp, np.zeros_like(c.Bp)]), C, 2 * g.terms):
+        own = self.owned[i]
+        A = np.block([[self.A, np.zeros_like(self.A)], [self.loops[i], self.A]])
+        norms = np.zeros_like(self.zp)
+        C = np.hstack([self.directs[i], self.Cz])
+        for H, _ in response_blocks(A, np.vstack([self.Bp, np.zeros_like(self.Bp)]), C, 2 * self.terms):
             norms += np.abs(H).sum(axis=0)
-        tail = g.tail * (g.zp[:, own].sum(axis=1)[:, None] + g.qp[own].sum(axis=0))
-        return norms + tail + RESPONSE_ROUNDING * (g.zp[:, own] @ g.qp[own])
+        tail = self.tail * (self.zp[:, own].sum(axis=1)[:, None] + self.qp[own].sum(axis=0))
+        return norms + tail + RESPONSE_ROUNDING * (self.zp[:, own] @ self.qp[own])
 
     def _linear(self, first: list[Real]) -> float:
         """Bound ``T_zw w + T_zp Phi T_qw w`` over the corners."""
-        g, missed = self.gains, self.gains.tail
+        missed = self.tail
         for h, own in zip(self.half, self.owned, strict=True):
-            zp, qw = g.zp[:, own], g.qw[own]
-            missed += h * float(np.linalg.norm(g.tail * (qw.sum() + zp.sum(axis=1)) + RESPONSE_ROUNDING * (zp @ qw)))
+            zp, qw = self.zp[:, own], self.qw[own]
+            missed += h * float(np.linalg.norm(self.tail * (qw.sum() + zp.sum(axis=1)) + RESPONSE_ROUNDING * (zp @ qw)))
         centre = np.zeros_like(first[0])
-        centre[: g.terms] = g.zw
+        centre[: self.terms] = self.zw
         parts = [h * z for h, z in zip(self.half, first, strict=True)]
         largest = np.argsort([-np.linalg.norm(z) for z in parts])
-        most = _CORNERS if len(self.c.Cz) <= 1 else _CORNERS_OF_MANY
+        most = _CORNERS if len(self.Cz) <= 1 else _CORNERS_OF_MANY
         added = sum(_peak(parts[i]) for i in largest[most:])
-        return _largest_corner(centre, [parts[i] for i in largest[:most]]) + added + missed
+        # convex, so that it is largest at a corner: the centre plus or minus each of the parts
+        visited = [parts[i] for i in largest[:most]]
+        signs = 1.0 - 2.0 * ((np.arange(2 ** len(visited))[:, None] >> np.arange(len(visited))) & 1)
+        flat, reached = np.array(visited).reshape(len(visited), centre.size), 0.0
+        step = max(1, _CHUNK // max(centre.size, 1))
+        for start in range(0, len(signs), step):
+            H = (signs[start : start + step] @ flat).reshape(-1, *centre.shape) + centre
+            if centre.shape[1] <= 1:
+                reached = max(reached, float(np.linalg.norm(H, axis=3).sum(axis=(1, 2)).max()))
+            else:
+                reached = max(reached, *(_peak(one) for one in H))
+        return reached + added + missed
 
     def _second(self, seen: list[Real]) -> Matrix:
         """Return the norms of all products of two parameters, at their half widths; symmetric."""
@@ -246,34 +264,25 @@ class _Expansion:
 
     def _of_two(self, i: int, j: int) -> Iterator[Real]:
         """Yield the response of ``z`` to what two parameters do one after the other, in both orders."""
-        c, zero = self.c, np.zeros_like(self.c.A)
+        A0, zero = self.A, np.zeros_like(self.A)
         (Li, Di), (Lj, Dj) = ((self.loops[k], self.directs[k]) for k in (i, j))
         if i == j:
-            A, C = np.block([[c.A, zero, zero], [Li, c.A, zero], [zero, Li, c.A]]), np.hstack([0 * Di, Di, c.Cz])
+            A, C = np.block([[A0, zero, zero], [Li, A0, zero], [zero, Li, A0]]), np.hstack([0 * Di, Di, self.Cz])
         else:
-            A = np.block([[c.A, zero, zero, zero], [Li, c.A, zero, zero], [Lj, zero, c.A, zero], [zero, Lj, Li, c.A]])
-            C = np.hstack([0 * Di, Dj, Di, c.Cz])
-        B = np.zeros((len(A), c.Bw.shape[1]))
-        B[: len(c.Bw)] = c.Bw
-        return (H for H, _ in response_blocks(A, B, C, 3 * self.gains.terms))
+            A = np.block([[A0, zero, zero, zero], [Li, A0, zero, zero], [Lj, zero, A0, zero], [zero, Lj, Li, A0]])
+            C = np.hstack([0 * Di, Dj, Di, self.Cz])
+        B = np.zeros((len(A), self.Bw.shape[1]))
+        B[: len(self.Bw)] = self.Bw
+        return (H for H, _ in response_blocks(A, B, C, 3 * self.terms))
 
     def _missed_of_two(self, i: int, norms: Real) -> float:
         """Bound what is cut off and rounded in the response of ``z`` to a parameter that sees ``q`` of first order."""
-        g, own = self.gains, self.owned[i]
+        own = self.owned[i]
         # either the last factor is cut off, or one of those that made q
-        made = norms[own].sum() + g.zp[:, own].sum(axis=1) * (g.qw.sum() + g.qp[own].sum())
-        return float(np.linalg.norm(g.tail * made + RESPONSE_ROUNDING * (g.zp[:, own] @ (g.qp[own] @ g.qw))))
-
-    def _weights(self, around: Matrix) -> Real:
-        """Return about how much each parameter is to blame for gains that are too large."""
-        right = left = np.ones(len(around))
-        for _ in range(20):
-            right, left = around @ right + 1e-3 * right, around.T @ left + 1e-3 * left
-            right, left = right / right.max(), left / left.max()
-        blame = np.zeros(self.count)
-        for i, own in zip(self.moving, self.owned, strict=True):
-            blame[i] = (right * left)[own].sum()
-        return blame
+        made = norms[own].sum() + self.zp[:, own].sum(axis=1) * (self.qw.sum() + self.qp[own].sum())
+        return float(
+            np.linalg.norm(self.tail * made + RESPONSE_ROUNDING * (self.zp[:, own] @ (self.qp[own] @ self.qw)))
+        )
 
 
 def _solved(gains: Matrix, once: Real) -> Real | None:
@@ -293,17 +302,3 @@ def _peak(H: Real) -> float:
     if H.shape[1] <= 1:
         return float(np.linalg.norm(H, axis=2).sum())
     return largest_sum(H, rtol=1e-3).upper
-
-
-def _largest_corner(centre: Real, parts: list[Real]) -> float:
-    """Return the largest peak norm of ``centre`` plus or minus each of the parts: of a convex function over a box."""
-    signs = 1.0 - 2.0 * ((np.arange(2 ** len(parts))[:, None] >> np.arange(len(parts))) & 1)
-    flat = np.array(parts).reshape(len(parts), centre.size)
-    step, largest = max(1, _CHUNK // max(centre.size, 1)), 0.0
-    for start in range(0, len(signs), step):
-        H = (signs[start : start + step] @ flat).reshape(-1, *centre.shape) + centre
-        if centre.shape[1] <= 1:
-            largest = max(largest, float(np.linalg.norm(H, axis=3).sum(axis=(1, 2)).max()))
-        else:
-            largest = max(largest, *(_peak(one) for one in H))
-    return largest

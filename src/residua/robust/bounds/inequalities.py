@@ -9,14 +9,13 @@ includes the others, since ``p`` of the next sample is a variable of its own.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from residua.linear.norms import lmi
-from residua.robust.bounds.scaled_problem import ScaledProblem
+from residua.robust.bounds.star import ScaledProblem
 
 Matrix = NDArray[np.float64]
 METHODS = ("lifted", "popov-tsypkin", "quadratic")
@@ -58,7 +57,7 @@ class Inequalities:
     def __init__(self, problem: ScaledProblem, method: str) -> None:
         self.problem = problem
         self.method = method
-        n, k, m = len(problem.A), problem.n_channels, problem.D.shape[1]
+        n, k, m = len(problem.A), problem.B.shape[1], problem.D.shape[1]
         groups = problem.groups
         wide = [g for g in groups if len(g) > 1]
         both = [(*g, *(k + i for i in g)) for g in groups]
@@ -80,7 +79,6 @@ class Inequalities:
             self._blocks += [(name, g) for name in ("N1", "N2") for g in groups]
         if method == "lifted":
             self._blocks += [("D", g) for g in both]
-        self._affine: list | None = None
         self._sizes = n, k, m
 
     # ------------------------------------------------------------- inequalities
@@ -128,7 +126,8 @@ class Inequalities:
             N1 = self._get(v, "N1")
             N = N1 - self._get(v, "N2")
             out -= _form(R, N, Q1) - _form(Q, N, R) / 2 + (Q1 - Q).T @ N1 @ (Q1 - Q)
-        scale = _row_scale(rate, self._sizes, width)
+        scale = np.ones(width)
+        scale[:n] = scale[width - m :] = 1 / np.sqrt(rate)
         return scale[:, None] * out * scale
 
     def output(self, v: lmi.Values) -> Matrix:
@@ -151,29 +150,14 @@ class Inequalities:
 
     def solve(self, rate: float) -> Certificate | None:
         """Return the best certificate for one rate, verified, or None."""
-        x0, x1 = 0.25, 0.75  # the dynamic inequality times rate is affine in the rate
-        if self._affine is None:
-            self._affine = [
-                *(
-                    self.unknowns.coefficients(lambda v, r=r: _unscaled(self.dynamic(v, r), r, self._sizes))
-                    for r in (x0, x1)
-                ),
-                self.unknowns.coefficients(self.output),
-                self.unknowns.coefficients(self.positive),
-                *(self.unknowns.coefficients(_picked(name, rows)) for name, rows in self._blocks),
-            ]
-        (c0, M0), (c1, M1), *others = self._affine
-        t = (rate - x0) / (x1 - x0)
-        scale = _row_scale(rate, self._sizes, len(c0))
-        entries = (scale[:, None] * scale).ravel()
-        dynamic = (
-            (c0 + t * (c1 - c0)) * entries.reshape(c0.shape),
-            (M0 + t * (M1 - M0)).multiply(entries[:, None]).tocsr(),
-        )
-        cost = self._cost()
+        maps = [lambda v: self.dynamic(v, rate), self.output, self.positive]
+        maps += [lambda v, name=name, rows=rows: v[name][np.ix_(rows, rows)] for name, rows in self._blocks]
+        inequalities = [self.unknowns.coefficients(one) for one in maps]
+        levels = [np.full(len(part.basis), float(part.name in ("g1", "g2"))) for part in self.unknowns.parts]
+        cost = np.concatenate(levels)
         best: Certificate | None = None
         for margin in _MARGINS:
-            x = lmi.solve(self.unknowns, [dynamic, *others], cost, margin=margin)
+            x = lmi.solve(self.unknowns, inequalities, cost, margin=margin)
             solution = None if x is None else self._verified(self.unknowns.values(x), rate)
             if x is None or solution is None:
                 continue
@@ -183,14 +167,6 @@ class Inequalities:
             if best.bound <= float(np.sqrt(max(cost @ x, 0.0))) * (1 + _LOST):
                 break
         return best
-
-    def _cost(self) -> NDArray[np.float64]:
-        cost, start = np.zeros(self.unknowns.count), 0
-        for part in self.unknowns.parts:
-            if part.name in ("g1", "g2"):
-                cost[start] = 1.0
-            start += len(part.basis)
-        return cost
 
     def _verified(self, v: dict[str, Matrix], rate: float) -> Certificate | None:
         """Compute the levels anew from all other matrices, and check that every inequality holds strictly."""
@@ -222,19 +198,3 @@ def _form(L: Matrix, M: Matrix, R: Matrix) -> Matrix:
     """Return the symmetric matrix of ``2 (L s)' M (R s)``."""
     half = L.T @ M @ R
     return half + half.T
-
-
-def _row_scale(rate: float, sizes: tuple[int, int, int], width: int) -> NDArray[np.float64]:
-    n, _, m = sizes
-    scale = np.ones(width)
-    scale[:n] = scale[width - m :] = 1 / np.sqrt(rate)
-    return scale
-
-
-def _unscaled(M: Matrix, rate: float, sizes: tuple[int, int, int]) -> Matrix:
-    scale = 1 / _row_scale(rate, sizes, len(M))
-    return scale[:, None] * M * scale
-
-
-def _picked(name: str, rows: tuple[int, ...]) -> Callable[[lmi.Values], Matrix]:
-    return lambda v: v[name][np.ix_(rows, rows)]

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.errors import AccuracyError, NoCertificateError, SettingError
+from residua.errors import AccuracyError, ModelError, NoCertificateError, SettingError
 from residua.linear.norms import lmi
-from residua.robust.bounds.box_bound import BoxBound, Task, box_bound, check_method
-from residua.robust.bounds.scaled_problem import check_sampled
-from residua.robust.bounds.worst_member import worst_member
-from residua.robust.sets.uncertain_system import UncertainSystem
+from residua.linear.norms.peak_norm import peak_norm
+from residua.linear.subspaces.rank import spectral_norm
+from residua.robust.bounds.centred import centred_bound
+from residua.robust.bounds.inequalities import METHODS, Certificate, Inequalities
+from residua.robust.bounds.star import common_ellipsoid, scaled_problem, verified_star
+from residua.robust.sets.uncertain_system import MOST_CORNERS, REMEDY, UncertainSystem, check_modes, corner_points
 
 Matrix = NDArray[np.float64]
 _NEED_CONSTANT = ("lifted", "popov-tsypkin")
@@ -22,6 +26,14 @@ _BOXES, _FAR = 32, 1.1
 #: States and twice the channels up to which matrix inequalities take minutes at most.
 _PRACTICAL = 50
 _WITHOUT = "without the extra 'lmi'"
+#: Where a rate with a bound is looked for on the scale, one after the other.
+_SHIFTS = (0.0, -1.5, -3.0, 1.5, -5.0)
+#: Width of the search of a rate on its scale, how near it comes, and what stands for the logarithm of no bound.
+_SPAN, _SETTLED, _TOO_LARGE = 6.0, 3e-2, 1e3
+#: A bound around the centre that is this many times what is attained asks for an ellipsoid as well.
+_LOOSE = 2.0
+#: Numbers of impulse responses that are held at a time, and how many of their terms there are at most.
+_CHUNK, _TERMS = 4_000_000, 4000
 _ELLIPSOID = "responses around the centre are too long, or gains too large: the bound is that of an ellipsoid ('star')"
 
 
@@ -187,22 +199,48 @@ def robust_peak_norm(
     >>> round(norm.bound, 4), round(norm.attained, 4), norm.worst
     (5.0, 5.0, {'f1': 0.3})
     """
-    check_sampled(system)
-    used, note = _chosen(method)
+    if not isinstance(system, UncertainSystem):
+        raise ModelError(
+            f"the robust peak norm takes an UncertainSystem, got {type(system).__name__}: an uncertain plant makes one "
+            "with in_closed_loop(controller).estimator_residual(gain, projection)"
+        )
+    if not system.dt:
+        raise ModelError(
+            "the robust peak norm is that of a sampled system, and this one is continuous: sample the plant first, "
+            "UncertainPlant.discretize(dt), and see there what that leaves out"
+        )
+    check_method(method)
+    used, note = method or "centred", ""
+    if method in _NEED_CONSTANT:
+        lmi.require_solver()
+    if method == "quadratic" and not lmi.has_solver():
+        used, note = "star", f"{_WITHOUT}: an ellipsoid by weights instead of {method!r}; pip install 'residua[lmi]'"
     if rate is not None and not 0 < rate < 1:
         raise SettingError(f"rate must lie in (0, 1), got {rate!r}")
     most = (1 if method else _BOXES) if boxes is None else boxes
     if min(most, searches, samples) < 1 or not (rtol >= 0 and atol >= 0):
         raise SettingError("boxes, searches and samples must be at least 1, rtol and atol 0 or more")
     worst = worst_member(system, samples=samples, seed=seed)
-    task = Task(used, worst, rate, searches)
-    parts = _cut(system, task, most, worst.attained * (1 + rtol) + atol)
+    search = {"worst": worst, "rate": rate, "searches": searches}
+    parts = _cut(system, used, most, worst.attained * (1 + rtol) + atol, **search)
     if method is None and parts[0].bound > _FAR * worst.attained + atol:
-        lifted, note = _by_inequalities(system, replace(task, method="lifted"))
-        parts = [lifted] if lifted.bound < parts[0].bound else parts
+        if system.n_states + 2 * len(system.channels) > _PRACTICAL:
+            note = "'lifted' was not tried: it would take many minutes; method='lifted' does"
+        elif not lmi.has_solver():
+            note = f"{_WITHOUT}: 'lifted' was not tried; pip install 'residua[lmi]'"
+        else:
+            lifted = _box_bound(system, "lifted", **search)
+            parts = [lifted] if lifted.bound < parts[0].bound else parts
     top = parts[0]
     if not np.isfinite(top.bound):
-        raise _none(task, method, len(parts), most)
+        others = [name for name in ("centred", "star", "lifted") if name != (method or "centred")]
+        more = f"cut it into more parts, boxes={4 * most}, " if len(parts) >= most else ""
+        raise NoCertificateError(
+            f"method {method or used!r} found no certificate for this set in {len(parts)} "
+            f"part{'s' if len(parts) > 1 else ''} (largest spectral radius visited {worst.radius:.6g}"
+            f"{'' if rate is None else f', rate {rate:g}'}): {more}narrow it, or use another method "
+            f"({', '.join(map(repr, others))})"
+        )
     if used == "centred" and top.method == "star":
         note = "; ".join(filter(None, (_ELLIPSOID, note)))
     if worst.attained > top.bound * (1 + 1e-9):
@@ -211,64 +249,224 @@ def robust_peak_norm(
             f"{top.method!r}: the certificate is wrong in double precision; use another method"
         )
     values = dict(zip(system.parameters, (float(v) for v in worst.values), strict=True))
-    return RobustPeakNorm(
-        top.bound,
-        top.method,
-        worst.attained,
-        values,
-        worst.visited,
-        worst.all_corners,
-        top.rate,
-        top.certificate,
-        top.eigenvalues,
-        top.unit,
-        len(parts),
-        note,
-    )
+    proof = top.rate, top.certificate, top.eigenvalues, top.unit, len(parts), note
+    return RobustPeakNorm(top.bound, top.method, worst.attained, values, worst.visited, worst.all_corners, *proof)
 
 
-def _chosen(method: str | None) -> tuple[str, str]:
-    """Return the method to use, and what the reader should know."""
-    check_method(method)
-    if method in _NEED_CONSTANT:
-        lmi.require_solver()
-    if method == "quadratic" and not lmi.has_solver():
-        return "star", f"{_WITHOUT}: an ellipsoid by weights instead of 'quadratic'; pip install 'residua[lmi]'"
-    return method or "centred", ""
+def check_method(method: str | None) -> None:
+    """Raise unless it is a method, or none is asked for."""
+    known = (*METHODS, "star", "centred")
+    if method is not None and method not in known:
+        raise SettingError(f"method must be one of {', '.join(map(repr, known))}, got {method!r}")
 
 
-def _cut(system: UncertainSystem, task: Task, boxes: int, enough: float) -> list[BoxBound]:
+@dataclass(frozen=True, eq=False)
+class _BoxBound:
+    """The bound of one box of parameters, infinite where there is none, and the parameter along which to cut it."""
+
+    system: UncertainSystem
+    widest: float = np.nan
+    bound: float = np.inf
+    method: str = ""
+    rate: float = np.nan
+    certificate: Mapping[str, Matrix] = field(default_factory=dict)
+    eigenvalues: Mapping[str, float] = field(default_factory=dict)
+    unit: float = 1.0
+
+
+def _cut(system: UncertainSystem, method: str, boxes: int, enough: float, **search: Any) -> list[_BoxBound]:
     """Bound the set, cut in two where the bound is largest until it is small enough; the largest bound comes first."""
-    parts = [box_bound(system, task)]
+    parts = [_box_bound(system, method, **search)]
     while len(parts) < boxes and parts[0].bound > enough and np.isfinite(parts[0].widest):
         first = parts.pop(0)
-        parts += [box_bound(half, task) for half in _halves(first.system, int(first.widest))]
+        whole, i = first.system, int(first.widest)
+        low, high = whole.low.copy(), whole.high.copy()
+        low[i] = high[i] = (whole.low[i] + whole.high[i]) / 2
+        halves = whole.within(whole.low, high), whole.within(low, whole.high)
+        parts += [_box_bound(half, method, **search) for half in halves]
         parts.sort(key=lambda part: -part.bound)
     return parts
 
 
-def _by_inequalities(system: UncertainSystem, task: Task) -> tuple[BoxBound, str]:
-    """Return the bound of the whole by the lifted inequalities, where it takes minutes at most; and what to note."""
-    if system.n_states + 2 * len(system.channels) > _PRACTICAL:
-        return BoxBound(system), "'lifted' was not tried: it would take many minutes; method='lifted' does"
-    if not lmi.has_solver():
-        return BoxBound(system), f"{_WITHOUT}: 'lifted' was not tried; pip install 'residua[lmi]'"
-    return box_bound(system, task), ""
+def _box_bound(
+    system: UncertainSystem, method: str, *, worst: WorstMember, rate: float | None, searches: int
+) -> _BoxBound:
+    """Bound the output of all members of one box; infinite where the method has no certificate."""
+    none = _BoxBound(system)
+    if not np.any(system.Bw) or not (np.any(system.Cz) or np.any(system.Dzp)):
+        return replace(none, bound=spectral_norm(system.Dzw), method=method)
+    centred = none
+    # where it is too slow, or too far from normal, for its equations to be solved, a method has no bound
+    with suppress(AccuracyError):
+        expansion = centred_bound(system) if method == "centred" else None
+        if expansion is not None:
+            terms = {"linear": expansion.linear, "second": expansion.second, "rest": expansion.rest}
+            centred = _BoxBound(
+                system,
+                widest=int(np.argmax(expansion.blame)) if np.any(expansion.blame) else np.nan,
+                bound=expansion.value,
+                method="centred",
+                certificate={name: np.array(value) for name, value in terms.items()},
+                eigenvalues={"small gain": 1 - expansion.gain},
+            )
+    if centred.bound <= _LOOSE * worst.attained:
+        return centred
+    other = none
+    with suppress(AccuracyError):
+        problem = scaled_problem(system)
+        other = replace(none, widest=problem.widest())
+        if method not in ("star", "centred"):
+            return _by_inequalities(other, Inequalities(problem, method), worst.radius, rate, searches)
+        ellipsoid = common_ellipsoid(problem)
+        sure = None if ellipsoid is None else verified_star(system, problem, ellipsoid)
+        if sure is not None:
+            other = replace(
+                other,
+                bound=sure.bound,
+                method="star",
+                certificate={"Q": sure.Q, "shares": sure.shares},
+                eigenvalues={"decrease": sure.least},
+            )
+    return other if other.bound < centred.bound or np.isnan(centred.widest) else centred
 
 
-def _halves(system: UncertainSystem, i: int) -> tuple[UncertainSystem, UncertainSystem]:
-    middle = (system.low[i] + system.high[i]) / 2
-    low, high = system.low.copy(), system.high.copy()
-    low[i] = high[i] = middle
-    return system.within(system.low, high), system.within(low, system.high)
+def _by_inequalities(
+    part: _BoxBound, inequalities: Inequalities, radius: float, rate: float | None, searches: int
+) -> _BoxBound:
+    """Bound one box by matrix inequalities, at the rate that is asked for or the best, on a logistic scale."""
+    found: list[Certificate] = []
 
+    def size(t: float) -> float:
+        made = inequalities.solve(rate or room / (1 + np.exp(-t)))
+        found.extend([] if made is None else [made])
+        return _TOO_LARGE if made is None else float(np.log(made.bound))
 
-def _none(task: Task, method: str | None, made: int, most: int) -> NoCertificateError:
-    others = [name for name in ("centred", "star", "lifted") if name != (method or "centred")]
-    more = f"cut it into more parts, boxes={4 * most}, " if made >= most else ""
-    return NoCertificateError(
-        f"method {method or task.method!r} found no certificate for this set in {made} part{'s' if made > 1 else ''} "
-        f"(largest spectral radius visited {task.worst.radius:.6g}"
-        f"{'' if task.rate is None else f', rate {task.rate:g}'}): {more}narrow it, or use another method "
-        f"({', '.join(map(repr, others))})"
+    system, problem = part.system, inequalities.problem
+    room = 1 - radius**2
+    if rate is not None:
+        size(0.0)
+    else:
+        from scipy.optimize import minimize_scalar  # slow to import, and not needed to run a monitor
+
+        start = peak_norm(system.member((system.low + system.high) / 2), kind="star").rate
+        share = float(np.clip(start / room, 0.05, 0.8))
+        t = float(np.log(share / (1 - share)))
+        guesses = [t + shift for shift in _SHIFTS[:searches]]
+        tried = next((k for k, guess in enumerate(guesses, 1) if size(guess) < _TOO_LARGE), searches)
+        if tried < searches:
+            # the search looks at 0.38 of its span first
+            span = (guesses[tried - 1] - 0.381966 * _SPAN, guesses[tried - 1] + 0.618034 * _SPAN)
+            options = {"xatol": _SETTLED, "maxiter": searches - tried}
+            minimize_scalar(size, bounds=span, method="bounded", options=options)
+    if not found:
+        return part
+    best = min(found, key=lambda one: one.bound)
+    return replace(
+        part,
+        bound=best.bound * problem.unit,
+        method=inequalities.method,
+        rate=best.rate,
+        certificate=best.matrices | {"T": problem.T},
+        eigenvalues=best.eigenvalues,
+        unit=problem.unit,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class WorstMember:
+    """The largest peak norm among the members that were visited.
+
+    Attributes
+    ----------
+    attained : float
+        Attained by an input of unit size.
+    values : ndarray, shape (parameters,)
+    radius : float
+        Largest spectral radius of all members visited.
+    visited : int
+    all_corners : bool
+    """
+
+    attained: float
+    values: NDArray[np.float64]
+    radius: float
+    visited: int
+    all_corners: bool
+
+
+def worst_member(system: UncertainSystem, *, samples: int, seed: int) -> WorstMember:
+    """Visit the corners of the set, or as many at random, and points inside; then climb by single parameters."""
+    rng = np.random.default_rng(seed)
+    moving = np.flatnonzero(system.high > system.low)
+    every = len(moving) <= MOST_CORNERS
+    points = corner_points(system.low, system.high, samples, rng)
+    points = np.vstack([points, system.sample(rng, samples)]) if len(moving) else points
+    sizes, radius = _visit(system, points)
+    visited = len(points)
+    best = points[int(np.argmax(sizes))]
+    if not every:
+        for _ in range(5):
+            near = np.repeat(best[None], len(moving), axis=0)
+            row = np.arange(len(moving))
+            near[row, moving] = system.low[moving] + system.high[moving] - near[row, moving]
+            nearby, r = _visit(system, near)
+            radius, visited = max(radius, r), visited + len(near)
+            if nearby.max() <= sizes.max():
+                break
+            sizes, best = nearby, near[int(np.argmax(nearby))]
+    candidates = np.vstack([best[None], points[np.argsort(-sizes)[:3]]]) if len(sizes) == len(points) else best[None]
+    attained = []
+    for v in candidates:
+        try:
+            attained.append(peak_norm(system.member(v), rtol=1e-4).attained)
+        except AccuracyError:  # slow, or many outputs: a lower bound is all that is wanted
+            attained.append(float(_visit(system, v[None])[0][0]))
+    k = int(np.argmax(attained))
+    return WorstMember(attained[k], candidates[k], radius, visited, every)
+
+
+def _visit(system: UncertainSystem, points: Matrix) -> tuple[NDArray[np.float64], float]:
+    """Return an output that some unit input attains, for every member, and the largest spectral radius."""
+    p, m = system.Dzw.shape
+    T = system.balanced_states()
+    own = list(system.channels)
+    A0, Bp, Cq = system.A / T[:, None] * T, system.Bp / T[:, None], system.Cq * T
+    Bw, Cz = system.Bw / T[:, None], system.Cz * T
+    n = len(A0)
+    radius, sizes = 0.0, []
+    step = max(1, _CHUNK // max(_TERMS // 8 * p * m, 64 * n * n, 1))
+    for start in range(0, len(points), step):
+        part = points[start : start + step]
+        F = part[:, own][:, :, None] * Cq
+        A, C = A0 + Bp @ F, Cz + system.Dzp @ F
+        modes = np.linalg.eigvals(A) if n else np.zeros((len(part), 1))
+        rho = np.abs(modes).max(axis=1)
+        check_modes(modes, part, system.parameters, system.dt, f"no bound exists: {REMEDY}")
+        radius = max(radius, float(rho.max()))
+        count = int(np.clip(np.ceil(np.log(1e-4) / np.log(max(rho.max(), 1e-3))), 8, _TERMS))
+        sizes.append(_sizes(A, Bw, C, system.Dzw, count))
+    return np.concatenate(sizes), radius
+
+
+def _sizes(A: Matrix, B: Matrix, C: Matrix, D: Matrix, count: int) -> NDArray[np.float64]:
+    """Return what a few steps of ascent attain with the first terms of each impulse response."""
+    p, m = D.shape
+    if not p or not m:
+        return np.zeros(len(A))
+    H = np.empty((len(A), count, p, m))
+    H[:, 0] = D
+    X = np.broadcast_to(B, (len(A), *B.shape))
+    for k in range(1, count):
+        H[:, k] = C @ X
+        X = A @ X
+    rows = np.linalg.norm(H, axis=3).sum(axis=1)
+    g = np.eye(p)[np.argmax(rows, axis=1)]
+    best = rows.max(axis=1)
+    for _ in range(8 if p > 1 else 0):
+        parts = np.einsum("vkpm,vp->vkm", H, g)
+        length = np.linalg.norm(parts, axis=2, keepdims=True)
+        best = np.maximum(best, length.sum(axis=(1, 2)))
+        unit = parts / np.maximum(length, np.finfo(float).tiny)
+        gradient = np.einsum("vkpm,vkm->vp", H, unit)
+        g = gradient / np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), np.finfo(float).tiny)
+    return best

@@ -10,11 +10,10 @@ from itertools import count
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.decide.checks import is_number
 from residua.errors import ModelError, SettingError
-from residua.robust.bounds.lowest_gain import LowestGain, check_stable, descended, lowest_gain
-from residua.robust.bounds.member_response import MemberResponse, member_response
-from residua.robust.bounds.response_expansion import Expansion, expand
-from residua.robust.sets.uncertain_system import UncertainSystem
+from residua.robust.bounds.response_expansion import MemberResponse, expand, member_response
+from residua.robust.sets.uncertain_system import REMEDY, UncertainSystem, check_modes, corner_points
 from residua.tolerances import SAME
 
 Points = NDArray[np.float64]
@@ -23,6 +22,8 @@ _BATCH = 24
 _CHUNK = 2_000_000
 #: Boxes are not cut below this fraction of the set.
 _NARROWEST = 1e-10
+#: Frequencies at which points inside are visited, corners whose poles are computed, and steps of a descent.
+_FREQUENCIES, _CHECKED, _STEPS = 9, 128, 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,51 +145,34 @@ def smallest_gain(
     >>> round(gain.bound, 4), round(gain.attained, 4), gain.values
     (1.6667, 1.6667, {'f1': -0.1})
     """
-    last = _last_frequency(system, band)
-    _check_settings(rtol, most_boxes, samples)
-    low, high = np.append(system.low, 0.0), np.append(system.high, last)
-    response = member_response(system, constant=last == 0)
-    outputs, inputs = system.Dzw.shape
-    if outputs < inputs:
-        check_stable(response, (low + high)[None, :-1] / 2)
-        note = f"more inputs ({inputs}) than outputs ({outputs}): some combination of the inputs leaves no output"
-        return _result(system, band, 0.0, 0.0, (low + high) / 2, 0, note)
-    search = _Search(response, low, high, rtol, samples, seed)
-    note = search.run(most_boxes)
-    return _result(system, band, search.bound, search.attained, search.worst, search.boxes, note)
-
-
-def _last_frequency(system: UncertainSystem, band: float) -> float:
-    """Return the largest frequency in rad/s, or in rad/sample for sampled systems."""
     if not isinstance(system, UncertainSystem):
         raise ModelError(
             f"the smallest gain is that of an UncertainSystem from faults to residuals, got {type(system).__name__}"
         )
-    if not system.Dzw.shape[1]:
+    outputs, inputs = system.Dzw.shape
+    if not inputs:
         raise ModelError("the system has no inputs, and so no gain: Bw must have a column for each fault")
-    try:
-        last = float(band)
-    except (TypeError, ValueError):
-        last = np.nan
-    if isinstance(band, bool) or not 0 <= last < np.inf:
+    if not is_number(band) or not band >= 0:
         raise SettingError(f"band must be a frequency in rad/s, or 0 for constant inputs, got {band!r}")
-    if last * system.dt > np.pi * (1 + SAME):
+    if band * system.dt > np.pi * (1 + SAME):
         raise SettingError(
-            f"band = {last:g} rad/s lies beyond pi / dt = {np.pi / system.dt:g}, the fastest of a sampled system"
+            f"band = {band:g} rad/s lies beyond pi / dt = {np.pi / system.dt:g}, the fastest of a sampled system"
         )
-    return min(last * system.dt, np.pi) if system.dt else last
-
-
-def _check_settings(rtol: float, most_boxes: int, samples: int) -> None:
     if not 0 < rtol < 1:
         raise SettingError(f"rtol must lie in (0, 1), got {rtol!r}")
     if min(most_boxes, samples) < 1:
         raise SettingError(f"most_boxes and samples must be at least 1, got {most_boxes!r} and {samples!r}")
-
-
-def _result(
-    system: UncertainSystem, band: float, bound: float, attained: float, worst: Points, boxes: int, note: str
-) -> SmallestGain:
+    last = min(band * system.dt, np.pi) if system.dt else float(band)  # in rad/sample for sampled systems
+    low, high = np.append(system.low, 0.0), np.append(system.high, last)
+    response = member_response(system, constant=last == 0)
+    if outputs < inputs:
+        _check_stable(response, (low + high)[None, :-1] / 2)
+        note = f"more inputs ({inputs}) than outputs ({outputs}): some combination of the inputs leaves no output"
+        bound, attained, worst, boxes = 0.0, 0.0, (low + high) / 2, 0
+    else:
+        search = _Search(response, low, high, rtol, *_lowest_gain(response, low, high, samples=samples, seed=seed))
+        note = search.run(most_boxes)
+        bound, attained, worst, boxes = search.bound, search.attained, search.worst, search.boxes
     values = dict(zip(system.parameters, (float(v) for v in worst[:-1]), strict=True))
     frequency = min(float(worst[-1]) / (system.dt or 1.0), float(band))
     return SmallestGain(bound, attained, values, frequency, float(band), boxes, note)
@@ -198,18 +182,17 @@ class _Search:
     """Branch and bound, best first: the box with the smallest bound is always among the next to be cut."""
 
     def __init__(
-        self, response: MemberResponse, low: Points, high: Points, rtol: float, samples: int, seed: int
+        self, response: MemberResponse, low: Points, high: Points, rtol: float, attained: float, worst: Points
     ) -> None:
         self.response, self.low, self.high, self.rtol = response, low, high, rtol
-        self._lower(lowest_gain(response, low, high, samples=samples, seed=seed))
-        self.open: list[tuple[float, int, Points, Points]] = []
+        self.attained, self.worst = attained, worst
         self.number = count()
+        self.open: list[tuple[float, int, Points, Points]] = [(0.0, next(self.number), low, high)]
         self.closed, self.boxes, self.unresolved = np.inf, 0, False
         outputs, inputs = response.Dzw.shape
         channels = len(response.owners) + len(response.A)
         size = (outputs * inputs * len(low) + channels) * (len(low) + channels)
         self.batch = int(np.clip(_CHUNK // size, 1, _BATCH))
-        self._add(0.0, low, high)
 
     @property
     def bound(self) -> float:
@@ -244,10 +227,6 @@ class _Search:
         """Tell whether the bound is still too small, and not because of a box that cannot be cut."""
         return bool(self.open) and self.open[0][0] < min(self.target, self.closed)
 
-    def _lower(self, lowest: LowestGain) -> None:
-        zero = lowest.gain <= lowest.rounding
-        self.attained, self.worst = 0.0 if zero else lowest.gain, lowest.point
-
     def _add(self, bound: float, low: Points, high: Points) -> None:
         heapq.heappush(self.open, (bound, next(self.number), low, high))
 
@@ -255,7 +234,14 @@ class _Search:
         low, high = np.array([part[2] for part in parts]), np.array([part[3] for part in parts])
         expansion = expand(self.response, low, high)
         self.boxes += len(parts)
-        self._visit((low + high) / 2, expansion)
+        self.unresolved = not expansion.resolved.all()
+        centres = (low + high) / 2
+        if self.unresolved:
+            _check_stable(self.response, centres[~expansion.resolved, :-1])
+        gains = np.where(expansion.resolved, expansion.gain, np.inf)
+        best = int(np.argmin(gains))
+        if gains[best] < self.attained * (1 - 0.1 * self.rtol):
+            self.attained, self.worst = _descended(self.response, self.low, self.high, centres[best], gains[best])
         for i, part in enumerate(parts):
             bound = max(part[0], float(expansion.bound[i]))
             end = expansion.end[i] * (high[i] > low[i])
@@ -265,16 +251,6 @@ class _Search:
                 self._add(bound, np.where(end > 0, high[i], low[i]), np.where(end < 0, low[i], high[i]))
             else:
                 self._cut(bound, low[i], high[i], expansion.share[i])
-
-    def _visit(self, centres: Points, expansion: Expansion) -> None:
-        """Descend from the best centre if it is better than the known ones."""
-        self.unresolved = not expansion.resolved.all()
-        if self.unresolved:
-            check_stable(self.response, centres[~expansion.resolved, :-1])
-        gains = np.where(expansion.resolved, expansion.gain, np.inf)
-        best = int(np.argmin(gains))
-        if gains[best] < self.attained * (1 - 0.1 * self.rtol):
-            self._lower(descended(self.response, self.low, self.high, centres[best], float(gains[best])))
 
     def _cut(self, bound: float, low: Points, high: Points, share: Points) -> None:
         """Halve a box along the coordinate that matters most; one too narrow, or exact but for rounding, is left."""
@@ -287,3 +263,73 @@ class _Search:
         upper[widest] = lower[widest] = (low[widest] + high[widest]) / 2
         self._add(bound, low, upper)
         self._add(bound, lower, high)
+
+
+def _lowest_gain(
+    response: MemberResponse, low: Points, high: Points, *, samples: int, seed: int
+) -> tuple[float, Points]:
+    """Visit points inside, all corners of the parameters or many, then descend; return the gain and its point.
+
+    Raises
+    ------
+    DesignError
+        If a member is not stable: of those inside, and of some corners.
+    """
+    rng = np.random.default_rng(seed)
+    inside = np.vstack([(low + high) / 2, rng.uniform(low, high, (samples, len(low)))])
+    corner = corner_points(low[:-1], high[:-1], samples, rng)
+    corner = np.hstack([corner, np.full((len(corner), 1), low[-1])])
+    some = corner[rng.permutation(len(corner))[:_CHECKED]]
+    _check_stable(response, np.vstack([inside, some])[:, :-1])
+    step = max(1, _CHUNK // max(len(response.A) ** 2, 1))
+
+    def descended(points: Points) -> tuple[float, Points]:
+        gains = np.concatenate([response.gains(points[i : i + step]) for i in range(0, len(points), step)])
+        best = int(np.argmin(gains))
+        starts.append(points[best])
+        return _descended(response, low, high, points[best], gains[best])
+
+    starts: list[Points] = []
+    if low[-1] < high[-1]:
+        moved = np.repeat(inside, _FREQUENCIES, axis=0)
+        moved[:, -1] = np.tile(np.linspace(low[-1], high[-1], _FREQUENCIES), len(inside))
+        inside = np.vstack([inside, moved])
+    first = descended(inside)
+    corner[:, -1] = starts[0][-1]
+    lowest = min(first, descended(corner), key=lambda one: one[0])
+    _check_stable(response, lowest[1][None, :-1])
+    return lowest
+
+
+def _descended(response: MemberResponse, low: Points, high: Points, point: Points, gain: float) -> tuple[float, Points]:
+    """Descend by Gauss-Newton steps within the box, halved until the gain falls; zero where rounding is all of it."""
+    from scipy.optimize import lsq_linear  # slow to import
+
+    moving = np.flatnonzero(high > low)
+    width = (high - low)[moving]
+    T, slopes, rounding = response.slopes(point)
+    for _ in range(_STEPS):
+        J = np.vstack([np.real(slopes), np.imag(slopes)])[:, moving] * width
+        size = float(np.abs(J).max(initial=0.0))
+        if gain <= rounding or size == 0:
+            break
+        span = (low - point)[moving] / width, (high - point)[moving] / width
+        target = -np.concatenate([np.real(T), np.imag(T)]) / size
+        step = np.zeros(len(point))
+        step[moving] = lsq_linear(J / size, target, span, method="bvls").x * width
+        tries = np.clip(point + step * 0.5 ** np.arange(12)[:, None], low, high)
+        gains = response.gains(tries)
+        best = int(np.argmin(gains))
+        if gains[best] >= gain * (1 - 1e-6):
+            break
+        point, gain = tries[best], gains[best]
+        T, slopes, rounding = response.slopes(point)
+    return 0.0 if gain <= rounding else float(gain), point
+
+
+def _check_stable(response: MemberResponse, values: Points) -> None:
+    """Raise unless members are stable; the message names the least stable."""
+    A = response.members(values)[0]
+    consequence = f"its output does not settle, so that it has no gain: {REMEDY}"
+    modes = np.linalg.eigvals(A + response.origin * np.eye(A.shape[1])) if A.shape[1] else np.zeros(0)
+    check_modes(modes, values, response.parameters, response.dt, consequence)

@@ -14,18 +14,14 @@ from residua.arrays import index_of
 from residua.design.banks.bank import Bank
 from residua.design.core.evidence import AFFINE_FORM
 from residua.design.core.generator import ResidualGenerator
-from residua.errors import AccuracyError, DesignError, ModelError, NoCertificateError, SettingError
+from residua.errors import DesignError, ModelError, NoCertificateError, SettingError
 from residua.linear import StateSpace, peak_norm
 from residua.plant import Plant
-from residua.robust.bounds import RobustPeakNorm, robust_peak_norm
+from residua.robust.bounds.robust_peak_norm import RobustPeakNorm, robust_peak_norm
 from residua.robust.sets.uncertain_loop import check_members_stable, loop_parameters, residual_over_set
 from residua.robust.sets.uncertain_plant import UncertainPlant
-from residua.robust.sets.uncertain_system import UncertainSystem
 from residua.shown import Shown
 
-Vector = NDArray[np.float64]
-#: Frequencies at which a system is looked at that is too slow for an ellipsoid, in parts of half the sample rate.
-_FREQUENCIES = (0.0, 1e-3, 1e-2, 0.1, 0.5, 1.0)
 #: How close bounds are to what is attained: those that count, and those only reported, in so many parts of the set.
 _COUNTS, _ONLY_TOLD = 1e-2, {"rtol": 0.1, "boxes": 8}
 #: Parts that the set is cut into where a method has no answer before; a tolerance that any answer keeps to.
@@ -127,82 +123,60 @@ def certified_threshold(
         if that is possible. What is only reported is known to 10 per cent. ``method`` is used for the whole
         set, and for parts of it where it has no answer for the whole.
     """
+    plant = loop.nominal
     sized = {name: float(size) for name, size in (sizes or {}).items() if size}
-    if not loop.nominal.disturbances and not sized:
+    if not plant.disturbances and not sized:
         raise ModelError(
             "the loop has neither disturbances nor bounded faults: nothing but rounding would be under a threshold; "
             "give the plant its disturbances, with_disturbances(...)"
         )
-    task = _Task(loop, residual_filter, state_map, method)
-    own, scale = task.bound(loop.nominal.disturbances, rtol=_COUNTS)
-    others, reached = {}, own.attained > _DECOUPLED * scale
-    if not reached and not sized:
-        raise _not_reached(own, scale)
-    for name in dict.fromkeys((*faults, *sized)):
-        # what leaks matters by what it adds to the threshold, and hardly if it is only reported
-        close = {"rtol": 0.0, "atol": _COUNTS * own.bound / sized[name]} if name in sized else _ONLY_TOLD
-        others[name], unit = task.bound((name,), **close)
-        reached |= name in sized and others[name].attained > _DECOUPLED * unit
-    if not reached:
-        raise _not_reached(own, scale, tuple(sized))
-    value = own.bound + sum(size * others[name].bound for name, size in sized.items())
-    return CertifiedThreshold(value, own, others, sized, left_out(loop))
 
-
-def _not_reached(own: RobustPeakNorm, scale: float, sized: tuple[str, ...] = ()) -> DesignError:
-    bounded = f" and the bounded faults ({', '.join(sized)})" if sized else ""
-    why = (
-        f"they cancel in it, and what is left of them, {own.attained:.2g}, is rounding (their parts of it are of the "
-        f"order of {scale:.2g}): they are decoupled from it, or it weighs outputs without disturbances too much; a "
-        "threshold of that would mean false alarms"
-        if scale
-        else "they reach no output that it reads"
-    )
-    return DesignError(
-        f"the disturbances{bounded} do not reach this residual: {why}; give the measurements their bounded noise as "
-        "disturbances, with_disturbances(..., output=...), or test the residual by a threshold that is fitted to data, "
-        "residua.decide.NormThreshold()"
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class _Task:
-    """One residual of a loop, of which several bounds are wanted."""
-
-    loop: UncertainPlant
-    filter: StateSpace
-    state_map: ArrayLike | None
-    method: str | None
-
-    def bound(self, signals: tuple[str, ...], **close: Any) -> tuple[RobustPeakNorm, float]:
-        """Return the bound for some signals, no smaller than rounding, and what it would be without cancellation."""
-        system = residual_over_set(self.loop, self.filter, self.state_map, signals=signals)
-        scale = rounding_scale(self.loop.nominal, self.filter, signals)
-        close["atol"] = max(close.get("atol", 0.0), _DECOUPLED * scale)
+    def bound(
+        signals: tuple[str, ...], *, rtol: float = 0.0, atol: float = 0.0, boxes: int | None = None
+    ) -> tuple[RobustPeakNorm, float]:
+        """Bound the residual for some signals, no smaller than rounding; and what it would be without cancellation."""
+        system = residual_over_set(loop, residual_filter, state_map, signals=signals)
+        scale = rounding_scale(plant, residual_filter, signals)
+        # the user may want a method for what it proves of the whole: parameters that vary in time
+        options = {"method": method, "boxes": 1} if method else {"method": boxes and "centred", "boxes": boxes}
         try:
-            norm = _bound(system, self.method, **close)
-        except DesignError:
-            check_members_stable(self.loop)  # that error names deviations from the nominal values
-            raise
-        worst = loop_parameters(self.loop, norm.worst)
+            norm = robust_peak_norm(system, rtol=rtol, atol=max(atol, _DECOUPLED * scale), **options)
+        except NoCertificateError:
+            if not options["method"]:
+                raise
+            # where there is no answer for the set as it is asked for, the first for parts of it
+            norm = robust_peak_norm(system, method=options["method"], boxes=_BOXES, atol=_ANY)
+        worst = loop_parameters(loop, norm.worst)
         # signals may reach the outputs by way of the uncertainty only
-        scale = max(scale, rounding_scale(self.loop.member(worst), self.filter, signals))
+        scale = max(scale, rounding_scale(loop.member(worst), residual_filter, signals))
         return replace(norm, worst=worst, bound=float(max(norm.bound, _ROUNDED * scale))), scale
 
-
-def _bound(
-    system: UncertainSystem, method: str | None, *, rtol: float, atol: float, boxes: int | None = None
-) -> RobustPeakNorm:
-    """Return a bound within tolerances of what is attained, or the best in so many parts."""
-    if method is None and boxes is None:
-        return robust_peak_norm(system, rtol=rtol, atol=atol)
-    # the user may want a method for what it proves of the whole: parameters that vary in time
-    method, boxes = (method, 1) if method else ("centred", boxes)
     try:
-        return robust_peak_norm(system, method=method, boxes=boxes, rtol=rtol, atol=atol)
-    except NoCertificateError:
-        # where there is no answer for the set as it is asked for, the first for parts of it
-        return robust_peak_norm(system, method=method, boxes=_BOXES, atol=_ANY)
+        own, scale = bound(plant.disturbances, rtol=_COUNTS)
+        others, reached = {}, own.attained > _DECOUPLED * scale
+        for name in dict.fromkeys((*faults, *sized)) if reached or sized else ():
+            # what leaks matters by what it adds to the threshold, and hardly if it is only reported
+            close: dict[str, Any] = {"atol": _COUNTS * own.bound / sized[name]} if name in sized else _ONLY_TOLD
+            others[name], unit = bound((name,), **close)
+            reached |= name in sized and others[name].attained > _DECOUPLED * unit
+    except DesignError:
+        check_members_stable(loop)  # that error names deviations from the nominal values
+        raise
+    if not reached:
+        bounded = f" and the bounded faults ({', '.join(sized)})" if sized else ""
+        why = (
+            f"they cancel in it, and what is left of them, {own.attained:.2g}, is rounding (their parts of it are of "
+            f"the order of {scale:.2g}): they are decoupled from it, or it weighs outputs without disturbances too "
+            "much; a threshold of that would mean false alarms"
+        )
+        raise DesignError(
+            f"the disturbances{bounded} do not reach this residual: "
+            f"{why if scale else 'they reach no output that it reads'}; give the measurements their bounded noise as "
+            "disturbances, with_disturbances(..., output=...), or test the residual by a threshold that is fitted to "
+            "data, residua.decide.NormThreshold()"
+        )
+    value = own.bound + sum(size * others[name].bound for name, size in sized.items())
+    return CertifiedThreshold(value, own, others, sized, left_out(loop))
 
 
 def check_uncertain(loop: object) -> None:
@@ -298,15 +272,12 @@ def certified_thresholds(
     return out
 
 
-def _part(made: ResidualGenerator, rows: list[int] | list[str]) -> tuple[StateSpace, ArrayLike | None]:
+def _part(made: ResidualGenerator, rows: list[int]) -> tuple[StateSpace, ArrayLike | None]:
     """Return the filter of some residuals without the states that do not reach them: those of other members."""
     part = made.system.explicit().select(outputs=rows)
     reaching = np.any(part.C, axis=0)
     for _ in range(part.n_states):
-        further = reaching | np.any(part.A[reaching], axis=0)
-        if np.array_equal(further, reaching):
-            break
-        reaching = further
+        reaching = reaching | np.any(part.A[reaching], axis=0)
     kept = np.flatnonzero(reaching)
     T = None if made.state_map is None else np.asarray(made.state_map)[kept]
     return StateSpace(part.A[np.ix_(kept, kept)], part.B[kept], part.C[:, kept], part.D, dt=part.dt), T
@@ -319,29 +290,17 @@ def rounding_scale(plant: Plant, residual_filter: StateSpace, signals: Iterable[
     Estimators of which the signals are decoupled have a residual of 1e-15 to 1e-10 times that, for rounding.
     """
     flt = residual_filter.explicit()
-    sizes = _sizes(_driven(plant, tuple(signals)))
+    sizes = _sizes(plant.system(("disturbance", "fault")).select(inputs=list(signals)))
     if not np.any(sizes) or not flt.n_outputs:
         return 0.0
     return float(np.linalg.norm(_sizes(StateSpace(flt.A, flt.B * sizes, flt.C, flt.D * sizes, dt=flt.dt))))
 
 
-def _driven(plant: Plant, signals: tuple[str, ...]) -> StateSpace:
-    """Return the outputs of a loop as disturbances and faults drive them."""
-    known = (*plant.disturbances, *plant.faults)
-    columns = [known.index(name) for name in signals]
-    B, D = np.hstack([plant.Bd, plant.Bf])[:, columns], np.hstack([plant.Dd, plant.Df])[:, columns]
-    return StateSpace(plant.A, B, plant.C, D, dt=plant.dt)
-
-
-def _sizes(system: StateSpace) -> Vector:
+def _sizes(system: StateSpace) -> NDArray[np.float64]:
     """Return about the largest value of every output."""
     direct = np.linalg.norm(system.D, axis=1)
     if not system.n_inputs or not np.any(system.B):
         return direct
-    try:
-        Q = peak_norm(system, kind="star").ellipsoid
-    except AccuracyError:  # too slow
-        points = np.pi / system.dt * np.array(_FREQUENCIES)
-        return np.linalg.norm(system.frequency_response(points), axis=2).max(axis=0)
+    Q = peak_norm(system, kind="star").ellipsoid
     assert Q is not None  # "star" gives one
     return direct + np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", system.C, Q, system.C), 0.0))

@@ -92,73 +92,55 @@ class EstimatorFamily:
         """Return the filter from the outputs to the residual, and its state map; those of the plant where full."""
         Z, g = (part[0] for part in self.split(point))
         p, T, W = self.plant, self.state_map, self.inject + Z @ self.read
-        H, J = -scale * g[None] @ self.C, scale * g[None] @ self.read
-        names = {"dt": p.dt, "inputs": signal_names(p), "outputs": ["r"]}
-        if not self.full:
-            B = np.hstack([T @ p.B - W @ p.D, W])
-            return StateSpace(self.A - Z @ self.C, B, H, np.hstack([-J @ p.D, J]), **names), T
-        W = np.linalg.solve(T, W)
-        # from the plant itself, so that nothing but the rounding of W C is left between the two
-        B = np.hstack([p.B - W @ p.D, W])
-        one = StateSpace(p.A - W @ p.C, B, -J @ p.C, np.hstack([-J @ p.D, J]), states=p.states, **names)
-        return one, np.eye(self.order)
+        F, H, J = self.A - Z @ self.C, -scale * g[None] @ self.C, scale * g[None] @ self.read
+        if self.full:  # from the plant itself, so that nothing but the rounding of W C is left between the two
+            T, W = np.eye(self.order), np.linalg.solve(T, W)
+            F, H = p.A - W @ p.C, -J @ p.C
+        B, D = np.hstack([T @ p.B - W @ p.D, W]), np.hstack([-J @ p.D, J])
+        states = p.states if self.full else None
+        return StateSpace(F, B, H, D, dt=p.dt, inputs=signal_names(p), outputs=["r"], states=states), T
 
 
 def estimator_family(plant: Plant, target: str, decoupled: tuple[str, ...]) -> EstimatorFamily:
-    """Divide out what nuisance faults reach; raises where no residual is left, or the target is lost with them."""
+    """Divide out the reach of nuisance faults; raises where no residual is left, or a lasting target leaves nothing."""
     model = plant.without_disturbances().faults_as_disturbances(decoupled).balanced
     q, units = model.quotient(), model.units
     O, (F, G) = q.split.seen, q.pair  # noqa: E741
     O = np.eye(len(F)) if O.shape == F.shape else O  # noqa: E741
-    inject, read = cleared(O.T @ q.J) * units.outputs, cleared(q.H) * units.outputs
+    L, N = cleared(O.T @ q.J) * units.outputs, cleared(q.H) * units.outputs
     T = O.T @ q.N / units.states
-    family = EstimatorFamily(plant, target, decoupled, O.T @ F @ O, G @ O, T, inject, read)
+    family = EstimatorFamily(plant, target, decoupled, O.T @ F @ O, G @ O, T, L, N)
+    ignored, fewer = ", ".join(decoupled), "decouple fewer faults (decouple=) and give the others a size (sizes=)"
     if not family.rows:
         raise DesignError(
-            f"no estimator for {target!r} ignores {', '.join(decoupled)}: the {plant.n_outputs} outputs are all used "
-            "up; decouple fewer faults (decouple=) and give the others a size (sizes=)"
+            f"no estimator for {target!r} ignores {ignored}: the {plant.n_outputs} outputs are all used up; {fewer}"
         )
-    i = plant.faults.index(target)
-    driven, direct = _driven(family, i)
-    size = np.abs(family.read) @ np.abs(plant.Df[:, i])
-    moved = np.abs(family.state_map) @ np.abs(plant.Bf[:, i]) + np.abs(family.inject) @ np.abs(plant.Df[:, i])
-    terms = np.concatenate([size, moved]).max(initial=0.0)
+    i, one = plant.faults.index(target), np.eye(plant.n_states)
+    b, d = plant.Bf[:, i], plant.Df[:, i]
+    # how the fault drives the error of all estimators, and what they read of it at once
+    driven, direct = T @ b - L @ d, N @ d
+    terms = np.concatenate([np.abs(N) @ np.abs(d), np.abs(T) @ np.abs(b) + np.abs(L) @ np.abs(d)]).max(initial=0.0)
     if not np.any(np.abs(np.concatenate([direct, driven])) > 1e-9 * terms):
         raise DesignError(
-            f"a residual that ignores {', '.join(decoupled)} cannot see {target!r}: they reach the outputs alike; "
-            "decouple fewer faults (decouple=) and give the others a size (sizes=)"
+            f"a residual that ignores {ignored} cannot see {target!r}: they reach the outputs alike; {fewer}"
         )
-    return family
-
-
-def check_lasting(family: EstimatorFamily) -> None:
-    """Raise where the target leaves nothing in the residuals of the nominal loop once they have settled."""
-    p, i = family.plant, family.plant.faults.index(family.target)
-    R, one = np.linalg.inv(np.eye(p.n_states) - p.A), np.eye(p.n_states)
-    reached = np.abs(R) @ (one + (one + np.abs(p.A)) @ np.abs(R)) @ np.abs(p.Bf[:, i])
-    left = np.abs(p.C @ R @ p.Bf[:, i] + p.Df[:, i])
-    if not np.any(left > RESPONSE_ROUNDING * (np.abs(p.C) @ reached + np.abs(p.Df[:, i]))):
+    R = np.linalg.inv(one - plant.A)
+    reached = np.abs(R) @ (one + (one + np.abs(plant.A)) @ np.abs(R)) @ np.abs(b)
+    if not np.any(np.abs(plant.C @ R @ b + d) > RESPONSE_ROUNDING * (np.abs(plant.C) @ reached + np.abs(d))):
         raise DesignError(
-            f"a lasting {family.target!r} leaves the outputs of the nominal loop as they are without it: their steady "
+            f"a lasting {target!r} leaves the outputs of the nominal loop as they are without it: their steady "
             "response to it is zero. Integral action does that: where the controller integrates, it moves the plant "
             "until all sensors read their set points again, and the command shows the fault (give the plant its "
             "control inputs as further outputs); where the plant itself integrates, nothing shows it: leave it out, "
             "faults="
         )
-    b, d = _driven(family, i)
     # e' = A e + b - Z r with r = C e + d is at rest with r = 0, whatever Z, where that can be solved for e
-    M, v = np.vstack([np.eye(family.order) - family.A, family.C]), np.concatenate([b, -d])
+    M, v = np.vstack([np.eye(family.order) - family.A, family.C]), np.concatenate([driven, -direct])
     e = np.linalg.lstsq(M, v, rcond=None)[0]
     if not np.any(np.abs(v - M @ e) > RESPONSE_ROUNDING * (np.abs(M) @ np.abs(e) + np.abs(v)).max(initial=0.0)):
         raise DesignError(
-            f"no estimator that ignores {', '.join(family.decoupled) or 'nothing'} sees {family.target!r} while it "
-            "lasts: once they have settled, the outputs answer to it as to what is ignored; decouple fewer faults "
-            "(decouple=) and give the others a size (sizes=), or add a sensor (where the controller has integral "
-            "action, the control inputs as further outputs)"
+            f"no estimator that ignores {ignored or 'nothing'} sees {target!r} while it lasts: once they have settled, "
+            f"the outputs answer to it as to what is ignored; {fewer}, or add a sensor (where the controller has "
+            "integral action, the control inputs as further outputs)"
         )
-
-
-def _driven(family: EstimatorFamily, i: int) -> tuple[Matrix, Matrix]:
-    """Return how a fault drives the error of all estimators, and what of it they read at once."""
-    p = family.plant
-    return family.state_map @ p.Bf[:, i] - family.inject @ p.Df[:, i], family.read @ p.Df[:, i]
+    return family

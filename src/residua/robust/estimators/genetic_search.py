@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residua.robust.estimators.genetic_checkpoint import Progressed, fingerprint, load_checkpoint, save_checkpoint
-from residua.robust.estimators.search_box import (
-    BoxedCost,
+from residua.decide.checks import is_number
+from residua.errors import FileFormatError, SettingError
+from residua.files import read_bytes, write_text
+from residua.json_files import check_checksum, dumps, loads
+from residua.records import float_out
+from residua.robust.estimators.global_search import (
     Cost,
     Matrix,
+    SearchBox,
     SearchProgress,
-    check_number,
-    first_population,
-    starting_points,
+    SearchResult,
+    check_settings,
+    settled,
 )
-from residua.robust.estimators.search_ending import check_ending, concluded, settled
-from residua.robust.estimators.search_result import SearchResult
 
 #: How often each crossover is taken: arithmetic, BLX-alpha, heuristic.
 _SHARES = (1, 3, 6)
@@ -31,6 +34,11 @@ _REACH = 2.0
 _DEGREE = 5.0
 #: Chance of each further number to change where a mutation changes several.
 _SEVERAL = 0.3
+#: Settings that say when a search ends, not how it goes, and so may differ where it goes on.
+_ENDS = ("generations", "patience", "polish")
+_FORMAT = "residua-genetic-search"
+#: How far the cost of a point may differ, relatively, from what it was: libraries round differently.
+_RESUMED = 1e-6
 
 
 @dataclass(frozen=True)
@@ -105,10 +113,12 @@ class GeneticSearch:
 
     def __post_init__(self) -> None:
         """Check the settings."""
-        check_ending(self, least=4)
-        check_number(self.crossover, "crossover", 0.0, 1.0)
-        check_number(self.mutation, "mutation", 0.0, 1.0)
-        check_number(self.selection, "selection", 0.0, 1.0, inside=True)
+        check_settings(self, least=4)
+        for name in ("crossover", "mutation", "selection"):
+            value = getattr(self, name)
+            if not (is_number(value) and 0 <= value <= 1) or (name == "selection" and value in (0, 1)):
+                where = "between 0 and 1" if name == "selection" else "in [0, 1]"
+                raise SettingError(f"{name} must be a number {where}, got {value!r}")
 
     def minimise(
         self,
@@ -144,41 +154,51 @@ class GeneticSearch:
         SettingError
             If the checkpoint is that of another search; it says in what it differs.
         FileFormatError
-            If it is no checkpoint.
+            If it is no checkpoint, or is damaged.
         """
-        box = BoxedCost(cost, lower, upper)
-        starts = starting_points(start, box)
-        whose = {} if checkpoint is None else fingerprint(self, box, starts)
-        now = None if checkpoint is None else load_checkpoint(checkpoint, whose, box)
-        if now is None:
-            points = first_population(np.random.default_rng(self.seed), box, starts, self.population)
-            now = _ranked(Progressed(points, box(points), [], 0))
-        while len(now.history) <= self.generations and not settled(now.history, self.patience):
-            if now.history:
-                now = self._next(now, box)
-            now = Progressed(now.points, now.costs, [*now.history, float(now.costs[0])], box.evaluations)
+        box = SearchBox(cost, lower, upper, start)
+        whose = settings_of(self) | {name: getattr(box, name).tolist() for name in ("lower", "upper", "starts")}
+        loaded = None if checkpoint is None or not Path(checkpoint).exists() else _loaded(Path(checkpoint), whose, box)
+        if loaded is None:
+            points = box.first_population(np.random.default_rng(self.seed), self.population)
+            points, costs = _ranked(points, box(points))
+            history: list[float] = []
+        else:
+            points, costs, history = loaded
+        while len(history) <= self.generations and not settled(history, self.patience):
+            if history:
+                points, costs = self._next(points, costs, len(history), box)
+            history.append(float(costs[0]))
             if checkpoint is not None:
-                save_checkpoint(checkpoint, now, whose)
+                content = {
+                    "format": _FORMAT,
+                    "search": whose,
+                    "points": points.tolist(),
+                    "costs": list(map(float_out, costs)),
+                    "history": list(map(float_out, history)),
+                    "evaluations": box.evaluations,
+                }
+                write_text(Path(checkpoint), dumps(content))  # the file appears whole or not at all
             if progress is not None:
-                progress(len(now.history) - 1, self.generations, now.history[-1])
-        box.remember(now.points[0], float(now.costs[0]))  # which it has not seen if it comes from another run
-        return concluded(self, box, now.history, "genetic")
+                progress(len(history) - 1, self.generations, history[-1])
+        return box.concluded(history, "genetic", patience=self.patience, polish=self.polish, seed=self.seed)
 
-    def _next(self, now: Progressed, box: BoxedCost) -> Progressed:
+    def _next(
+        self, points: Matrix, costs: NDArray[np.float64], number: int, box: SearchBox
+    ) -> tuple[Matrix, NDArray[np.float64]]:
         """Return the next generation, ranked; its random numbers are those of its number, wherever it is bred."""
-        rng = np.random.default_rng([self.seed, len(now.history)])
-        own = np.arange(len(now.points))
+        rng = np.random.default_rng([self.seed, number])
+        own = np.arange(len(points))
         mates = self._mates(rng, len(own))
-        better, worse = now.points[np.minimum(own, mates)], now.points[np.maximum(own, mates)]
+        better, worse = points[np.minimum(own, mates)], points[np.maximum(own, mates)]
         crossed = rng.random(len(own)) < self.crossover
-        children = np.where(crossed[:, None], _crossed(rng, better, worse), now.points)
+        children = np.where(crossed[:, None], _crossed(rng, better, worse), points)
         mutated = (rng.random(len(own)) < self.mutation) | ~crossed
         children = box.inside(children)
         children = np.where(mutated[:, None], _mutated(rng, children, box), children)
-        costs = box(children)
-        taken = costs <= now.costs
-        points = np.where(taken[:, None], children, now.points)
-        return _ranked(Progressed(points, np.where(taken, costs, now.costs), now.history, 0))
+        new = box(children)
+        taken = new <= costs
+        return _ranked(np.where(taken[:, None], children, points), np.where(taken, new, costs))
 
     def _mates(self, rng: np.random.Generator, count: int) -> NDArray[np.intp]:
         """Return the rank of a mate for every rank, never the same."""
@@ -198,7 +218,7 @@ def _crossed(rng: np.random.Generator, a: Matrix, b: Matrix) -> Matrix:
     return np.select([kind == 0, kind == 1], [arithmetic, blended], a + reach * (a - b))
 
 
-def _mutated(rng: np.random.Generator, points: Matrix, box: BoxedCost) -> Matrix:
+def _mutated(rng: np.random.Generator, points: Matrix, box: SearchBox) -> Matrix:
     """Return points with one number, or that and some others, moved towards a rim of the box."""
     count, d = points.shape
     one = np.arange(d) == rng.integers(d, size=(count, 1))
@@ -210,6 +230,33 @@ def _mutated(rng: np.random.Generator, points: Matrix, box: BoxedCost) -> Matrix
     return box.inside(np.where(one | several, moved, points))
 
 
-def _ranked(now: Progressed) -> Progressed:
-    order = np.argsort(now.costs, kind="stable")
-    return Progressed(now.points[order], now.costs[order], now.history, now.evaluations)
+def _ranked(points: Matrix, costs: NDArray[np.float64]) -> tuple[Matrix, NDArray[np.float64]]:
+    order = np.argsort(costs, kind="stable")
+    return points[order], costs[order]
+
+
+def settings_of(search: Any) -> dict[str, Any]:
+    """Return the settings that make the way of a search; those that say when it ends may differ."""
+    return {name: value for name, value in asdict(search).items() if name not in _ENDS}
+
+
+def _loaded(path: Path, whose: dict[str, Any], box: SearchBox) -> tuple[Matrix, NDArray[np.float64], list[float]]:
+    """Read the points of the last generation, their costs and the history of a search."""
+    try:
+        content = loads(read_bytes(path, "checkpoint"), path.name)
+        if content.get("format") != _FORMAT or not check_checksum(content, path.name):
+            raise ValueError(f'no "format": {_FORMAT!r} in it, or it was edited')
+    except (ValueError, FileFormatError) as error:
+        raise FileFormatError(
+            f"{path.name} is no checkpoint of a genetic search ({error}): delete it to begin anew"
+        ) from error
+    points, costs, history = (np.array(content[name], dtype=float) for name in ("points", "costs", "history"))
+    other = next((name for name, value in whose.items() if content["search"].get(name) != value), "")
+    if other or not np.allclose(box(points), costs, rtol=_RESUMED, atol=0.0):
+        what = f"its {other} is not the same" if other else "its points have another cost now"
+        raise SettingError(
+            f"{path.name} belongs to another search: {what}; delete it to begin anew, or give another checkpoint"
+        )
+    box.evaluations = content["evaluations"]
+    box.best, box.point = float(costs[0]), points[0]  # to the last bit
+    return points, costs, history.tolist()

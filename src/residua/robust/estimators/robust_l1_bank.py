@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from numbers import Real
 from pathlib import Path
@@ -17,15 +17,13 @@ from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.design.core.method import method
 from residua.errors import DesignError, ModelError, SettingError
 from residua.linear.poles.spectrum import spectral_radius
-from residua.plant import Plant
 from residua.progress import Progress, progress_of
-from residua.robust.bounds.box_bound import check_method
+from residua.robust.bounds.robust_peak_norm import check_method
 from residua.robust.estimators.certified_threshold import check_uncertain, checked_sizes, left_out
-from residua.robust.estimators.differential_evolution import DifferentialEvolution
-from residua.robust.estimators.estimator_family import EstimatorFamily, check_lasting, estimator_family
-from residua.robust.estimators.estimator_search import Search, Task, search_estimator
+from residua.robust.estimators.estimator_family import estimator_family
 from residua.robust.estimators.genetic_search import GeneticSearch
-from residua.robust.estimators.robust_estimator import RobustEstimator
+from residua.robust.estimators.global_search import DifferentialEvolution
+from residua.robust.estimators.robust_estimator import RobustEstimator, Search, Task, search_estimator
 from residua.robust.estimators.sampled_cost import Weights
 from residua.robust.sets.uncertain_loop import check_members_stable
 from residua.robust.sets.uncertain_plant import UncertainPlant
@@ -224,10 +222,24 @@ def robust_l1_bank(
     >>> list(bank.thresholds)
     ['upper sensor', 'lower sensor']
     """
-    plant = _checked(loop, sizes)
-    targets = _targets(faults, plant)
+    check_uncertain(loop)
+    plant = loop.nominal
+    if plant.inputs:
+        raise ModelError("the loop is open: loop.in_closed_loop(controller) closes it, and nothing is certain without")
+    if not plant.is_discrete:
+        raise ModelError("robust l1 estimators run on samples: loop.discretize(dt), before the loop is closed")
+    if not plant.disturbances and not any((sizes or {}).values()):
+        raise ModelError(
+            "the loop has no disturbances to be robust against: with_disturbances(...), scaled to length one"
+        )
+    if not plant.faults:
+        raise DesignError("the loop has no faults to look for: with_sensor_faults(), with_actuator_faults()")
+    # one that is named twice is meant once
+    targets = dict.fromkeys(plant.faults[i] for i in arrays.positions(faults, plant.faults, "fault"))
+    if not targets:
+        raise SettingError(f"faults= is empty: leave it out for all, or choose of {', '.join(plant.faults)}")
     check_method(method)
-    ignored = [plant.faults[i] for i in arrays.positions(decouple, plant.faults, "fault")]
+    ignored = dict.fromkeys(plant.faults[i] for i in arrays.positions(decouple, plant.faults, "fault"))
     task = Task(
         loop,
         checked_sizes(loop, sizes),
@@ -239,64 +251,33 @@ def robust_l1_bank(
         None if checkpoint is None else Path(checkpoint),
         seed,
     )
-    families = [_family(plant, name, ignored) for name in targets]
+    families = [estimator_family(plant, one, tuple(name for name in ignored if name != one)) for one in targets]
     check_members_stable(loop)
-    _make_folder(task)
+    if task.checkpoint is not None:
+        _make_folder(task.search, task.checkpoint)
     tell, close = progress_of(progress)
+    parts, estimators = {}, {}
     try:
-        made = {family.target: search_estimator(task, family, tell) for family in families}
+        for family in families:
+            one, note = search_estimator(task, family, tell)
+            parts[one.fault], estimators[one.fault] = _generator(loop, one, note), one
     finally:
         close()
-    return _bank(loop, made)
+    generator = stacked_members(parts, loop.nominal, _METHOD, _REFERENCE)
+    assert generator.codes is not None  # stacked_members gives them
+    return RobustL1Bank(generator, generator.codes, {}, {}, loop, estimators)
 
 
-# -------------------------------------------------------------------- the request
-
-
-def _checked(loop: UncertainPlant, sizes: Mapping[str, float] | None) -> Plant:
-    """Return the nominal loop of an uncertain one that estimators can be designed for."""
-    check_uncertain(loop)
-    plant = loop.nominal
-    if plant.inputs:
-        raise ModelError("the loop is open: loop.in_closed_loop(controller) closes it, and nothing is certain without")
-    if not plant.is_discrete:
-        raise ModelError("robust l1 estimators run on samples: loop.discretize(dt), before the loop is closed")
-    if not plant.disturbances and not any((sizes or {}).values()):
-        raise ModelError(
-            "the loop has no disturbances to be robust against: with_disturbances(...), scaled to length one"
-        )
-    return plant
-
-
-def _targets(faults: Iterable[str | int] | str | None, plant: Plant) -> list[str]:
-    if not plant.faults:
-        raise DesignError("the loop has no faults to look for: with_sensor_faults(), with_actuator_faults()")
-    # one that is named twice is meant once
-    targets = list(dict.fromkeys(plant.faults[i] for i in arrays.positions(faults, plant.faults, "fault")))
-    if not targets:
-        raise SettingError(f"faults= is empty: leave it out for all, or choose of {', '.join(plant.faults)}")
-    return targets
-
-
-def _family(plant: Plant, target: str, ignored: Iterable[str]) -> EstimatorFamily:
-    others = tuple(dict.fromkeys(name for name in ignored if name != target))
-    family = estimator_family(plant, target, others)
-    check_lasting(family)
-    return family
-
-
-def _make_folder(task: Task) -> None:
+def _make_folder(search: Search, folder: Path) -> None:
     """Make the folder for the states of searches, before anything has been computed."""
-    if task.checkpoint is None:
-        return
-    if not isinstance(task.search, GeneticSearch):
+    if not isinstance(search, GeneticSearch):
         raise SettingError("only a genetic search leaves its state: search='genetic' with checkpoint=")
     try:
-        task.checkpoint.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise SettingError(
-            f"checkpoint= must be a folder, for several files, and {str(task.checkpoint)!r} is not or cannot be made "
-            f"one: {error.strerror or error}"
+            f"checkpoint= must be a folder, for several files, and {str(folder)!r} is not or cannot be made one: "
+            f"{error.strerror or error}"
         ) from error
 
 
@@ -338,25 +319,9 @@ def _radii(loop: UncertainPlant, settling: float | None) -> tuple[float, ...]:
 def _search(search: Search | str | None, seed: int) -> Search:
     if isinstance(search, (DifferentialEvolution, GeneticSearch)):
         return search
-    known: dict[str | None, Callable[[], Search]] = {
-        None: lambda: DifferentialEvolution(seed=seed),
-        "differential-evolution": lambda: DifferentialEvolution(seed=seed),
-        "genetic": lambda: GeneticSearch(seed=seed),
-    }
-    if not (search is None or isinstance(search, str)) or search not in known:
+    if search not in (None, "differential-evolution", "genetic"):
         raise SettingError(f"search must be 'differential-evolution', 'genetic' or an object of these, got {search!r}")
-    return known[search]()
-
-
-# ------------------------------------------------------------------------- the bank
-
-
-def _bank(loop: UncertainPlant, made: Mapping[str, tuple[RobustEstimator, str]]) -> RobustL1Bank:
-    parts = {name: _generator(loop, one, note) for name, (one, note) in made.items()}
-    estimators = {name: one for name, (one, _) in made.items()}
-    generator = stacked_members(parts, loop.nominal, _METHOD, _REFERENCE)
-    assert generator.codes is not None  # stacked_members gives them
-    return RobustL1Bank(generator, generator.codes, {}, {}, loop, estimators)
+    return GeneticSearch(seed=seed) if search == "genetic" else DifferentialEvolution(seed=seed)
 
 
 def _generator(loop: UncertainPlant, one: RobustEstimator, note: str) -> ResidualGenerator:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,9 +109,9 @@ class SampledCost:
     def ranked(self, norms: Norms) -> NDArray[np.float64]:
         """Return the cost of estimators with known norms; what is of use costs less than what is not, however much."""
         slowness = np.log(self.radius) / np.log(np.clip(norms.radius, 1e-6, 1 - 1e-12))
-        cost = self.weights.cost(norms.disturbance, norms.fault) * (1 + _HASTE * slowness)
-        cost = cost / self.unit
-        return np.where(np.isfinite(cost) & (norms.radius <= self.radius), _below_penalty(cost), PENALTY + norms.radius)
+        cost = self.weights.cost(norms.disturbance, norms.fault) * (1 + _HASTE * slowness) / self.unit
+        useful = np.isfinite(cost) & (norms.radius <= self.radius)
+        return np.where(useful, np.minimum(cost, np.nextafter(PENALTY, 0)), PENALTY + norms.radius)
 
     def norms(self, points: Matrix) -> Norms:
         """Return the norms of every point."""
@@ -123,21 +122,15 @@ class SampledCost:
         usable = radius <= self.radius
         if usable.any():
             gains = F[usable], Z[usable], g[usable]
-            steps = _steps(self._terms)
-            sums = np.array([self._member_norm(part, *gains, steps) for part in self.parts])
+            sums = np.array([self._member_norm(part, *gains) for part in self.parts])
             values[:, usable] = sums.sum(axis=2).max(axis=0), sums[:, :, 0].max(axis=0), self._fault(*gains)
         return Norms(values[0], values[1], values[2], radius)
 
-    @property
-    def _terms(self) -> int:
-        # of the slowest that may come: what one costs must not depend on the others that are looked at with it
-        slowest = min(max(self.radius, *(part.radius for part in self.parts), 0.1), 1 - 1e-9)
-        return int(np.ceil(np.log(_TAIL) / np.log(slowest)))
+    def _member_norm(self, part: _MemberParts, F: Matrix, Z: Matrix, g: Matrix) -> NDArray[np.float64]:
+        """Return the sums of lengths of one member's impulse responses, shape (k, 1 + faults).
 
-    def _member_norm(
-        self, part: _MemberParts, F: Matrix, Z: Matrix, g: Matrix, steps: Sequence[tuple[int, int]]
-    ) -> NDArray[np.float64]:
-        """Return the sums of lengths of one member's impulse responses, shape (k, 1 + faults)."""
+        Of the first samples every one is looked at, then every second, every fourth and so on.
+        """
         n = len(part.A)
         A = np.zeros((len(F), n + F.shape[1], n + F.shape[1]))
         A[:, :n, :n], A[:, n:, n:] = part.A, F
@@ -146,13 +139,20 @@ class SampledCost:
         row = np.concatenate([g @ part.seen, g @ self.family.C], axis=1)[:, None]
         total = self._lengths(g[:, None] @ part.direct)[:, 0]
         before, power = self._lengths(row @ x), A
-        for stride, count in steps:
-            h, leap = _responses(row, power, x, count)
-            now = self._lengths(h)
-            known = np.concatenate([before, now[:, :-1]], axis=1)
+        # of the slowest that may come: what one costs must not depend on the others that are looked at with it
+        slowest = min(max(self.radius, *(one.radius for one in self.parts), 0.1), 1 - 1e-9)
+        terms = int(np.ceil(np.log(_TAIL) / np.log(slowest)))
+        covered, stride, count = 0, 1, min(terms, _DENSE)
+        while covered < terms:
+            outputs, leap = row @ power, power  # row power^k for k = 1..count, by doubling
+            while outputs.shape[1] < count:
+                outputs, leap = np.concatenate([outputs, outputs @ leap], axis=1), leap @ leap
+            now = self._lengths((outputs @ x)[:, :count])
+            last = np.concatenate([before, now[:, :-1]], axis=1)
             # the samples between two that are looked at are taken to lie on a line
-            total += (stride * (known + now) / 2 + (known - now) / 2).sum(axis=1)
+            total += (stride * (last + now) / 2 + (last - now) / 2).sum(axis=1)
             before, power, x = now[:, -1:], power @ power, leap @ x
+            covered, stride, count = covered + stride * count, 2 * stride, _PER_OCTAVE
         return total + before[:, 0]
 
     def _lengths(self, h: Matrix) -> Matrix:
@@ -160,25 +160,14 @@ class SampledCost:
         n = self.disturbances
         return np.concatenate([np.linalg.norm(h[..., :n], axis=2, keepdims=True), np.abs(h[..., n:])], axis=2)
 
-    @cached_property
-    def _faults_through_the_members(self) -> list[tuple[complex, list[tuple[NDArray, NDArray]]]]:
-        """Return of every frequency what every member brings of the target: to what is seen, and to the error."""
-        out = []
-        for z in self.frequencies:
-            z = z.real if abs(z.imag) < 1e-15 else z
-            driving = []
-            for part in self.parts:
-                x = np.linalg.solve(z * np.eye(len(part.A)) - part.A, part.fault)
-                driving.append((part.seen @ x + part.fault_direct, part.driven @ x + part.fault_start))
-            out.append((z, driving))
-        return out
-
     def _fault(self, F: Matrix, Z: Matrix, g: Matrix) -> NDArray[np.float64]:
         """Return the smallest response to the target over frequencies and members."""
         smallest = np.full(len(F), np.inf)
-        for z, driving in self._faults_through_the_members:
+        for k, z in enumerate(self.frequencies):
+            z = z.real if abs(z.imag) < 1e-15 else z
             M = z * np.eye(F.shape[1]) - F
-            for v, start in driving:
+            for part in self.parts:
+                v, start = part.faults[k]
                 e = start - Z @ v
                 inner = np.linalg.solve(M, e[..., None])[..., 0] if F.shape[1] else e
                 filtered, direct = np.einsum("ki,ki->k", g, inner @ self.family.C.T), g @ v
@@ -194,7 +183,8 @@ class _MemberParts:
     """What one member of the set does to the error of every estimator of a family.
 
     ``x' = A x + B w``, ``e' = F e + (driven - Z seen) x + (start - Z direct) w``, ``r = g (C e + seen x + direct w)``;
-    ``seen`` and ``driven`` are what the member differs from the nominal loop by.
+    ``seen`` and ``driven`` are what the member differs from the nominal loop by. ``faults`` holds for every frequency
+    what the target brings to what is seen, and to the error.
     """
 
     A: Matrix
@@ -203,17 +193,8 @@ class _MemberParts:
     driven: Matrix
     start: Matrix
     direct: Matrix
-    fault: NDArray[np.float64]
-    fault_start: NDArray[np.float64]
-    fault_direct: NDArray[np.float64]
+    faults: list[tuple[NDArray, NDArray]]
     radius: float
-
-
-def _below_penalty(cost: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return costs as they are up to half of the penalty, and beyond in the same order, smoothly, all below it."""
-    large = np.maximum(cost, PENALTY / 2)
-    squeezed = np.minimum(PENALTY * (1 - PENALTY / (4 * large)), np.nextafter(PENALTY, 0))
-    return np.where(cost <= PENALTY / 2, cost, squeezed)
 
 
 def sampled_cost(
@@ -231,35 +212,18 @@ def sampled_cost(
     sizes = np.array(list(bounded.values()))
     T, L, N = family.state_map, family.inject, family.read
     i = plant.faults.index(family.target)
+    frequencies = np.exp(1j * np.linspace(0.0, band, 1 if band == 0 else 9) * plant.dt)
     parts = []
     for member in members:
         B = np.hstack([member.Bd, member.Bf[:, columns] * sizes])
         D = np.hstack([member.Dd, member.Df[:, columns] * sizes])
         b, d = member.Bf[:, i], member.Df[:, i]
         dA, dC = member.A - plant.A, member.C - plant.C
-        error = {"driven": T @ dA - L @ dC, "start": T @ B - L @ D, "fault_start": T @ b - L @ d}
-        seen = {"seen": N @ dC, "direct": N @ D, "fault_direct": N @ d}
-        parts.append(_MemberParts(A=member.A, B=B, fault=b, radius=float(spectral_radius(member.A)), **error, **seen))
-    omega = np.linspace(0.0, band, 1 if band == 0 else 9)
-    z = np.exp(1j * omega * plant.dt)
-    return SampledCost(family, weights, len(plant.disturbances), radius, z, tuple(parts))
-
-
-def _steps(terms: int) -> list[tuple[int, int]]:
-    """Return strides from each sample that is looked at to the next, and how many of each, to cover ``terms``."""
-    out = [(1, min(terms, _DENSE))]
-    covered, stride = out[0][1], 1
-    while covered < terms:
-        stride *= 2
-        out.append((stride, _PER_OCTAVE))
-        covered += stride * _PER_OCTAVE
-    return out
-
-
-def _responses(row: Matrix, power: Matrix, x: Matrix, count: int) -> tuple[Matrix, Matrix]:
-    """Return ``row power^k x`` for ``k = 1..count`` by doubling, and ``power^m``, ``m`` the next power of two."""
-    seen = row @ power
-    while seen.shape[1] < count:
-        seen = np.concatenate([seen, seen @ power], axis=1)
-        power = power @ power
-    return (seen @ x)[:, :count], power
+        seen, driven = N @ dC, T @ dA - L @ dC
+        one, faults = np.eye(len(member.A)), []
+        for z in frequencies:
+            x = np.linalg.solve((z.real if abs(z.imag) < 1e-15 else z) * one - member.A, b)
+            faults.append((seen @ x + N @ d, driven @ x + T @ b - L @ d))
+        own = float(spectral_radius(member.A))
+        parts.append(_MemberParts(member.A, B, seen, driven, T @ B - L @ D, N @ D, faults, own))
+    return SampledCost(family, weights, len(plant.disturbances), radius, frequencies, tuple(parts))

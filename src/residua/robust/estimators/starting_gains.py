@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,15 +47,15 @@ def error_system(family: EstimatorFamily) -> ErrorSystem:
 def starting_gains(family: EstimatorFamily, radius: float) -> list[Matrix]:
     """Return gains to begin with: none, Kalman gains for much and little noise, and the least star norm.
 
-    Some of them have all poles within a radius, wherever there are any such.
+    Some of them have all poles within a radius, wherever there are any such: the Kalman gain of the system divided by
+    the radius is stable for that one, and so within the radius for this.
     """
     system = error_system(family)
-    # the Kalman gain of the system divided by the radius is stable for that one, and so within the radius for this
-    faster = ErrorSystem(system.A / radius, system.B, system.C / radius, system.D)
     slow = _kalman_gains(system)
+    faster = ErrorSystem(system.A / radius, system.B, system.C / radius, system.D)
     gains = [np.zeros((family.order, family.rows)), *slow, *_kalman_gains(faster)]
     if lmi.has_solver() and family.order:
-        gains += least_star_gains(system, _RATES, slow)
+        gains += least_star_gains(system, _RATES)
     return [gain for gain in gains if np.isfinite(gain).all()]
 
 
@@ -64,18 +66,16 @@ def _kalman_gains(s: ErrorSystem) -> list[Matrix]:
     seen = seen + 1e-6 * max(float(np.trace(seen)), float(np.trace(s.C @ drive @ s.C.T)), 1e-12) * np.eye(len(seen))
     out = []
     for level in _LEVELS:
-        try:
+        with suppress(DesignError, AccuracyError):
             out.append(np.asarray(filter_riccati(s.A, s.C, level * drive, seen, dt=1.0).gain))
-        except (DesignError, AccuracyError):
-            continue
     return out
 
 
-def least_star_gains(s: ErrorSystem, rates: Iterable[float], stable: list[Matrix] | None = None) -> list[Matrix]:
+def least_star_gains(s: ErrorSystem, rates: Iterable[float]) -> list[Matrix]:
     r"""Return the gains with the least star norm from disturbances to all rows of the residual, one for each rate.
 
-    None for rates at which there is none. The problem is scaled with one of the gains ``stable``, Kalman gains when
-    omitted. With :math:`Y = P Z`, minimise :math:`g_1 + g_2` subject to
+    None for rates at which there is none. The problem is scaled with a Kalman gain, in coordinates ``e = T z`` in which
+    that leaves errors of about one, and residuals too. With :math:`Y = P Z`, minimise :math:`g_1 + g_2` subject to
 
     .. math::
 
@@ -85,21 +85,23 @@ def least_star_gains(s: ErrorSystem, rates: Iterable[float], stable: list[Matrix
 
     Convex: no other gain has a smaller bound at this rate. Nearly blind to faults, and so only where a search begins.
     """
-    scaled = _scaled(s, _kalman_gains(s) if stable is None else stable)
-    if scaled is None:
+    for gain in reversed(_kalman_gains(s)):
+        closed = StateSpace(s.A - gain @ s.C, s.B - gain @ s.D, s.C, s.D, dt=1.0)
+        with suppress(AccuracyError):
+            ellipsoid = peak_norm(closed, kind="star").ellipsoid if closed.is_stable() else None
+            if ellipsoid is not None and np.any(ellipsoid):
+                break
+    else:
         return []
-    gains = (_least_star_gain(scaled, rate) for rate in rates)
-    return [scaled.T @ gain / scaled.unit for gain in gains if gain is not None]
-
-
-def _least_star_gain(s: _Scaled, rate: float) -> Matrix | None:
-    """Return the gain with the least star norm for one rate, in scaled coordinates."""
-    A, B, C, D = s.A, s.B, s.C, s.D
+    T = root(ellipsoid, 1e-6)
+    unit = max(float(np.linalg.norm(s.C @ T, 2)), float(np.linalg.norm(s.D, 2)), TINY)
+    back = np.linalg.inv(T)
+    A, B, C, D = back @ s.A @ T, back @ s.B, s.C @ T / unit, s.D / unit
     (n, m), p = B.shape, len(C)
     full = lmi.Unknown("Y", np.eye(n * p).reshape(n * p, n, p))
     unknowns = lmi.Unknowns((lmi.symmetric("P", n), full, lmi.scalar("g1"), lmi.scalar("g2")))
 
-    def dynamics(v: lmi.Values) -> Matrix:
+    def dynamics(v: lmi.Values, rate: float) -> Matrix:
         P, Y, g1 = v["P"], v["Y"], v["g1"][0, 0]
         low = np.hstack([P @ A - Y @ C, P @ B - Y @ D])
         top = np.zeros((n + m, n + m))
@@ -113,38 +115,12 @@ def _least_star_gain(s: _Scaled, rate: float) -> Matrix | None:
         # the constant block belongs to the map, which stays affine
         return np.block([[top, row.T], [row, np.eye(p)]])
 
-    cost = np.zeros(unknowns.count)
+    cost, gains = np.zeros(unknowns.count), []
     cost[-2:] = 1.0
-    x = lmi.solve(unknowns, [unknowns.coefficients(dynamics), unknowns.coefficients(output)], cost, margin=_MARGIN)
-    if x is None:
-        return None
-    v = unknowns.values(x)
-    if lmi.smallest_eigenvalue(v["P"]) <= 0:
-        return None
-    return np.asarray(np.linalg.solve(v["P"], v["Y"]), dtype=float)
-
-
-@dataclass(frozen=True, eq=False)
-class _Scaled(ErrorSystem):
-    """An error system in coordinates ``e = T z`` in which a gain leaves errors of about one, and residuals too."""
-
-    T: Matrix
-    unit: float
-
-
-def _scaled(s: ErrorSystem, gains: list[Matrix]) -> _Scaled | None:
-    for gain in reversed(gains):
-        closed = StateSpace(s.A - gain @ s.C, s.B - gain @ s.D, s.C, s.D, dt=1.0)
-        if not closed.is_stable():
-            continue
-        try:
-            ellipsoid = peak_norm(closed, kind="star").ellipsoid
-        except AccuracyError:
-            continue
-        if ellipsoid is None or not np.any(ellipsoid):
-            continue
-        T = root(ellipsoid, 1e-6)
-        size = max(float(np.linalg.norm(s.C @ T, 2)), float(np.linalg.norm(s.D, 2)), TINY)
-        back = np.linalg.inv(T)
-        return _Scaled(back @ s.A @ T, back @ s.B, s.C @ T / size, s.D / size, T, size)
-    return None
+    for rate in rates:
+        maps = [unknowns.coefficients(one) for one in (partial(dynamics, rate=rate), output)]
+        x = lmi.solve(unknowns, maps, cost, margin=_MARGIN)
+        v = {} if x is None else unknowns.values(x)
+        if v and lmi.smallest_eigenvalue(v["P"]) > 0:
+            gains.append(T @ np.linalg.solve(v["P"], v["Y"]) / unit)
+    return gains

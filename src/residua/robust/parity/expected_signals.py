@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
-from typing import Any
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
 from residua.design.core.evidence import format_pole
@@ -57,7 +57,7 @@ class ExpectedSignals:
     def driven(self, plant: Plant) -> DrivenPlant:
         """Return a plant with what drives it."""
         n, m = plant.n_states, plant.n_outputs
-        L = _diagonal(
+        L = scipy.linalg.block_diag(
             size_factor(self.inputs, plant.inputs, "input"),
             size_factor(self.disturbances, plant.disturbances, "disturbance"),
         )
@@ -70,7 +70,9 @@ class ExpectedSignals:
         G = np.block([[Bw, np.zeros((n, k))], [np.zeros((k, w)), np.sqrt(1 - rho**2) * L]])
         C = np.block([[plant.C, D], [np.zeros((p, n)), np.eye(p, k)]])
         H = np.vstack([np.hstack([Dw, np.zeros((m, k))]), np.zeros((p, w + k))])
-        first = None if self.states is None else _diagonal(size_factor(self.states, plant.states, "state"), L)
+        first = self.states
+        if first is not None:
+            first = scipy.linalg.block_diag(size_factor(first, plant.states, "state"), L)
         return DrivenPlant(A, G, C, H, first, plant)
 
 
@@ -92,9 +94,8 @@ class DrivenPlant:
         """Return a factor of the covariance of ``xi`` at the begin of a window; raises when there is none."""
         if self.first is not None:
             return self.first
-        poles = np.linalg.eigvals(self.plant.A) if self.plant.n_states else np.zeros(0)
-        if np.any(np.abs(poles) >= 1):
-            worst = poles[np.argmax(np.abs(poles))]
+        worst = max(np.linalg.eigvals(self.plant.A), key=abs, default=0.0)
+        if abs(worst) >= 1:
             raise DesignError(
                 f"{name} has the pole {format_pole(worst)}, which is not stable: its states have no stationary size; "
                 "give their sizes, states=..., or the plant in its closed loop"
@@ -128,10 +129,7 @@ class DrivenPlant:
         """
         if self.first is not None and system.n_states:
             return None
-        n_u = len(self.plant.inputs)
-        m = len(self.C) - n_u
-        B, D = (np.hstack([M[:, n_u:], M[:, :n_u]]) for M in (system.B, system.D))
-        assert B.shape[1] == m + n_u
+        B, D = (np.roll(M, -len(self.plant.inputs), axis=1) for M in (system.B, system.D))
         A = np.block([[self.A, np.zeros((len(self.A), system.n_states))], [B @ self.C, system.A]])
         G = np.vstack([self.G, B @ self.H])
         C, H = np.hstack([D @ self.C, system.C]), D @ self.H
@@ -145,26 +143,24 @@ def stationary_factor(A: NDArray[np.float64], G: NDArray[np.float64], name: str)
 
     The factor itself is summed, so that directions of little variance keep their digits.
     """
-    S, power = _compressed(G), A
+
+    def compressed(S: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return a factor with no more columns than rows and the same product with its transpose."""
+        return S if S.shape[1] <= S.shape[0] else np.asarray(np.linalg.qr(S.T, mode="r")).T
+
+    S, power = compressed(G), A
     for _ in range(_DOUBLINGS):
         more = power @ S
         if not np.isfinite(more).all():
             break
         done = bool(np.all(np.linalg.norm(more, axis=1) <= 1e-16 * np.linalg.norm(S, axis=1)))
-        S = _compressed(np.hstack([S, more]))
+        S = compressed(np.hstack([S, more]))
         if done:
             return S
         power = power @ power
     raise AccuracyError(
         f"the stationary covariance of the states of {name} does not converge: give their sizes, states="
     )
-
-
-def _compressed(S: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a factor with no more columns than rows and the same product with its transpose."""
-    if S.shape[1] <= S.shape[0]:
-        return S
-    return np.asarray(np.linalg.qr(S.T, mode="r")).T
 
 
 def size_factor(value: Sizes | None, names: Sequence[str], what: str) -> NDArray[np.float64]:
@@ -183,7 +179,12 @@ def size_factor(value: Sizes | None, names: Sequence[str], what: str) -> NDArray
         if unknown:
             raise SettingError(f"there is no {what} {unknown[0]!r}; there are {', '.join(names) or 'none'}")
         value = [value.get(name, 1.0) for name in names]
-    array = _real(value, what)
+    try:
+        array = np.asarray(value, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise SettingError(f"sizes of {what}s must be numbers: {error}") from error
+    if not np.isfinite(array).all():
+        raise SettingError(f"sizes of {what}s must be finite")
     if array.ndim < 2:
         if array.shape not in ((), (n,)) or np.any(array < 0):
             raise SettingError(f"give one size for all {what}s or one for each of {n}, none negative, got {value!r}")
@@ -196,18 +197,3 @@ def size_factor(value: Sizes | None, names: Sequence[str], what: str) -> NDArray
     if np.any(values < -1e-10 * max(n, 1)):
         raise SettingError(f"the covariance of the {what}s is not positive semidefinite")
     return units[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
-
-
-def _real(value: Any, what: str) -> NDArray[np.float64]:
-    try:
-        array = np.asarray(value, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise SettingError(f"sizes of {what}s must be numbers: {error}") from error
-    if not np.isfinite(array).all():
-        raise SettingError(f"sizes of {what}s must be finite")
-    return array
-
-
-def _diagonal(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
-    top = np.hstack([first, np.zeros((len(first), second.shape[1]))])
-    return np.vstack([top, np.hstack([np.zeros((len(second), first.shape[1])), second])])

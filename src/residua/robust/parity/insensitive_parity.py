@@ -14,17 +14,11 @@ from residua.decide.fault_free import FaultFree
 from residua.design.core.method import method
 from residua.design.core.signals import stack_signals
 from residua.errors import DataError, DesignError, SettingError
-from residua.linear import StateSpace
 from residua.linear.poles.spectrum import spectral_radius
 from residua.linear.subspaces.whitening import whitening_matrix
+from residua.linear.systems.recursion import ordered_product, run_filter
 from residua.plant import Plant
-from residua.robust.parity.insensitive_running import (
-    ParameterResiduals,
-    ParameterRunning,
-    ParameterState,
-    without_directions,
-)
-from residua.robust.parity.model_sensitivity import Equations, Model, checked_parameters, equations_of
+from residua.robust.parity.model_sensitivity import Model, checked_parameters, equations_of
 from residua.robust.parity.window_filter import window_filter, window_poles
 from residua.shown import Shown
 
@@ -36,6 +30,131 @@ _FORGOTTEN = 5
 OTHER = "another fault"
 #: A parameter of which less than this share is left beside another one cannot be distinguished from it.
 _APART = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterState:
+    """What running remembers: filter state, mean squares, their weights (a row per plant), and samples so far."""
+
+    x: NDArray[np.float64]
+    squares: NDArray[np.float64]
+    weights: NDArray[np.float64]
+    count: int
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterResiduals:
+    """What came of a block of samples.
+
+    Attributes
+    ----------
+    primary : ndarray, shape (plants, time, equations)
+        The primary residuals times ``scale``: in units of the noise once it is known, before that of what expected
+        changes of the parameters do.
+    sensitivities : ndarray, shape (plants, time, parameters, equations)
+        Their derivatives, times the expected change of each parameter.
+    residuals : ndarray, shape (plants, time, members, equations)
+        The rest of these without the directions of the ignored parameters.
+    statistic : ndarray, shape (plants, time, members)
+        Their root mean square over the memory; NaN before the filter has settled.
+    fired : ndarray of bool, shape (plants, time, members)
+        Whether it is over the threshold; all false before thresholds are known.
+    """
+
+    primary: NDArray[np.float64]
+    sensitivities: NDArray[np.float64]
+    residuals: NDArray[np.float64]
+    statistic: NDArray[np.float64]
+    fired: NDArray[np.bool_]
+
+
+def without_directions(e: NDArray[np.float64], directions: NDArray[np.float64], rest: float) -> NDArray[np.float64]:
+    r"""Return :math:`(I - \Pi (\Pi^T \Pi + \epsilon^2 I)^{-1} \Pi^T)\, e` at every sample.
+
+    With :math:`[\Pi;\, \epsilon I] = [Q_1;\, Q_2] R` the matrix taken off is :math:`Q_1 Q_1^T`: nothing is squared, and
+    there is no rank to decide. Every sample is computed by itself, whatever the block that it comes in.
+
+    Parameters
+    ----------
+    e : ndarray, shape (..., equations)
+    directions : ndarray, shape (..., parameters, equations)
+        The rows are the columns of :math:`\Pi`.
+    rest : float
+        :math:`\epsilon`, positive.
+    """
+    k, m = directions.shape[-2:]
+    if not k:
+        return e
+    stacked = np.zeros((*directions.shape[:-2], m + k, k))
+    stacked[..., :m, :] = np.swapaxes(directions, -1, -2)
+    stacked[..., m:, :] = rest * np.eye(k)
+    Q = np.linalg.qr(stacked)[0][..., :m, :]
+    out = e
+    parts = np.zeros((*e.shape[:-1], k))
+    for i in range(m):  # sums in one order, whatever the block
+        parts = parts + Q[..., i, :] * e[..., i, None]
+    for j in range(k):
+        out = out - Q[..., :, j] * parts[..., j, None]
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterRunning:
+    """Everything that running needs and that never changes."""
+
+    A: NDArray[np.float64]
+    B: NDArray[np.float64]
+    C: NDArray[np.float64]
+    D: NDArray[np.float64]
+    scale: NDArray[np.float64]
+    changes: NDArray[np.float64]
+    ignored: tuple[tuple[int, ...], ...]
+    rest: float
+    memory: int
+    settle: int
+    thresholds: NDArray[np.float64]
+
+    def initial_state(self, plants: int) -> ParameterState:
+        """Return the state before the first sample."""
+        mean = np.zeros((plants, len(self.ignored)))
+        return ParameterState(np.zeros((plants, len(self.A))), mean, mean, 0)
+
+    def largest_gains(self) -> NDArray[np.float64]:
+        """Return the sums of the sizes of the weights of each signal in each primary residual."""
+        m = len(self.scale)
+        gains, state = np.abs(self.D[:m]), self.B
+        for _ in range(self.settle):
+            gains = gains + np.abs(self.C[:m] @ state)
+            state = self.A @ state
+        return gains
+
+    def block(self, state: ParameterState, data: NDArray[np.float64]) -> tuple[ParameterState, ParameterResiduals]:
+        """Run over a block, shape (plants, time, inputs then outputs)."""
+        plants, time, _ = data.shape
+        x, v = run_filter(self.A, self.B, self.C, self.D, state.x, data)
+        m, q, members = len(self.scale), len(self.changes), len(self.ignored)
+        scaled = ordered_product(v.reshape(plants, time, 1 + q, m), self.scale)
+        e, pi = scaled[:, :, 0], scaled[:, :, 1:] * self.changes[:, None]
+        r = np.zeros((plants, time, members, m))
+        for j, chosen in enumerate(self.ignored):
+            r[:, :, j] = without_directions(e, pi[:, :, list(chosen)], self.rest)
+        squares = np.zeros((plants, time, members))
+        for i in range(m):
+            squares = squares + r[..., i] ** 2
+        usable = np.arange(state.count, state.count + time) >= self.settle
+        weights = np.broadcast_to(usable[None, :, None].astype(float), squares.shape)
+        both = np.concatenate([squares * weights, weights], axis=2)
+        fade, eye = 1 - 1 / self.memory, np.eye(2 * members)
+        start = np.concatenate([state.squares, state.weights], axis=1)
+        # the mean after each sample is the state after it: fade times the old one plus the new square
+        end, mean = run_filter(fade * eye, eye, fade * eye, eye, start, both)
+        total, weight = mean[..., :members], mean[..., members:]
+        degrees = np.array([max(m - len(chosen), 1) for chosen in self.ignored], dtype=float)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            statistic = np.where(weight > 0, np.sqrt(total / weight / degrees), np.nan)
+        fired = np.where(np.isnan(statistic), -np.inf, statistic) > self.thresholds
+        after = ParameterState(x, end[:, :members], end[:, members:], state.count + time)
+        return after, ParameterResiduals(e, pi, r, statistic, fired)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -136,9 +255,7 @@ class InsensitiveParity(Shown):
         _, outcome = self.block(self.initial_state(len(whole)), whole[..., :n_u] if n_u else None, whole[..., n_u:])
         if data.ndim == 3:
             return outcome
-        return ParameterResiduals(
-            outcome.primary[0], outcome.sensitivities[0], outcome.residuals[0], outcome.statistic[0], outcome.fired[0]
-        )
+        return ParameterResiduals(*(part[0] for part in vars(outcome).values()))
 
     def fit(self, u: ArrayLike | None, y: ArrayLike, *, false_alarm_rate: float = 1e-4) -> InsensitiveParity:
         """Return the same with units and thresholds from fault-free data at the nominal parameters.
@@ -167,9 +284,7 @@ class InsensitiveParity(Shown):
         if not 0 < false_alarm_rate < 1:
             raise SettingError(f"false_alarm_rate must lie between 0 and 1, got {false_alarm_rate!r}")
         data = stack_signals(self.plant, u, y)
-        running, promises, count = fitted_running(
-            self.running, data if data.ndim == 3 else data[None], false_alarm_rate
-        )
+        running, promises, count = _fitted(self.running, data if data.ndim == 3 else data[None], false_alarm_rate)
         listed = "; ".join(f"{name}: {one}" for name, one in zip(self.members, promises, strict=True))
         return replace(
             self,
@@ -306,17 +421,48 @@ def insensitive_parity(
     if memory != int(memory) or memory < 1:
         raise SettingError(f"memory must be a whole number of samples, at least 1, got {memory!r}")
     plant = equations.model.to_plant()
-    chosen = window_poles(poles, equations.outputs.shape[1] - 1)
-    system = _filter(equations, plant, chosen)
-    running, basis = _running(system, plant, names, sizes, ignored, int(memory), chosen)
-    shares = _shares(running, plant)
+    chosen, m, k = window_poles(poles, equations.outputs.shape[1] - 1), plant.n_outputs, len(names)
+    # the primary residuals and, one parameter after the other, their derivatives
+    labels = [f"e{j + 1}" for j in range(m)]
+    labels += [f"d{name}/d{j + 1}" for j in range(k) for name in labels]
+    weights = np.concatenate([equations.outputs, *equations.output_slopes])
+    system = window_filter(weights, np.concatenate([equations.inputs, *equations.input_slopes]), plant, labels, chosen)
+    slowest = float(np.abs(chosen).max(initial=0.0))
+    settle = len(chosen) + (int(np.ceil(np.log(1e-3) / np.log(slowest))) if slowest > 1e-12 else 0)
+    expected = np.array([sizes[name] for name in names])
+    which = tuple(tuple(names.index(name) for name in one) for one in ignored)
+    filters, none = (system.A, system.B, system.C, system.D), np.full(len(ignored), np.inf)
+    running = ParameterRunning(*filters, np.eye(m), expected, which, 1.0, int(memory), settle, none)
+    # from rest, under white inputs
+    v = np.random.default_rng(41).standard_normal((400, len(plant.inputs)))
+    growth = float(spectral_radius(plant.A))
+    v = v[: int(np.clip(20 / np.log(growth), 40, 400))] if growth > 1 else v
+    data = np.hstack([v, plant.system(("control",)).simulate(v)])
+    pi = running.block(running.initial_state(1), data[None])[1].sensitivities[0, settle:]
+    squares = (pi**2).mean(axis=0)  # parameters x equations
+    terms = running.largest_gains() @ np.sqrt((data**2).mean(axis=0))
+    units = np.maximum(np.sqrt(squares.max(axis=0)), 1e-6 * terms)  # an equation may not depend on any parameter
+    units = np.where(units > 0, units, 1.0)  # those in which expected changes are of one size in all equations
+    rest = 1e-9 * float(np.sqrt((squares / units**2).sum(axis=1).min()))
+    running, pi = replace(running, scale=np.diag(1 / units), rest=rest), pi / units
+    left = [[without_directions(pi[:, j], pi[:, list(one)], rest) for j in range(k)] for one in running.ignored]
+    shares = np.linalg.norm(left, axis=(2, 3)) / np.linalg.norm(pi, axis=(0, 2))
     causes = [name for name in names if name not in drifts]
-    left = shares[:, [names.index(name) for name in causes]] > _APART
-    codes = np.column_stack([left, np.ones(len(members), dtype=bool)])
+    seen = shares[:, [names.index(name) for name in causes]] > _APART
     return InsensitiveParity(
-        plant, values, sizes, members, ignored, (*causes, OTHER), codes, shares, running, None, basis,
+        plant,
+        values,
+        sizes,
+        members,
+        ignored,
+        (*causes, OTHER),
+        np.column_stack([seen, np.ones(len(members), dtype=bool)]),
+        shares,
+        running,
+        None,
+        "in units of what expected changes do under white inputs; no thresholds before .fit(u, y)",
         dict(zip(names, equations.errors, strict=True)),
-    )  # fmt: skip
+    )
 
 
 def _members(drifts: list[str], isolated: list[str], m: int) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
@@ -336,76 +482,7 @@ def _members(drifts: list[str], isolated: list[str], m: int) -> tuple[tuple[str,
     return tuple("ignores " + (" and ".join(one) or "nothing") for one in ignored), tuple(ignored)
 
 
-def _filter(equations: Equations, plant: Plant, poles: NDArray[np.complex128]) -> StateSpace:
-    """Return the filter to the primary residuals and, one parameter after the other, their derivatives."""
-    outputs = np.concatenate([equations.outputs, *equations.output_slopes])
-    inputs = np.concatenate([equations.inputs, *equations.input_slopes])
-    names = [f"e{i + 1}" for i in range(plant.n_outputs)]
-    count = len(equations.output_slopes)
-    labels = [*names, *(f"d{name}/d{k + 1}" for k in range(count) for name in names)]
-    return window_filter(outputs, inputs, plant, labels, poles)
-
-
-def _running(
-    system: StateSpace,
-    plant: Plant,
-    names: tuple[str, ...],
-    sizes: Mapping[str, float],
-    ignored: tuple[tuple[str, ...], ...],
-    memory: int,
-    poles: NDArray[np.complex128],
-) -> tuple[ParameterRunning, str]:
-    """Return what runs, in units in which expected changes are of one size in all equations, and what these rest on."""
-    m = plant.n_outputs
-    slowest = float(np.abs(poles).max(initial=0.0))
-    settle = len(poles) + (int(np.ceil(np.log(1e-3) / np.log(slowest))) if slowest > 1e-12 else 0)
-    chosen = tuple(tuple(names.index(name) for name in one) for one in ignored)
-    running = ParameterRunning(
-        system.A,
-        system.B,
-        system.C,
-        system.D,
-        np.eye(m),
-        np.array([sizes[name] for name in names]),
-        chosen,
-        1.0,
-        memory,
-        settle,
-        np.full(len(ignored), np.inf),
-    )
-    data = _excited(plant)
-    _, seen = running.block(running.initial_state(1), data)
-    squares = (seen.sensitivities[0, settle:] ** 2).mean(axis=0)  # parameters x equations
-    terms = running.largest_gains() @ np.sqrt((data[0] ** 2).mean(axis=0))
-    units = np.maximum(np.sqrt(squares.max(axis=0)), 1e-6 * terms)  # an equation may not depend on any parameter
-    units = np.where(units > 0, units, 1.0)
-    smallest = np.sqrt((squares / units**2).sum(axis=1).min())
-    basis = "in units of what expected changes do under white inputs; no thresholds before .fit(u, y)"
-    return replace(running, scale=np.diag(1 / units), rest=1e-9 * float(smallest)), basis
-
-
-def _excited(plant: Plant) -> NDArray[np.float64]:
-    """Return a stretch of operation of the plant under white inputs, from rest."""
-    rng = np.random.default_rng(41)
-    v = rng.standard_normal((400, len(plant.inputs)))
-    growth = float(spectral_radius(plant.A))
-    v = v[: int(np.clip(20 / np.log(growth), 40, 400))] if growth > 1 else v
-    return np.hstack([v, plant.system(("control",)).simulate(v)])[None]
-
-
-def _shares(running: ParameterRunning, plant: Plant) -> NDArray[np.float64]:
-    """Return how much of the effect of each parameter is left in each residual, as a share."""
-    _, seen = running.block(running.initial_state(1), _excited(plant))
-    pi = seen.sensitivities[0, running.settle :]
-    out = np.zeros((len(running.ignored), pi.shape[1]))
-    for i, chosen in enumerate(running.ignored):
-        for k in range(pi.shape[1]):
-            left = without_directions(pi[:, k], pi[:, list(chosen)], running.rest)
-            out[i, k] = np.linalg.norm(left) / np.linalg.norm(pi[:, k])
-    return out
-
-
-def fitted_running(
+def _fitted(
     bare: ParameterRunning, data: NDArray[np.float64], rate: float
 ) -> tuple[ParameterRunning, list[Promise], int]:
     """Return what runs in units of the noise, the promise of each member, and the number of fault-free samples.
@@ -432,12 +509,12 @@ def fitted_running(
     reach = min(_FORGOTTEN * bare.memory, max(1, (time - bare.settle) // 4))
     seen = FaultFree(e, usable, reach, tuple(range(time, plants * time, time)))
     gains = bare.largest_gains()
-    scale, noise_free = fitted_scale(e[usable], gains, data, bare.scale)
+    scale, noise_free = _fitted_scale(e[usable], gains, data, bare.scale)
     running = bare if noise_free else replace(bare, scale=scale, rest=REST)
     own = running.block(running.initial_state(plants), data)[1].statistic.reshape(plants * time, -1)
     statistic = own.copy()
     for held, kept, _ in () if noise_free else seen.held_out():
-        turn = replace(running, scale=fitted_scale(e[kept], gains, data, bare.scale)[0])
+        turn = replace(running, scale=_fitted_scale(e[kept], gains, data, bare.scale)[0])
         for p, part in enumerate(seen.parts):
             inside = np.flatnonzero(held[part])
             if len(inside):
@@ -446,20 +523,16 @@ def fitted_running(
                 values = turn.block(turn.initial_state(1), data[p : p + 1, begin:last])[1].statistic[0]
                 statistic[part][first:last] = values[first - begin :]
     own, statistic = np.nan_to_num(own), np.nan_to_num(statistic)
-    promises = [_promise(statistic[:, j], own[:, j], seen, bare.memory, rate) for j in range(len(bare.ignored))]
+    held = {"persistence": 1, "release": 1, "window": bare.memory}
+    promises = [
+        promise_of(observed(one, seen.full, seen.usable, seen.parts, np.inf, own=kept, **held), rate)
+        for one, kept in zip(statistic.T, own.T, strict=True)
+    ]
     thresholds = np.array([one.threshold for one in promises])
     return replace(running, thresholds=thresholds), promises, count
 
 
-def _promise(statistic: NDArray, own: NDArray, seen: FaultFree, memory: int, rate: float) -> Promise:
-
-    statistics = observed(
-        statistic, seen.full, seen.usable, seen.parts, np.inf, persistence=1, release=1, window=memory, own=own
-    )
-    return promise_of(statistics, rate)
-
-
-def fitted_scale(
+def _fitted_scale(
     e: NDArray[np.float64], weights: NDArray[np.float64], signals: NDArray[np.float64], now: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], bool]:
     """Return the units that make primary residuals white, and whether these data hold no noise at all.

@@ -61,8 +61,14 @@ def equations_of(model: Model, values: Mapping[str, float], changes: Mapping[str
     H, G = _weights(nominal, nominal, order, "the nominal values")
     largest = np.abs(np.concatenate([H, G], axis=2)).max(axis=1, keepdims=True)  # of each signal in each equation
     slopes, errors = [], []
-    for name in values:
-        far, near = (_difference(model, values, name, s * _STEP * changes[name], nominal, order) for s in (1.0, 0.5))
+
+    def weights_at(name: str, value: float) -> NDArray[np.float64]:
+        made = _evaluated(model, {**values, name: value})
+        return np.concatenate(_weights(made, nominal, order, f"{name} = {value:.6g}"), axis=2)
+
+    for name, value in values.items():
+        steps = _STEP * changes[name], 0.5 * _STEP * changes[name]
+        far, near = ((weights_at(name, value + h) - weights_at(name, value - h)) / (2 * h) for h in steps)
         slope = (4 * near - far) / 3  # the terms of second order cancel
         slope = np.where(np.abs(slope) * changes[name] > _UNMOVED * largest, slope, 0.0)
         size = float(np.abs(slope).max())
@@ -115,18 +121,6 @@ def _weights(
     for i, k in enumerate(degrees):
         out_H[i, order - k :], out_G[i, order - k :] = H[: k + 1, i], -G[: k + 1, i]
     return out_H, out_G
-
-
-def _difference(
-    model: Model, values: Mapping[str, float], name: str, step: float, nominal: InputOutputModel, order: int
-) -> NDArray[np.float64]:
-    """Return a central difference of the weights, outputs then inputs along the last axis."""
-    sides = []
-    for sign in (1, -1):
-        moved = {**values, name: values[name] + sign * step}
-        made = _evaluated(model, moved)
-        sides.append(np.concatenate(_weights(made, nominal, order, f"{name} = {moved[name]:.6g}"), axis=2))
-    return (sides[0] - sides[1]) / (2 * step)
 
 
 def checked_parameters(

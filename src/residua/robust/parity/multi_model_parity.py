@@ -8,17 +8,19 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from residua import arrays
 from residua.design.core.decoupling import Approximate
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.design.core.method import method
-from residua.errors import DesignError, SettingError
+from residua.design.parity.relation_model import relation_model
+from residua.errors import DesignError, ModelError, SettingError
 from residua.linear.poles.spectrum import spectral_radius
 from residua.plant import Plant
+from residua.plant.algebraic_equations import without_algebraic_equations
 from residua.plant.input_output_model import InputOutputModel
-from residua.robust.parity.best_ratios import best_ratios
 from residua.robust.parity.expected_signals import ExpectedSignals, Sizes
-from residua.robust.parity.plant_variants import plant_family, probabilities
+from residua.robust.parity.optimal_parity import best_ratios
 from residua.robust.parity.window_filter import window_filter, window_poles
 from residua.shown import Shown
 from residua.tolerances import RESPONSE_ROUNDING, ROUNDING, TINY
@@ -80,23 +82,18 @@ class MultiModelParity(Shown):
     def __str__(self) -> str:
         s = self.singular_values
         kept = len(self.output_weights)
+        what, values = ("faults for leak", self.ratios) if len(self.ratios) else ("singular values", s[::-1])
+        following = f"; next {values[kept]:.3g}" if kept < len(values) else ""
         lines = [
             f"{_METHOD}: {kept} of {len(s)} relations of order {self.output_weights.shape[1] - 1}, "
             f"{len(self.plants)} models",
-            _listed("faults for leak", self.ratios, kept)
-            if len(self.ratios)
-            else _listed("singular values", s[::-1], kept),
+            f"  {what}, kept: {', '.join(f'{x:.3g}' for x in values[:kept])}{following}",
             "  fault that settles to the leak (rms), nominal / worst model:",
         ]
         smallest = self.smallest_faults
         for j, fault in enumerate(self.generator.faults):
             lines.append(f"    {fault}: {smallest[self.nominal, j]:.3g} / {smallest[:, j].max():.3g}")
         return "\n".join(lines)
-
-
-def _listed(what: str, values: NDArray[np.float64], kept: int) -> str:
-    text = f"  {what}, kept: {', '.join(f'{x:.3g}' for x in values[:kept])}"
-    return text + (f"; next {values[kept]:.3g}" if kept < len(values) else "")
 
 
 @method(
@@ -225,34 +222,51 @@ def multi_model_parity(
         raise DesignError(f"nominal must be the number of one of {len(family)} models, counted from zero: {nominal!r}")
     if order != int(order) or order < 0:
         raise DesignError(f"order must be a whole number of past samples, got {order!r}")
-    pi = probabilities(weights, len(family))
-    expected = ExpectedSignals(inputs, disturbances, states, correlation_time, noise)
-    names = [f"model {i}" for i in range(len(family))]
-    driven = [expected.driven(plant) for plant in family]
-    windows = [one.window(order, name) for one, name in zip(driven, names, strict=True)]
+    pi = np.ones(len(family)) if weights is None else np.asarray(weights, dtype=float)
+    if pi.shape != (len(family),) or not np.isfinite(pi).all() or np.any(pi < 0) or not pi.sum() > 0:
+        raise SettingError(f"weights must be {len(family)} numbers, one per model, none negative, got {weights!r}")
+    pi = pi / pi.sum()
     if criterion not in ("leak", "faults"):
         raise SettingError(f"criterion must be 'leak' or 'faults', got {criterion!r}")
     if criterion == "faults" and rank is not None:
         raise DesignError("rank goes by the leak alone: with criterion='faults' say how many relations, relations=...")
-    units, U, s = _ranked(windows, pi, order)
-    plant = family[nominal]
-    ratios = np.zeros(0)
-    vectors = U[:, ::-1].T
+    if rank is not None and relations is not None:
+        raise DesignError("give rank, the number of constraints, or relations, the number of relations; not both")
+    expected = ExpectedSignals(inputs, disturbances, states, correlation_time, noise)
+    names = [f"model {i}" for i in range(len(family))]
+    driven = [expected.driven(plant) for plant in family]
+    windows = [one.window(order, name) for one, name in zip(driven, names, strict=True)]
+    M = np.hstack([np.sqrt(share) * window for share, window in zip(pi, windows, strict=True)])
+    rms = np.sqrt((M**2).sum(axis=1).reshape(order + 1, -1).mean(axis=0))
+    units = np.where(rms > 0, rms, 1.0)
+    scale = np.tile(units, order + 1)
+    U, s, _ = np.linalg.svd(M / scale[:, None], full_matrices=M.shape[1] < len(M))
+    s, plant = np.concatenate([s, np.zeros(len(M) - len(s))]), family[nominal]
+    vectors, ratios = U[:, ::-1].T, np.zeros(0)
     if criterion == "faults":
-        vectors, ratios = _by_faults(U, s, _constant_faults(family, pi, order) / np.tile(units, order + 1)[:, None])
-    count = _count(rank, relations, len(s) if criterion == "leak" else len(vectors))
-    W = (vectors[:count] / np.tile(units, order + 1)).reshape(count, order + 1, -1)
-    W = W * _signs(W)[:, None, None]
+        vectors, ratios = _by_faults(U, s, _constant_faults(family, pi, order) / scale[:, None])
+    most = len(s) if criterion == "leak" else len(vectors)
+    count = most - rank if rank is not None else 1 if relations is None else relations
+    if count != int(count) or not 1 <= count <= most:
+        what = f"rank must be 0 to {most - 1}" if rank is not None else f"relations must be 1 to {most}"
+        raise DesignError(f"{what} for windows of {most} values, got {rank if rank is not None else relations!r}")
+    flat = vectors[: int(count)] / scale
+    largest = flat[np.arange(len(flat)), np.abs(flat).argmax(axis=1)]
+    W = (flat * np.where(largest < 0, -1.0, 1.0)[:, None]).reshape(len(flat), order + 1, -1)
     outputs, known = W[:, :, : plant.n_outputs], W[:, :, plant.n_outputs :]
     chosen = window_poles(poles, int(order))
-    system = window_filter(outputs, known, plant, [f"r{i + 1}" for i in range(count)], chosen)
+    system = window_filter(outputs, known, plant, [f"r{i + 1}" for i in range(len(W))], chosen)
     leak, notes = _leaks(system, driven, windows, W, names, moving_average=not np.any(chosen))
     gains = np.array([_steady(outputs, chosen, one) for one in family])
+    conditions = {_NOMINAL_LEAK: float(leak[nominal].max()), "leak (rms), worst model": float(leak.max())}
+    if criterion == "leak":
+        last = {"next singular value": float(s[-len(W) - 1])} if len(W) < len(s) else {}
+        conditions = {"largest singular value kept as relation": float(s[-len(W)])} | last | conditions
     evidence = Evidence(
         method=_METHOD,
         poles=system.poles(),
-        requested_poles=np.tile(chosen, count),
-        conditions=_conditions(s, count, leak, nominal) if criterion == "leak" else _leak_conditions(leak, nominal),
+        requested_poles=np.tile(chosen, len(W)),
+        conditions=conditions,
         notes=(
             f"good for {len(family)} models, exact for none in general: without a fault the residual stays about as "
             "small as its leak, not zero; thresholds must leave room for it",
@@ -264,15 +278,38 @@ def multi_model_parity(
     return MultiModelParity(generator, family, nominal, s, ratios, outputs, known, units, leak, gains)
 
 
-def _ranked(
-    windows: Sequence[NDArray[np.float64]], pi: NDArray[np.float64], order: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the units of the signals, the left singular vectors and all singular values."""
-    M = np.hstack([np.sqrt(share) * window for share, window in zip(pi, windows, strict=True)])
-    rms = np.sqrt((M**2).sum(axis=1).reshape(order + 1, -1).mean(axis=0))
-    units = np.where(rms > 0, rms, 1.0)
-    U, s, _ = np.linalg.svd(M / np.tile(units, order + 1)[:, None], full_matrices=M.shape[1] < len(M))
-    return units, U, np.concatenate([s, np.zeros(len(M) - len(s))])
+def plant_family(
+    plants: Iterable[Plant | InputOutputModel], *, insensitive_to: Iterable[str | int] | str = ()
+) -> tuple[Plant, ...]:
+    """Return sampled plants without ``E`` and with the same signals, the faults to ignore among their disturbances.
+
+    Raises
+    ------
+    ModelError
+        If there is none, or inputs, outputs, faults or steps differ.
+    DesignError
+        If they are continuous.
+    """
+    if isinstance(plants, (Plant, InputOutputModel)):
+        plants = [plants]
+    explicit = [relation_model(one).plant for one in plants]
+    if not explicit:
+        raise ModelError("give at least one plant")
+    first = explicit[0]
+    for i, one in enumerate(explicit):
+        for what in ("inputs", "outputs", "faults", "dt"):
+            if getattr(one, what) != getattr(first, what):
+                raise ModelError(
+                    f"model {i} has other {what} than model 0: {getattr(one, what)} instead of {getattr(first, what)}; "
+                    "variants of one plant have the same signals"
+                )
+    if not first.is_discrete:
+        raise DesignError(
+            "expected sizes are those of samples, not of derivatives: sample the plants first, plant.discretize(dt)"
+        )
+    chosen = [first.faults[i] for i in arrays.positions(insensitive_to, first.faults, "fault")]
+    plain = (one if one.E is None else without_algebraic_equations(one).explicit() for one in explicit)
+    return tuple(one.faults_as_disturbances(chosen) if chosen else one for one in plain)
 
 
 def _constant_faults(family: Sequence[Plant], pi: NDArray[np.float64], order: int) -> NDArray[np.float64]:
@@ -300,24 +337,6 @@ def _by_faults(
     kept = some > 1e-12 * some.max(initial=0.0)  # the others see nothing
     combinations = combinations[kept] / np.linalg.norm(combinations[kept], axis=1, keepdims=True)
     return np.vstack([exact_rows, combinations @ U[:, :rank].T]), np.concatenate([ratios, some[kept]])
-
-
-def _count(rank: int | None, relations: int | None, most: int) -> int:
-    """Return how many relations are kept."""
-    if rank is not None and relations is not None:
-        raise DesignError("give rank, the number of constraints, or relations, the number of relations; not both")
-    count = 1 if rank is None and relations is None else relations if relations is not None else most - (rank or 0)
-    if count != int(count) or not 1 <= count <= most:
-        what = f"rank must be 0 to {most - 1}" if rank is not None else f"relations must be 1 to {most}"
-        raise DesignError(f"{what} for windows of {most} values, got {rank if rank is not None else relations!r}")
-    return int(count)
-
-
-def _signs(W: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the signs that make the largest weight of each relation positive."""
-    flat = W.reshape(len(W), -1)
-    largest = flat[np.arange(len(W)), np.abs(flat).argmax(axis=1)]
-    return np.where(largest < 0, -1.0, 1.0)
 
 
 def _leaks(system, driven, windows, W, names, *, moving_average: bool) -> tuple[NDArray[np.float64], tuple[str, ...]]:
@@ -348,13 +367,66 @@ def _steady(outputs: NDArray[np.float64], poles: NDArray[np.complex128], plant: 
     return np.where(np.abs(gain) > RESPONSE_ROUNDING * terms, gain, 0.0) / float(np.prod(1 - poles).real)
 
 
-def _conditions(s: NDArray[np.float64], count: int, leak: NDArray[np.float64], nominal: int) -> dict[str, float]:
-    """Return the numbers that the evidence names."""
-    out = {"largest singular value kept as relation": float(s[len(s) - count])}
-    if count < len(s):
-        out["next singular value"] = float(s[len(s) - count - 1])
-    return out | _leak_conditions(leak, nominal)
+def model_spread(
+    generator: ResidualGenerator,
+    plants: Iterable[Plant | InputOutputModel],
+    *,
+    inputs: Sizes | None = None,
+    disturbances: Sizes | None = None,
+    correlation_time: float = 0.0,
+    noise: bool = False,
+) -> NDArray[np.float64]:
+    r"""Return the root mean square of the fault-free residuals of a generator on each of several models.
 
+    Inputs and disturbances are random with their sizes, as for :func:`multi_model_parity`; the mean square is that
+    of the stationary filter driven by the plant, from its Lyapunov equation.
 
-def _leak_conditions(leak: NDArray[np.float64], nominal: int) -> dict[str, float]:
-    return {_NOMINAL_LEAK: float(leak[nominal].max()), "leak (rms), worst model": float(leak.max())}
+    Parameters
+    ----------
+    generator : ResidualGenerator
+        Sampled, of any design.
+    plants : sequence of Plant or InputOutputModel
+        Stable models with the inputs and outputs of the generator's plant.
+    inputs, disturbances : number, sequence, mapping of str to float, or covariance matrix, optional
+        Expected root mean squares, or the covariance; one when omitted.
+    correlation_time : float
+        Seconds over which inputs and disturbances stay alike; white when zero.
+    noise : bool
+        Whether the noise of the plants counts too.
+
+    Returns
+    -------
+    ndarray, shape (models, residuals)
+
+    Raises
+    ------
+    ModelError
+        If the signals do not fit.
+    DesignError
+        If a model is not stable.
+
+    Notes
+    -----
+    Assumes: the models are linear and time-invariant, and no fault acts.
+
+    References
+    ----------
+    Gertler (1991), eq. (6-2).
+
+    Examples
+    --------
+    >>> import residua as rs
+    >>> plant = rs.Plant([[0.8]], [[1.0]], [[1.0]], dt=1.0)
+    >>> other = rs.Plant([[0.7]], [[1.0]], [[1.0]], dt=1.0)
+    >>> rs.design.model_spread(rs.design.parity_relations(plant), [plant, other]).round(4)
+    array([[0.  ],
+           [0.14]])
+    """
+    family = plant_family(plants)
+    own = generator.plant
+    for i, one in enumerate(family):
+        if (one.inputs, one.outputs, one.dt) != (own.inputs, own.outputs, generator.dt):
+            raise ModelError(f"model {i} has other inputs, outputs or another step than the generator")
+    expected = ExpectedSignals(inputs, disturbances, None, correlation_time, noise)
+    spread = [expected.driven(one).spread_of(generator.system, f"model {i}") for i, one in enumerate(family)]
+    return np.array(spread)

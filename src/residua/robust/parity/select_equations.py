@@ -165,14 +165,31 @@ def select_equations(
     if (inputs is None) == (recording is None):
         raise SettingError("give inputs, the operating point, or recording, the inputs over time; one of them")
     values, sizes = checked_parameters(parameters, changes)
-    eta = _thresholds(generator, thresholds)
+    n = generator.n_residuals
+    if thresholds is None:
+        if generator.covariance is None:
+            raise SettingError("give thresholds, one per residual, or the plant noise, plant.with_noise(...)")
+        thresholds = _DEVIATIONS * np.sqrt(np.diag(generator.covariance))
+    eta = np.asarray(thresholds, dtype=float)
+    if eta.shape not in ((), (n,)) or not np.isfinite(eta).all() or np.any(eta <= 0):
+        raise SettingError(f"thresholds must be {n} positive numbers, one per residual, got {thresholds!r}")
     respond = _steady(generator, inputs) if recording is None else _over(generator, recording)
-    nominal = respond(_model(model, values, generator))
-    measures = np.zeros((generator.n_residuals, len(values)))
-    for k, name in enumerate(values):
-        for sign in (1, -1):
-            changed = _model(model, {**values, name: values[name] + sign * sizes[name]}, generator)
-            measures[:, k] = np.maximum(measures[:, k], _size(respond(changed) - nominal) / eta)
+    own = generator.plant
+
+    def response(changed: Mapping[str, float]) -> NDArray[np.float64]:
+        plant = relation_model(model(**{**values, **changed})).plant
+        if (plant.inputs, plant.outputs, plant.dt) != (own.inputs, own.outputs, generator.dt):
+            raise ModelError(
+                f"the model has the signals {', '.join((*plant.inputs, *plant.outputs))} and dt={plant.dt:g}, the "
+                f"relations {', '.join((*own.inputs, *own.outputs))} and dt={generator.dt:g}"
+            )
+        return respond(plant)
+
+    nominal, measures = response({}), np.zeros((n, len(values)))
+    for k, (name, value) in enumerate(values.items()):
+        for changed in (value + sizes[name], value - sizes[name]):
+            off = np.atleast_2d(response({name: changed}) - nominal)  # one value, or over time
+            measures[:, k] = np.maximum(measures[:, k], np.sqrt((off**2).mean(axis=0)) / eta)
     costs = measures.max(axis=1)
     chosen, notes = _chosen(generator, costs, quality, criterion, time_limit)
     names = tuple(generator.residuals[i] for i in chosen)
@@ -180,34 +197,6 @@ def select_equations(
             for i in chosen}  # fmt: skip
     code = CodingSet.of(rows, generator.faults)
     return EquationChoice(generator.residuals, names, tuple(values), measures, costs, code, notes)
-
-
-def _size(response: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the size of each residual: of one value, or the root mean square over time."""
-    return np.sqrt((np.atleast_2d(response) ** 2).mean(axis=0))
-
-
-def _model(model: Model, values: Mapping[str, float], generator: ResidualGenerator) -> Plant:
-    plant, own = relation_model(model(**values)).plant, generator.plant
-    if (plant.inputs, plant.outputs, plant.dt) != (own.inputs, own.outputs, generator.dt):
-        raise ModelError(
-            f"the model has the signals {', '.join((*plant.inputs, *plant.outputs))} and dt={plant.dt:g}, the "
-            f"relations {', '.join((*own.inputs, *own.outputs))} and dt={generator.dt:g}"
-        )
-    return plant
-
-
-def _thresholds(generator: ResidualGenerator, thresholds: ArrayLike | None) -> NDArray[np.float64]:
-    n = generator.n_residuals
-    if thresholds is None:
-        covariance = generator.covariance
-        if covariance is None:
-            raise SettingError("give thresholds, one per residual, or the plant noise, plant.with_noise(...)")
-        thresholds = _DEVIATIONS * np.sqrt(np.diag(covariance))
-    eta = np.asarray(thresholds, dtype=float)
-    if eta.shape not in ((), (n,)) or not np.isfinite(eta).all() or np.any(eta <= 0):
-        raise SettingError(f"thresholds must be {n} positive numbers, one per residual, got {thresholds!r}")
-    return np.broadcast_to(eta, (n,))
 
 
 def _steady(generator: ResidualGenerator, inputs: ArrayLike | Mapping[str, float] | None) -> Respond:
@@ -262,18 +251,13 @@ def _chosen(
         notes.append(
             f"weakly isolating only: no equation answers to {' or '.join(names[k])} and ignores {' or '.join(names[j])}"
         )
-    allowed = np.ones(len(costs), dtype=bool)
-    if criterion == "worst":
-        allowed = costs <= _least_worst(cover, costs)
+    # with all equations up to the smallest largest cost every demand can be met
+    least = max(float(costs[demand].min()) for demand in cover.demands)
+    allowed = costs <= (least if criterion == "worst" else np.inf)
     chosen, proved = _cheapest(cover, costs, allowed, time_limit)
     if not proved:
         notes.append(f"the time limit of {time_limit:g} s was reached before it was proved that no choice is cheaper")
     return chosen, tuple(notes)
-
-
-def _least_worst(cover: Cover, costs: NDArray[np.float64]) -> float:
-    """Return the smallest largest cost: with all equations up to it every demand can be met."""
-    return max(float(costs[demand].min()) for demand in cover.demands)
 
 
 def _cheapest(

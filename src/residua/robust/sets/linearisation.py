@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from residua.arrays import frozen
 from residua.errors import AccuracyError, ModelError
-from residua.linear.poles.spectrum import spectral_radius
+from residua.linear.systems.scaling import even_units
 from residua.plant.plant import Plant
-from residua.robust.sets.perturbation import UncertainParameter, factored
-from residua.robust.sets.uncertain_plant import ChannelBlock, UncertainPlant, make_uncertain_plant, visited_values
+from residua.robust.sets.uncertain_plant import UncertainParameter, UncertainPlant, make_uncertain_plant, visited_values
 from residua.shown import Shown
 
 Matrix = NDArray[np.float64]
@@ -135,7 +134,7 @@ def uncertain_plant_from_parameters(
         return plant
 
     nominal = evaluate(centre)
-    blocks, channels = [], []
+    slopes = {}
     for i, p in enumerate(known):
         if p.high == p.low:
             continue
@@ -145,13 +144,12 @@ def uncertain_plant_from_parameters(
         slope = (_stacked(ends[0], nominal) - _stacked(ends[1], nominal)) / (p.high - p.low)
         # what moves by rounding only would be a channel of its own
         rounding = _stacked_from(_rounding([nominal, *ends], 0.0))
-        slope = np.where(np.abs(slope) * (p.high - p.low) > 2 * rounding, slope, 0.0)
-        blocks.append(_channels_of(slope, nominal))
-        channels += [i] * blocks[-1][0].shape[1]
-    made = make_uncertain_plant(nominal, known, tuple(channels), blocks)
+        slopes[i] = np.where(np.abs(slope) * (p.high - p.low) > 2 * rounding, slope, 0.0)
+    affine = nominal, known, *_channels_of(slopes, nominal)
+    made = make_uncertain_plant(*affine)
     points = visited_values(made, _INSIDE, seed)
     comparison = _compare(made, [evaluate(v) for v in points], points, rtol)
-    return make_uncertain_plant(nominal, known, tuple(channels), blocks, linearisation=comparison, function=function)
+    return make_uncertain_plant(*affine, linearisation=comparison, function=function)
 
 
 def _parameter(name: str, values: Sequence[float]) -> UncertainParameter:
@@ -174,13 +172,21 @@ def _stacked(plant: Plant, like: Plant) -> Matrix:
     return _stacked_from({name: getattr(plant, name) for name in _MOVING})
 
 
-def _channels_of(slope: Matrix, plant: Plant) -> ChannelBlock:
-    """Return channels with ``-[Hx; Hy] [Gx Gu Gd Gf] = slope``, as few as its rank."""
-    n = plant.n_states
-    L, R = factored(slope)
-    R = np.where(slope.any(axis=0), R, 0.0)  # no rounding where nothing moves
-    ends = np.cumsum([n, len(plant.inputs), len(plant.disturbances)])
-    return ChannelBlock(-L[:n], -L[n:], *np.split(R, ends, axis=1))
+def _channels_of(slopes: Mapping[int, Matrix], nominal: Plant) -> tuple[tuple[int, ...], Matrix, Matrix]:
+    """Return channels with ``-[Hx; Hy] [Gx Gu Gd Gf]`` the slope of each parameter, as few as its rank."""
+    none = _stacked(nominal, nominal)
+    channels, left, right = [], [none[:, :0]], [none[:0]]
+    for i, slope in slopes.items():
+        if np.any(slope):
+            rows, columns = even_units(slope)
+            U, s, Vh = np.linalg.svd(rows[:, None] * slope * columns, full_matrices=False)
+            rank = int(np.count_nonzero(s > 1e-12 * s[0]))
+            half = np.sqrt(s[:rank])
+            left.append(-U[:, :rank] * half / rows[:, None])
+            # no rounding where nothing moves
+            right.append(np.where(slope.any(axis=0), half[:, None] * Vh[:rank] / columns, 0.0))
+            channels += [i] * rank
+    return tuple(channels), np.hstack(left), np.vstack(right)
 
 
 def _all_matrices(plant: Plant) -> dict[str, Matrix]:
@@ -194,31 +200,22 @@ def _stacked_from(matrices: Mapping[str, Matrix]) -> Matrix:
 
 
 def _rounding(plants: Sequence[Plant], rtol: float) -> dict[str, Matrix]:
-    """Return what entries of matrices may be off by: of themselves, of those beside them, and of products.
+    """Return what entries of matrices may be off by: a part of themselves, and of the largest in even units.
 
-    A zero that was computed, by a change of coordinates or by sampling a plant, is off by the rounding of its terms.
-    These are as large as what leads from the column to the row by way of the states, whatever units states are in:
-    the entry of ``[A; C] (1 + A + A^2 + ...) [A B]`` of absolute values; in continuous time every row of the ``A``
-    between is divided by its rate.
+    A zero that was computed, by a change of coordinates or by sampling a plant, is off by the rounding of its terms,
+    which are about as large as the other entries once rows and columns are in even units.
     """
     stacks = [_all_matrices(plant) for plant in plants]
     sizes = {name: np.abs(np.stack([m[name] for m in stacks])).max(axis=0) for name in (*_MOVING, *_FIXED)}
-    A, n = sizes["A"], len(sizes["A"])
-    if plants[0].is_discrete:
-        rate = np.full(n, max(1.0, float(spectral_radius(A))))
-    else:  # a state that is fast hands on what drives it divided by its rate
-        rate = np.where(A.max(axis=1, initial=0.0) > 0, A.max(axis=1, initial=0.0), 1.0)
-    ways = first = np.eye(n) if plants[0].is_discrete else np.diag(1 / rate)
-    for _ in range(1, n):
-        ways = first + (A / rate[:, None]) @ ways
-    out = {}
-    for name, size in sizes.items():
-        beside = np.minimum(size.max(axis=1, initial=0.0, keepdims=True), size.max(axis=0, initial=0.0, keepdims=True))
-        if name != "E":
-            left, right = (sizes["C"] if name[0] in "CD" else A), (A if name in "AC" else sizes["B" + name[1:]])
-            beside = np.maximum(beside, left @ ways @ right)
-        out[name] = rtol * size + _ROUNDED * beside
-    return out
+    whole = np.hstack([_stacked_from(sizes), np.vstack([sizes["Bw"], sizes["Dw"]])])
+    beside = {"E": np.minimum(sizes["E"].max(axis=1, initial=0.0, keepdims=True), sizes["E"].max(axis=0, initial=0.0))}
+    n, names = len(sizes["A"]), ("A", "B", "Bd", "Bf", "Bw")
+    ends = np.cumsum([sizes[name].shape[1] for name in names[:-1]])
+    rows, columns = even_units(whole) if np.any(whole) else (np.ones(len(whole)), np.ones(whole.shape[1]))
+    even = (rows[:, None] * whole * columns).max(initial=0.0) / rows[:, None] / columns
+    for name, part in zip(names, np.split(even, ends, axis=1), strict=True):
+        beside |= {name: part[:n], {"A": "C", "B": "D"}.get(name, "D" + name[1:]): part[n:]}
+    return {name: rtol * size + _ROUNDED * beside[name] for name, size in sizes.items()}
 
 
 def _compare(made: UncertainPlant, plants: list[Plant], points: NDArray[np.float64], rtol: float) -> Linearisation:
@@ -238,7 +235,13 @@ def _compare(made: UncertainPlant, plants: list[Plant], points: NDArray[np.float
         exact = False
         off = np.where(off > rounding[name], off, 0.0)
         if name in _FIXED:
-            kept[name] = _moved(off, np.abs(_all_matrices(made.nominal)[name]))
+            # relative to the largest of its column, in even units of the rows
+            nominal, most = np.abs(_all_matrices(made.nominal)[name]), off.max(axis=0)
+            rows = np.maximum(nominal, most).max(axis=1, keepdims=True)
+            columns, moved = ((M / np.where(rows > 0, rows, 1.0)).max(axis=0) for M in (nominal, most))
+            # a column that is zero in the nominal plant moves by all that it is
+            share = np.where(columns > 0, moved / np.where(columns > 0, columns, 1.0), np.sign(moved))
+            kept[name] = float(share.max(initial=0.0))
             continue
         spread = np.maximum(np.ptp(true, axis=0), rounding[name])
         worst = (off / np.where(spread > 0, spread, np.finfo(float).tiny)).reshape(len(points), -1).max(axis=1)
@@ -246,15 +249,6 @@ def _compare(made: UncertainPlant, plants: list[Plant], points: NDArray[np.float
             relative, where = float(worst.max()), int(np.argmax(worst))
     values = dict(zip(made.names, (float(v) for v in points[where]), strict=True))
     return Linearisation(exact, deviation, relative, values, len(points), kept)
-
-
-def _moved(off: Matrix, nominal: Matrix) -> float:
-    """Return the largest deviation of an entry, relative to the largest of its column, in even units of the rows."""
-    most = np.maximum(nominal, off.max(axis=0)).max(axis=1)
-    unit = np.where(most > 0, most, 1.0)[:, None]
-    columns, moved = (nominal / unit).max(axis=0), (off.max(axis=0) / unit).max(axis=0)
-    # a column that is zero in the nominal plant moves by all that it is
-    return float(np.where(columns > 0, moved / np.where(columns > 0, columns, 1.0), np.sign(moved)).max(initial=0.0))
 
 
 def uncertain_plant_from_plants(plants: Iterable[Plant]) -> UncertainPlant:
@@ -307,19 +301,19 @@ def uncertain_plant_from_plants(plants: Iterable[Plant]) -> UncertainPlant:
     _, s, axes = np.linalg.svd(rows - middle, full_matrices=False)
     axes = axes[s > 1e-12 * max(float(s.max(initial=0.0)), np.finfo(float).tiny)]
     coordinates = rows @ axes.T
-    known, blocks, channels = [], [], []
+    known, slopes = [], {}
     for i, axis in enumerate(axes):
         along = coordinates[:, i] * (1 if coordinates[np.argmax(np.abs(coordinates[:, i])), i] > 0 else -1)
         axis = axis * (1 if np.array_equal(along, coordinates[:, i]) else -1)
         known.append(UncertainParameter(f"axis {i + 1}", float(along.min()), float(along.max())))
         coordinates[:, i] = along
-        blocks.append(_channels_of(np.where(varies, axis.reshape(unit.shape) * unit, 0.0), nominal))
-        channels += [i] * blocks[-1][0].shape[1]
-    made = make_uncertain_plant(nominal, tuple(known), tuple(channels), blocks)
+        slopes[i] = np.where(varies, axis.reshape(unit.shape) * unit, 0.0)
+    affine = nominal, tuple(known), *_channels_of(slopes, nominal)
+    made = make_uncertain_plant(*affine)
     check = _compare(made, list(family), coordinates, 1e-9)
     if not check.exact:
         raise AccuracyError(
             f"the box of principal axes misses the plants by {check._share()} an entry's range: the entries of the "
             "plants differ by too many orders of magnitude; write them in units of even size"
         )
-    return make_uncertain_plant(nominal, tuple(known), tuple(channels), blocks, linearisation=check, plants=family)
+    return make_uncertain_plant(*affine, linearisation=check, plants=family)

@@ -14,9 +14,9 @@ from residua.linear import StateSpace
 from residua.linear.poles.spectrum import describe_modes
 from residua.linear.poles.stability import is_stable_mode
 from residua.plant.plant import Plant
-from residua.robust.sets.uncertain_plant import ChannelBlock, UncertainPlant, make_uncertain_plant, visited_values
-from residua.robust.sets.uncertain_system import UncertainSystem, parameter_values
-from residua.robust.sets.visited_members import check_modes
+from residua.robust.sets.uncertain_plant import UncertainPlant, make_uncertain_plant, visited_values
+from residua.robust.sets.uncertain_system import UncertainSystem, check_modes, parameter_values
+from residua.tolerances import RESPONSE_ROUNDING
 
 Matrix = NDArray[np.float64]
 
@@ -88,13 +88,16 @@ def close_loop(plant: UncertainPlant, controller: StateSpace) -> UncertainPlant:
             f"the nominal loop is not stable: pole {describe_modes(unstable[:1])}; the controller gives u = +Cc xc, so "
             "that its sign must be in Cc or Bc"
         )
+    own = tuple(f"controller {name}" if name in p.states else name for name in controller.states)
+    if len({*p.states, *own}) < len(A):
+        own = tuple(f"controller state {i + 1}" for i in range(len(own)))
     loop = Plant(
         A,
         np.zeros((len(A), 0)),
         np.hstack([p.C, p.D @ Cc]),
         dt=p.dt,
         outputs=p.outputs,
-        states=_apart(p.states, controller.states),
+        states=p.states + own,
         name=f"{p.name} in closed loop",
         units={k: v for k, v in p.units.items() if k in (*p.outputs, *p.states)},
         description=p.description,
@@ -104,16 +107,8 @@ def close_loop(plant: UncertainPlant, controller: StateSpace) -> UncertainPlant:
         B, D = getattr(p, "B" + letter), getattr(p, "D" + letter)
         parts |= {"B" + letter: frozen(np.vstack([B, Bc @ D])), "D" + letter: D}
     loop = loop._with(**parts, disturbances=p.disturbances, fault_list=p.fault_list)
-    k = len(plant.channels)
-    block = ChannelBlock(
-        np.vstack([plant.Hx, Bc @ plant.Hy]),
-        plant.Hy,
-        np.hstack([plant.Gx, plant.Gu @ Cc]),
-        np.zeros((k, 0)),
-        plant.Gd,
-        plant.Gf,
-    )
-    return make_uncertain_plant(loop, plant.parameters, plant.channels, [block], linearisation=plant.linearisation)
+    H, G = np.vstack([plant.Hx, Bc @ plant.Hy, plant.Hy]), np.hstack([plant.Gx, plant.Gu @ Cc, plant.Gd, plant.Gf])
+    return make_uncertain_plant(loop, plant.parameters, plant.channels, H, G, linearisation=plant.linearisation)
 
 
 def fitting_controller(p: Plant, controller: StateSpace) -> StateSpace:
@@ -148,13 +143,6 @@ def _by_name(own: tuple[str, ...], of_plant: tuple[str, ...], what: str, theirs:
         f"the controller's {what} {', '.join(map(repr, odd))} are no {theirs} of the plant, while the others are (not "
         f"named: {', '.join(map(repr, missing))}): name them all as the plant does, or none, to wire them in order"
     )
-
-
-def _apart(first: tuple[str, ...], second: tuple[str, ...]) -> tuple[str, ...]:
-    labels = tuple(name if name not in first else f"controller {name}" for name in second)
-    if len({*first, *labels}) < len(first) + len(labels):
-        labels = tuple(f"controller state {i + 1}" for i in range(len(second)))
-    return first + labels
 
 
 def estimator_residual(
@@ -241,7 +229,7 @@ def residual_over_set(
        B_w = \begin{bmatrix} D_1 \\ T D_1 - K D_2 \end{bmatrix}, \\
        C_z = [H T + J C, \; -H], \quad D_{zp} = -J H_y, \quad D_{zw} = J D_2
 
-    True for any ``T``; that of the filter makes the corner of :math:`\tilde A` zero.
+    True for any ``T``; that of the filter makes the corner of :math:`\tilde A` zero; rounding in it is cleared.
 
     Where the directions :math:`D_1, D_2` of a signal that was asked for depend on the parameters, by :math:`G_w`, all
     signals come one sample later, by a state each, :math:`v_{k+1} = w_k`, and everything uncertain stands in ``A`` and
@@ -302,12 +290,22 @@ def residual_over_set(
     D2 = np.hstack([p.Dd, p.Df])[:, chosen] * scale
     Gw = np.hstack([loop.Gd, loop.Gf])[:, chosen] * scale
     F, K, H, J = flt.A, flt.B, flt.C, flt.D
-    A = np.block([[p.A, np.zeros((n, len(F)))], [T @ p.A - F @ T - K @ p.C, F]])
+    corner = T @ p.A - F @ T - K @ p.C
+    rounding = RESPONSE_ROUNDING * (np.abs(T) @ np.abs(p.A) + np.abs(F) @ np.abs(T) + np.abs(K) @ np.abs(p.C))
+    A = np.block([[p.A, np.zeros((n, len(F)))], [np.where(np.abs(corner) > rounding, corner, 0.0), F]])
     Bp, Bw = -np.vstack([loop.Hx, T @ loop.Hx - K @ loop.Hy]), np.vstack([D1, T @ D1 - K @ D2])
     Cq, Cz, Dzw = np.hstack([loop.Gx, np.zeros((len(loop.Gx), len(F)))]), np.hstack([H @ T + J @ p.C, -H]), J @ D2
     if np.any(Gw):
-        _check_sampled(p, [known[i] for i, moves in zip(chosen, np.any(Gw, axis=0), strict=True) if moves])
-        A, Bp, Bw, Cq, Cz, Dzw = _one_sample_later(A, Bp, Bw, Cq, Cz, Dzw, Gw)
+        if not p.is_discrete:
+            moving = (repr(known[i]) for i, moves in zip(chosen, np.any(Gw, axis=0), strict=True) if moves)
+            raise ModelError(
+                f"the directions of {', '.join(moving)} depend on parameters, which is allowed for in sampled time "
+                "only: discretize(dt) the uncertain plant first"
+            )
+        n, m = Bw.shape
+        A, Bp = np.block([[A, Bw], [np.zeros((m, n + m))]]), np.vstack([Bp, np.zeros((m, Bp.shape[1]))])
+        Cq, Cz = np.hstack([Cq, Gw]), np.hstack([Cz, Dzw])
+        Bw, Dzw = np.eye(n + m, m, -n), np.zeros_like(Dzw)
     return UncertainSystem(
         A,
         Bp,
@@ -321,29 +319,6 @@ def residual_over_set(
         channels=loop.channels,
         parameters=loop.names,
         dt=p.dt,
-    )
-
-
-def _check_sampled(plant: Plant, moving: list[str]) -> None:
-    if not plant.is_discrete:
-        raise ModelError(
-            f"the directions of {', '.join(map(repr, moving))} depend on parameters, which is allowed for in sampled "
-            "time only: discretize(dt) the uncertain plant first"
-        )
-
-
-def _one_sample_later(
-    A: Matrix, Bp: Matrix, Bw: Matrix, Cq: Matrix, Cz: Matrix, Dzw: Matrix, Gw: Matrix
-) -> tuple[Matrix, Matrix, Matrix, Matrix, Matrix, Matrix]:
-    """Return matrices of a system with its inputs delayed, which moves ``q = Cq x + Gw w`` into the states."""
-    n, m = Bw.shape
-    return (
-        np.block([[A, Bw], [np.zeros((m, n + m))]]),
-        np.vstack([Bp, np.zeros((m, Bp.shape[1]))]),
-        np.vstack([np.zeros((n, m)), np.eye(m)]),
-        np.hstack([Cq, Gw]),
-        np.hstack([Cz, Dzw]),
-        np.zeros_like(Dzw),
     )
 
 
@@ -374,13 +349,13 @@ def loop_parameters(loop: UncertainPlant, deviations: Mapping[str, float] | Arra
     return dict(zip(loop.names, np.clip(nominal + v, loop.low, loop.high).tolist(), strict=True))
 
 
-def check_members_stable(loop: UncertainPlant, *, samples: int = 256, seed: int = 0) -> None:
+def check_members_stable(loop: UncertainPlant) -> None:
     """Raise a DesignError that names the least stable member, by its pole and parameters, unless all are stable.
 
     Visited are the nominal plant, the corners of the set (up to 10 parameters; beyond, as many at random) and points
     inside.
     """
-    points = visited_values(loop, samples, seed)
+    points = visited_values(loop, inside=256, seed=0)
     F = (points - loop.nominal_values)[:, list(loop.channels)]
     poles = np.linalg.eigvals(loop.nominal.A - (loop.Hx * F[:, None, :]) @ loop.Gx)
     consequence = "nothing is bounded in it: narrow the set, or change the controller"

@@ -4,35 +4,117 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from residua import arrays
 from residua.arrays import frozen, unique
 from residua.errors import ModelError
 from residua.linear import StateSpace
 from residua.plant.plant import Plant
-from residua.robust.sets.perturbation import MATRICES, Perturbation, UncertainParameter
-from residua.robust.sets.uncertain_system import UncertainSystem, corners, parameter_values
+from residua.robust.sets.uncertain_system import UncertainSystem, bounds, corners, parameter_values
 
 if TYPE_CHECKING:
     from residua.robust.sets.linearisation import Linearisation
 
 Matrix = NDArray[np.float64]
+MATRICES = ("A", "B", "C", "D", "Bd", "Dd", "Bf", "Df")
 #: Up to so many parameters every corner of their box is visited, beyond as many corners at random.
 _ALL_CORNERS = 10
 
 
-class ChannelBlock(NamedTuple):
-    """Channels of an uncertain plant, one after another; ``Gd`` and ``Gf`` are zero when omitted."""
+@dataclass(frozen=True)
+class UncertainParameter:
+    """A constant of the plant that is known within bounds only.
 
-    Hx: Matrix
-    Hy: Matrix
-    Gx: Matrix
-    Gu: Matrix
-    Gd: Matrix | None = None
-    Gf: Matrix | None = None
+    Attributes
+    ----------
+    name : str
+    low, high : float
+    nominal : float
+        Its value in the nominal plant; 0 for perturbations ``dA = -H F G``.
+    """
+
+    name: str
+    low: float
+    high: float
+    nominal: float = 0.0
+
+
+@dataclass(frozen=True, init=False, eq=False)
+class Perturbation:
+    r"""What parameters add to a matrix of the plant: :math:`\Delta A = -H F G`, ``F`` diagonal, ``low <= F <= high``.
+
+    The minus sign is that of the literature; give ``-H`` for a plus.
+
+    Parameters
+    ----------
+    matrix : {"A", "B", "C", "D", "Bd", "Dd", "Bf", "Df"}
+        The matrix of the plant: states, control inputs, outputs, direct term; directions of all disturbances in states
+        and in outputs, and those of all faults.
+    H : array_like, shape (rows of the matrix, k)
+    G : array_like, shape (k, columns of the matrix)
+    low, high : array_like, shape (k,)
+        One number stands for all. They contain 0, which is the nominal plant.
+    names : sequence of str, optional
+        One for each diagonal entry of ``F``; ``"A1", "A2", ..`` when omitted. The same name in several places, of one
+        or of several perturbations, is the same parameter.
+
+    Raises
+    ------
+    ModelError
+        If a shape does not fit, bounds are not bounds, or leave out 0.
+
+    References
+    ----------
+    Robust l1 fault detection, eqs. (3)-(8).
+
+    Examples
+    --------
+    >>> from residua.plant import Perturbation
+    >>> Perturbation("A", [[-1.0], [0.0]], [[1.0, 0.0]], low=-0.1, high=0.2, names=["friction"]).names
+    ('friction',)
+    """
+
+    matrix: str
+    H: NDArray[np.float64]
+    G: NDArray[np.float64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    names: tuple[str, ...] | None
+
+    def __init__(
+        self,
+        matrix: str,
+        H: ArrayLike,
+        G: ArrayLike,
+        low: ArrayLike,
+        high: ArrayLike,
+        names: Iterable[str] | str | None = None,
+    ) -> None:
+        if matrix not in MATRICES:
+            raise ModelError(f"a perturbation belongs to one of {', '.join(MATRICES)}, got {matrix!r}")
+        H_ = arrays.matrix(H, f"H of d{matrix}", (None, None))
+        k = H_.shape[1]
+        G_ = arrays.matrix(G, f"G of d{matrix}", (k, None), what="one row per column of H")
+        lows, highs = (np.full(k, v) if np.ndim(v) == 0 else v for v in (low, high))
+        low_, high_ = bounds(lows, highs)
+        if len(low_) != k:
+            raise ModelError(f"d{matrix}: {k} columns of H need {k} bounds, got {len(low_)}")
+        wrong = np.flatnonzero((low_ > 0) | (high_ < 0))
+        if wrong.size:
+            i = int(wrong[0])
+            raise ModelError(
+                f"d{matrix}: the bounds [{low_[i]:g}, {high_[i]:g}] of parameter {i + 1} leave out 0, the nominal "
+                f"plant: add the middle, {-(low_[i] + high_[i]) / 2:g} x H x G, to {matrix} of the plant, and bound "
+                "deviations from it"
+            )
+        labels = None if names is None else (names,) if isinstance(names, str) else tuple(names)
+        if labels is not None and (len(labels) != k or not all(isinstance(x, str) and x.strip() for x in labels)):
+            raise ModelError(f"d{matrix}: {k} columns of H need {k} names, got {labels!r}")
+        self.__dict__.update(matrix=matrix, H=H_, G=G_, low=low_, high=high_, names=labels)
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
@@ -120,16 +202,28 @@ class UncertainPlant:
     def __init__(self, nominal: Plant, deltas: Iterable[Perturbation] = ()) -> None:
         if not isinstance(nominal, Plant):
             raise ModelError(f"nominal must be a Plant, got {type(nominal).__name__}")
-        blocks, labels = [], []
+        n, p = nominal.n_states, nominal.n_outputs
+        sides = dict(zip("xudf", (n, len(nominal.inputs), len(nominal.disturbances), len(nominal.faults)), strict=True))
+        left, right, labels = [np.zeros((n + p, 0))], [np.zeros((0, sum(sides.values())))], []
         entries: dict[str, UncertainParameter] = {}
         counts: dict[str, int] = dict.fromkeys(MATRICES, 0)
         for delta in deltas:
             if not isinstance(delta, Perturbation):
                 raise ModelError(f"deltas holds Perturbation objects, got {type(delta).__name__}")
-            blocks.append(_channel_block(nominal, delta))
+            k, of_outputs = len(delta.low), delta.matrix[0] in "CD"
+            side = "x" if delta.matrix in "AC" else delta.matrix[1:] or "u"
+            rows, columns = (p if of_outputs else n), sides[side]
+            if delta.H.shape[0] != rows or delta.G.shape[1] != columns:
+                raise ModelError(
+                    f"d{delta.matrix} = -H F G must be {rows} x {columns} as {delta.matrix} of the plant is, "
+                    f"got H with {delta.H.shape[0]} rows and G with {delta.G.shape[1]} columns"
+                )
+            none = np.zeros((n if of_outputs else p, k))
+            left.append(np.vstack([none, delta.H] if of_outputs else [delta.H, none]))
+            right.append(np.hstack([delta.G if name == side else np.zeros((k, w)) for name, w in sides.items()]))
             start = counts[delta.matrix]
-            counts[delta.matrix] += len(delta.low)
-            names = delta.names or tuple(f"{delta.matrix}{start + i + 1}" for i in range(len(delta.low)))
+            counts[delta.matrix] += k
+            names = delta.names or tuple(f"{delta.matrix}{start + i + 1}" for i in range(k))
             for name, low, high in zip(names, delta.low, delta.high, strict=True):
                 entry = UncertainParameter(name, float(low), float(high))
                 if entries.setdefault(name, entry) != entry:
@@ -138,8 +232,8 @@ class UncertainPlant:
                         f"[{entries[name].low:g}, {entries[name].high:g}] before"
                     )
                 labels.append(name)
-        order = {name: i for i, name in enumerate(entries)}
-        _assign(self, nominal, tuple(entries.values()), tuple(order[name] for name in labels), blocks)
+        channels = tuple(list(entries).index(name) for name in labels)
+        _assign(self, nominal, tuple(entries.values()), channels, np.hstack(left), np.vstack(right))
 
     @classmethod
     def from_parameters(
@@ -272,11 +366,8 @@ class UncertainPlant:
         before, after = self.linearisation, made.linearisation
         if self.function is not None or before is None or before.exact or after is None:
             return made
-        both = replace(after, exact=False, before=before)
-        block = ChannelBlock(made.Hx, made.Hy, made.Gx, made.Gu, made.Gd, made.Gf)
-        return make_uncertain_plant(
-            made.nominal, made.parameters, made.channels, [block], linearisation=both, function=made.function
-        )
+        made.__dict__["linearisation"] = replace(after, exact=False, before=before)
+        return made
 
     def __getstate__(self) -> dict[str, Any]:
         # functions of users are seldom importable, and their results are all here
@@ -295,16 +386,36 @@ def make_uncertain_plant(
     nominal: Plant,
     parameters: tuple[UncertainParameter, ...],
     channels: tuple[int, ...],
-    blocks: Iterable[ChannelBlock | tuple[Matrix, Matrix, Matrix, Matrix]],
+    H: Matrix,
+    G: Matrix,
     *,
     linearisation: Linearisation | None = None,
     plants: tuple[Plant, ...] = (),
     function: Callable[[Mapping[str, float]], Plant] | None = None,
 ) -> UncertainPlant:
-    """Return an uncertain plant from blocks of channels, one after another."""
+    """Return an uncertain plant with ``[Hx; Hy]`` and ``[Gx Gu Gd Gf]``."""
     new = object.__new__(UncertainPlant)
-    _assign(new, nominal, parameters, channels, blocks, linearisation, plants, function)
+    _assign(new, nominal, parameters, channels, H, G, linearisation, plants, function)
     return new
+
+
+def _assign(
+    new: UncertainPlant,
+    nominal: Plant,
+    parameters: tuple[UncertainParameter, ...],
+    channels: tuple[int, ...],
+    H: Matrix,
+    G: Matrix,
+    linearisation: Linearisation | None = None,
+    plants: tuple[Plant, ...] = (),
+    function: Callable[[Mapping[str, float]], Plant] | None = None,
+) -> None:
+    unique(tuple(p.name for p in parameters), "parameters")
+    n = nominal.n_states
+    sides = np.split(G, np.cumsum([n, len(nominal.inputs), len(nominal.disturbances)]), axis=1)
+    parts = dict(zip(("Hx", "Hy", "Gx", "Gu", "Gd", "Gf"), map(frozen, (H[:n], H[n:], *sides)), strict=True))
+    fields = {"nominal": nominal, "parameters": parameters, "channels": channels, **parts}
+    new.__dict__.update(fields | {"linearisation": linearisation, "plants": plants, "function": function})
 
 
 def visited_values(plant: UncertainPlant, inside: int, seed: int) -> NDArray[np.float64]:
@@ -316,58 +427,3 @@ def visited_values(plant: UncertainPlant, inside: int, seed: int) -> NDArray[np.
     else:
         ends = np.where(rng.random((2**_ALL_CORNERS, k)) < 0.5, plant.low, plant.high)
     return np.vstack([plant.nominal_values, ends, plant.sample_values(rng, inside)])
-
-
-def _assign(
-    new: UncertainPlant,
-    nominal: Plant,
-    parameters: tuple[UncertainParameter, ...],
-    channels: tuple[int, ...],
-    blocks: Iterable[ChannelBlock | tuple[Matrix, Matrix, Matrix, Matrix]],
-    linearisation: Linearisation | None = None,
-    plants: tuple[Plant, ...] = (),
-    function: Callable[[Mapping[str, float]], Plant] | None = None,
-) -> None:
-    made = [block if isinstance(block, ChannelBlock) else ChannelBlock(*block) for block in blocks]
-    unique(tuple(p.name for p in parameters), "parameters")
-    n, p = nominal.n_states, nominal.n_outputs
-
-    def right(part: str, columns: int) -> Matrix:
-        parts = ((getattr(b, part), len(b.Gx)) for b in made)
-        rows = [np.zeros((k, columns)) if G is None else G for G, k in parts]
-        return frozen(np.vstack([np.zeros((0, columns)), *rows]))
-
-    fields = {
-        "nominal": nominal,
-        "parameters": parameters,
-        "channels": channels,
-        "Hx": frozen(np.hstack([np.zeros((n, 0)), *(b.Hx for b in made)])),
-        "Hy": frozen(np.hstack([np.zeros((p, 0)), *(b.Hy for b in made)])),
-        "Gx": right("Gx", n),
-        "Gu": right("Gu", len(nominal.inputs)),
-        "Gd": right("Gd", len(nominal.disturbances)),
-        "Gf": right("Gf", len(nominal.faults)),
-        "linearisation": linearisation,
-        "plants": plants,
-        "function": function,
-    }
-    for key, value in fields.items():
-        object.__setattr__(new, key, value)
-
-
-def _channel_block(plant: Plant, delta: Perturbation) -> ChannelBlock:
-    """Return the channels of one perturbation, with zeros where it does not enter."""
-    n, p, k = plant.n_states, plant.n_outputs, len(delta.low)
-    of_outputs = delta.matrix[0] in "CD"
-    side = "x" if delta.matrix in "AC" else delta.matrix[1:] or "u"
-    widths = {"x": n, "u": len(plant.inputs), "d": len(plant.disturbances), "f": len(plant.faults)}
-    rows, columns = (p if of_outputs else n), widths[side]
-    if delta.H.shape[0] != rows or delta.G.shape[1] != columns:
-        raise ModelError(
-            f"d{delta.matrix} = -H F G must be {rows} x {columns} as {delta.matrix} of the plant is, "
-            f"got H with {delta.H.shape[0]} rows and G with {delta.G.shape[1]} columns"
-        )
-    Hx, Hy, right = np.zeros((n, k)), np.zeros((p, k)), {part: np.zeros((k, width)) for part, width in widths.items()}
-    (Hy if of_outputs else Hx)[:] = delta.H
-    right[side][:] = delta.G
-    return ChannelBlock(Hx, Hy, right["x"], right["u"], right["d"], right["f"])

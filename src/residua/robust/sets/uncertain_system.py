@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,11 +10,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua import arrays
 from residua.arrays import frozen, matrix
-from residua.errors import ModelError, SettingError
+from residua.errors import DesignError, ModelError, SettingError
+from residua.linear.poles.spectrum import describe_modes
+from residua.linear.poles.stability import is_stable_mode
+from residua.linear.systems.scaling import scaling
 from residua.linear.systems.state_space import StateSpace, square
 
 #: With more parameters than this a box has too many corners to visit.
 MOST_CORNERS = 12
+
+
+#: What to do about a member that is not stable, of a loop with an estimator.
+REMEDY = "narrow the set, or change the controller or estimator"
 
 
 def corners(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -26,6 +33,46 @@ def corners(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.f
         )
     bits = (np.arange(2**k)[:, None] >> np.arange(k)) & 1
     return np.where(bits.astype(bool), high, low)
+
+
+def corner_points(
+    low: NDArray[np.float64], high: NDArray[np.float64], samples: int, rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """Return all corners of the parameters, or, of more than 12 that vary, as many as ``samples`` at random, or 256."""
+    moving = np.flatnonzero(high > low)
+    if len(moving) <= MOST_CORNERS:
+        ends = corners(low[moving], high[moving])
+    else:
+        ends = np.where(rng.integers(0, 2, (max(samples, 256), len(moving))) > 0, high[moving], low[moving])
+    points = np.repeat(low[None], len(ends), axis=0)
+    points[:, moving] = ends
+    return points
+
+
+def check_modes(
+    modes: NDArray, values: NDArray[np.float64], parameters: Sequence[str], dt: float, consequence: str
+) -> None:
+    """Raise unless members are stable; the message names the least stable, and says what follows.
+
+    Parameters
+    ----------
+    modes : ndarray, shape (members, n)
+    values : ndarray, shape (members, parameters)
+    parameters : sequence of str
+    dt : float
+    consequence : str
+        What follows from it, and what to do.
+    """
+    modes = np.asarray(modes, dtype=complex)
+    if not modes.size or is_stable_mode(modes.ravel(), dt).all():
+        return
+    size = np.abs(modes) if dt else np.real(modes)
+    i, j = np.unravel_index(int(np.argmax(size)), size.shape)
+    named = ", ".join(f"{name} = {v:g}" for name, v in zip(parameters, values[i], strict=True))
+    raise DesignError(
+        f"a member of the set is not stable: pole {describe_modes(modes[i, [j]])}{f' at {named}' if named else ''}; "
+        f"{consequence}"
+    )
 
 
 @dataclass(frozen=True, init=False, eq=False)
@@ -112,22 +159,25 @@ class UncertainSystem:
         Cz_ = matrix(Cz, "Cz", (None, n), what="one column per state")
         r, m = Cz_.shape[0], Bw_.shape[1]
         low_, high_ = bounds(low, high)
-        fields = {
-            "A": A_,
-            "Bp": Bp_,
-            "Bw": Bw_,
-            "Cq": matrix(Cq, "Cq", (k, n), what="channels x states"),
-            "Cz": Cz_,
-            "Dzp": frozen(np.zeros((r, k))) if Dzp is None else matrix(Dzp, "Dzp", (r, k), what="outputs x channels"),
-            "Dzw": frozen(np.zeros((r, m))) if Dzw is None else matrix(Dzw, "Dzw", (r, m), what="outputs x inputs"),
-            "low": low_,
-            "high": high_,
-            "channels": owners(channels, k, len(low_)),
-            "parameters": arrays.names(parameters, len(low_), "f", "parameters"),
-            "dt": arrays.sample_step(dt),
-        }
-        for name, value in fields.items():
-            object.__setattr__(self, name, value)
+        if channels is None and k != len(low_):
+            raise ModelError(f"{k} channels for {len(low_)} parameters: say with channels= which belongs to which")
+        own = tuple(range(k) if channels is None else map(int, channels))
+        if len(own) != k or any(not 0 <= i < len(low_) for i in own):
+            raise ModelError(f"channels must hold {k} numbers from 0 to {len(low_) - 1}, got {own}")
+        self.__dict__.update(
+            A=A_,
+            Bp=Bp_,
+            Bw=Bw_,
+            Cq=matrix(Cq, "Cq", (k, n), what="channels x states"),
+            Cz=Cz_,
+            Dzp=frozen(np.zeros((r, k))) if Dzp is None else matrix(Dzp, "Dzp", (r, k), what="outputs x channels"),
+            Dzw=frozen(np.zeros((r, m))) if Dzw is None else matrix(Dzw, "Dzw", (r, m), what="outputs x inputs"),
+            low=low_,
+            high=high_,
+            channels=own,
+            parameters=arrays.names(parameters, len(low_), "f", "parameters"),
+            dt=arrays.sample_step(dt),
+        )
 
     @property
     def n_states(self) -> int:
@@ -152,15 +202,17 @@ class UncertainSystem:
 
     def within(self, low: ArrayLike, high: ArrayLike) -> UncertainSystem:
         """Return the system with other bounds of its parameters."""
-        new = object.__new__(UncertainSystem)
-        for name in self.__dataclass_fields__:
-            object.__setattr__(new, name, getattr(self, name))
         low_, high_ = bounds(low, high)
         if low_.shape != self.low.shape:
             raise ModelError(f"expected bounds of {self.n_parameters} parameters, got {len(low_)}")
-        object.__setattr__(new, "low", low_)
-        object.__setattr__(new, "high", high_)
+        new = object.__new__(UncertainSystem)
+        new.__dict__.update(vars(self) | {"low": low_, "high": high_})
         return new
+
+    def balanced_states(self) -> NDArray[np.float64]:
+        """Return balanced units of the states, with the channels of the parameters."""
+        B, C = np.hstack([self.Bw, self.Bp]), np.vstack([self.Cz, self.Cq])
+        return scaling(self.A, B, C, np.zeros((len(C), B.shape[1])), sampled=self.dt > 0).states
 
     def vertices(self) -> NDArray[np.float64]:
         """Return the corners of the box, shape (2^parameters, parameters); for up to 12 parameters."""
@@ -196,18 +248,6 @@ def bounds(low: ArrayLike, high: ArrayLike) -> tuple[NDArray[np.float64], NDArra
         i = int(wrong[0])
         raise ModelError(f"parameter {i + 1}: low = {out[0][i]:g} exceeds high = {out[1][i]:g}")
     return out[0], out[1]
-
-
-def owners(channels: Iterable[int] | None, count: int, parameters: int) -> tuple[int, ...]:
-    """Return the checked parameter of each channel."""
-    if channels is None:
-        if count != parameters:
-            raise ModelError(f"{count} channels for {parameters} parameters: say with channels= which belongs to which")
-        return tuple(range(count))
-    out = tuple(int(i) for i in channels)
-    if len(out) != count or any(not 0 <= i < parameters for i in out):
-        raise ModelError(f"channels must hold {count} numbers from 0 to {parameters - 1}, got {out}")
-    return out
 
 
 def parameter_values(
