@@ -142,7 +142,11 @@ def test_a_form_that_is_no_similarity_is_refused(monkeypatch: pytest.MonkeyPatch
     hidden = np.diag([0.5, 0.2])
     observability_form(hidden, [[1.0, 0.0]])
     turned = np.array([[1.0, OFF], [-OFF, 1.0]])
-    changed(monkeypatch, "linear.subspaces.observability:_orthogonal", lambda Q: Q @ turned)
+    changed(
+        monkeypatch,
+        "linear.subspaces.observability:observable_split",
+        lambda split: replace(split, seen=turned @ split.seen, hidden=turned @ split.hidden),
+    )
     with pytest.raises(AccuracyError, match="drops"):
         observability_form(hidden, [[1.0, 0.0]])
 

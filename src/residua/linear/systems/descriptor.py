@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua import arrays
 from residua.errors import AccuracyError, ModelError
-from residua.linear.poles.matrix_poles import explicit_poles
-from residua.linear.poles.zero_structure import scatter_of, without_zero_eigenvalues
+from residua.linear.poles.zero_structure import explicit_poles, scatter_of, without_zero_eigenvalues
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, null_basis, range_basis
 from residua.linear.systems.scaling import scaling
 from residua.tolerances import without_rounding

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from residua import arrays
 from residua.arrays import frozen
 from residua.errors import ModelError
-from residua.linear.poles.matrix_poles import explicit_poles
+from residua.linear.poles.zero_structure import explicit_poles
 from residua.linear.systems.descriptor import finite_poles
 from residua.linear.systems.scaling import scaling
 from residua.tolerances import BALANCED_STABLE
