@@ -172,11 +172,8 @@ def observability_form(A: ArrayLike, C: ArrayLike) -> ObservabilityForm:
     form = staircase(A, C)
     k, Q = form.n_observable, form.Q
     if 0 < k < len(A) and np.any(form.states != 1):
-        Q2 = Q[:, k:]
-        # A basis that is the identity in some rows mixes no states through rounding, in whatever units.
-        rows = scipy.linalg.qr(Q2.T, mode="r", pivoting=True)[1][: len(A) - k]
-        N = form.states[:, None] * without_rounding(np.linalg.solve(Q2[rows].T, Q2.T).T)
         # Sorted rows and pivoted columns keep the small rows of a badly scaled basis accurate.
+        N = form.states[:, None] * without_rounding(Q[:, k:])
         order = np.argsort(-np.abs(N).max(axis=1), kind="stable")
         Q = np.roll(scipy.linalg.qr(N[order], pivoting=True)[0], k, axis=1)[np.argsort(order)]
     At, Ct = Q.T @ A @ Q, C @ Q
