@@ -17,7 +17,7 @@ CENTRAL = (
     "design.core.decoupling:_accepted",
     "design.observers.unknown_input_observer:assemble:1",
     "design.observers.unknown_input_observer:assemble:2",
-    "linear.poles.riccati:filter_riccati",
+    "linear.poles.riccati:filter_riccati:2",
     "design.detection_filters.detection_filter:_check_directions",
     "design.parity.directions:check_directions",
     "design.observers.observer_gain:place",

@@ -95,24 +95,24 @@ def test_a_tail_without_a_bound_is_refused() -> None:
         _by_triangle(system(1e18))
 
 
-@trips("linear.poles.riccati:filter_riccati")
+@trips("linear.poles.riccati:filter_riccati:2")
 @pytest.mark.parametrize("dt", [0.0, 1.0])
 def test_a_riccati_equation_that_is_missed_is_refused(dt: float, monkeypatch: pytest.MonkeyPatch) -> None:
     assert filter_riccati(A, C, np.eye(2), np.eye(2), dt=dt).residual < 1e-12
-    changed(monkeypatch, "linear.poles.riccati:_solve", off)
-    monkeypatch.setattr("residua.linear.poles.riccati._refine", lambda terms, together, *found: found[:-1])
+    changed(monkeypatch, "linear.poles.riccati:filter_covariance", off)
+    monkeypatch.setattr("residua.linear.poles.riccati.range", lambda most: [], raising=False)  # no Newton step
     with pytest.raises(AccuracyError, match="Riccati equation was not solved"):
         filter_riccati(A, C, np.eye(2), np.eye(2), dt=dt)
 
 
-@trips("linear.poles.riccati:filter_riccati")
+@trips("linear.poles.riccati:filter_riccati:2")
 def test_a_riccati_solution_that_does_not_stabilise_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     changed(monkeypatch, "linear.poles.riccati:_gain", lambda found: (0.0 * found[0], *found[1:]))
     with pytest.raises(AccuracyError, match="Riccati equation was not solved"):
         filter_riccati(np.diag([1.5, 0.2]), C, np.eye(2), np.eye(2), dt=1.0)
 
 
-@trips("linear.poles.riccati:_solve")
+@trips("linear.poles.riccati:filter_riccati:1")
 def test_a_riccati_equation_that_no_way_solves_is_no_question_of_existence() -> None:
     """An oscillator that is hardly disturbed and hardly seen."""
     swing = [[0.0, 1.0], [-1.0, 0.0]]

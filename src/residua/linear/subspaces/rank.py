@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import SettingError
 from residua.progress import check_time
-from residua.tolerances import NEAR, RANK, RESIDUE
+from residua.tolerances import NEAR, RANK, RESIDUE, above_rounding
 
 #: Singular values below this fraction of the scale count as zero, unless the caller says otherwise. The
 #: staircase algorithms lose about three digits at order 30, so this stays well above rounding.
@@ -139,16 +139,16 @@ def decide_rank(M: ArrayLike, *, rtol: float = DEFAULT_RTOL, scale: float | None
     return RankDecision(int(np.count_nonzero(s > tolerance)), s, tolerance)
 
 
-def equilibrated(M: ArrayLike, *, residue: float = RESIDUE) -> NDArray:
+def equilibrated(M: ArrayLike) -> NDArray:
     """Return ``M`` with rows and columns scaled to about unit size, so that its rank shows whatever its units.
 
-    Rows and columns below ``residue`` of the largest entry can only be rounding and are left as they are.
+    Rows and columns below 64 units of rounding of the largest entry can only be rounding and are left as they are.
     """
     out = np.array(M, dtype=np.result_type(np.asarray(M), float))
     for _ in range(3):
         for axis in (1, 0):
             size = np.abs(out).max(axis=axis, keepdims=True, initial=0.0)
-            out = out / np.where(size > residue * size.max(initial=0.0), size, 1.0)
+            out = out / np.where(size > RESIDUE * size.max(initial=0.0), size, 1.0)
     return out
 
 
@@ -184,12 +184,4 @@ def left_null_basis(
 
 def without_noise(basis: NDArray) -> NDArray:
     """Return an orthonormal basis with exact zeros where its vectors, known to rounding of their length, have none."""
-    return np.where(np.abs(basis) > RESIDUE, basis, 0.0)
-
-
-def without_rounded_gains(K: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a gain, in even units, without what is rounding beside the largest of its row.
-
-    A gain of 1e-17 beside one of size one would couple parts of a plant that nothing couples.
-    """
-    return np.where(np.abs(K) > RESIDUE * np.abs(K).max(axis=1, keepdims=True, initial=0.0), K, 0.0)
+    return above_rounding(basis, 1.0, RESIDUE)
