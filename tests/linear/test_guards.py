@@ -186,7 +186,7 @@ def test_a_form_that_misses_its_equations_is_refused(monkeypatch: pytest.MonkeyP
         weierstrass_form(*PENCIL)
 
 
-@trips("linear.systems.descriptor_properties:_hidden_modes")
+@trips("linear.systems.descriptor_properties:_property")
 def test_a_hidden_mode_that_is_no_pole_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     hidden = np.diag([-1.0, -2.0]), [[1.0, 0.0]], np.eye(2)
     assert not descriptor_observability(*hidden)

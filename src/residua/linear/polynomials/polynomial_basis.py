@@ -42,10 +42,6 @@ class PolynomialBasis:
         return cls(*_leja(np.asarray(nodes, dtype=np.complex128).ravel(), size))
 
     @property
-    def _arrays(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        return self.real, self.imaginary, self.sizes
-
-    @property
     def count(self) -> int:
         """The number of nodes, which is the highest degree."""
         return len(self.real)
