@@ -65,11 +65,3 @@ POLE = 1e-6
 def above_rounding(M: NDArray, size: NDArray | float, rtol: float = ROUNDING) -> NDArray:
     """Return an array with the entries set to zero that are rounding of the terms that they are the sum of."""
     return np.where(np.abs(M) > rtol * size, M, 0.0)
-
-
-def without_rounding(*factors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the product of matrices, exactly zero where it is nothing but the rounding of its terms."""
-    product, terms = factors[0], np.abs(factors[0])
-    for factor in factors[1:]:
-        product, terms = product @ factor, terms @ np.abs(factor)
-    return above_rounding(product, terms.shape[1] * terms)

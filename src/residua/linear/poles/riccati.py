@@ -14,8 +14,7 @@ from residua.errors import AccuracyError, DesignError, ModelError
 from residua.linear.poles.doubling import filter_covariance
 from residua.linear.poles.spectrum import describe_modes
 from residua.linear.poles.stability import is_stable_mode
-from residua.linear.subspaces.observability import detectability, observability_form
-from residua.linear.subspaces.rank import decide_rank
+from residua.linear.subspaces.observability import detectability, staircase
 from residua.linear.systems.scaling import power_near, scaling
 from residua.tolerances import RESIDUE, above_rounding
 
@@ -174,13 +173,12 @@ def _check_solvable(A: Matrix, C: Matrix, Q: Matrix, R: Matrix, S: Matrix, dt: f
         raise ModelError(
             f"[[Q, S], [S', R]] is not a covariance: its correlation matrix has the eigenvalue {lowest:.3g}"
         )
-    correlation, _ = _correlation(R)
-    values, vectors = np.linalg.eigh(correlation)
-    if values[0] <= 1e-13 * values[-1]:
-        worst = int(np.argmax(np.abs(vectors[:, 0])))
+    values, vectors = np.linalg.eigh(_correlation(R)[0])
+    rank = int(np.count_nonzero(values > 1e-13 * values[-1]))
+    if rank < len(R):
         raise DesignError(
-            f"R is singular: rank {decide_rank(correlation, rtol=1e-13).rank} of {R.shape[0]}, "
-            f"no noise in the direction of output number {worst + 1}; give every output measurement noise"
+            f"R is singular: rank {rank} of {len(R)}, no noise in the direction of output number "
+            f"{int(np.argmax(np.abs(vectors[:, 0]))) + 1}; give every output measurement noise"
         )
     answer = detectability(A, C, dt=dt)
     if not answer:
@@ -193,8 +191,7 @@ def _check_solvable(A: Matrix, C: Matrix, Q: Matrix, R: Matrix, S: Matrix, dt: f
     rest, scale = _correlation(Q - gain @ S.T)
     values, vectors = np.linalg.eigh(rest)
     root = np.sqrt(np.where(values > 1e-12, values, 0.0)) * vectors * scale[:, None]
-    form = observability_form((A - gain @ C).T, root.T)
-    modes, near = form.unobservable_modes, form.mode_uncertainty
+    modes, near = staircase((A - gain @ C).T, root.T).hidden_modes
     boundary = modes[np.abs(np.abs(modes) - 1 if dt else modes.real) <= near]
     if boundary.size:
         raise DesignError(
