@@ -14,7 +14,7 @@ from residua.errors import AccuracyError, DesignError, ModelError
 from residua.linear.poles.doubling import filter_covariance
 from residua.linear.poles.spectrum import describe_modes
 from residua.linear.poles.stability import is_stable_mode
-from residua.linear.subspaces.observability import detectability, staircase
+from residua.linear.subspaces.observability import detectability, pair, staircase
 from residua.linear.systems.scaling import power_near, scaling
 from residua.tolerances import RESIDUE, above_rounding
 
@@ -111,11 +111,8 @@ def filter_riccati(
     array([[2.]])
     """
     dt = arrays.sample_step(dt)
-    A = arrays.matrix(A, "A", (None, None))
-    n = A.shape[0]
-    A = arrays.matrix(A, "A", (n, n))
-    C = arrays.matrix(C, "C", (None, n))
-    p = C.shape[0]
+    A, C = pair(A, C)
+    p, n = C.shape
     if p == 0:
         raise DesignError("a Kalman filter needs at least one output")
     S = np.zeros((n, p)) if S is None else arrays.matrix(S, "S", (n, p))
