@@ -229,7 +229,7 @@ def finite_poles(A: NDArray, E: NDArray) -> NDArray[np.complex128]:
     values = np.linalg.svd(p.E, compute_uv=False) if p.E.size else np.ones(1)
     if not values[-1] > DEFAULT_RTOL * values[0]:
         return weierstrass_form(A, E).poles
-    found = np.asarray(scipy.linalg.eigvals(p.A, p.E), dtype=complex).reshape(-1)
+    found: NDArray[np.complex128] = np.asarray(scipy.linalg.eigvals(p.A, p.E), dtype=complex).reshape(-1)
     size = float(np.linalg.norm(p.A))
     rest, under, count = without_zero_eigenvalues(p.A, p.E, size)
     # rounding scatters those at zero
