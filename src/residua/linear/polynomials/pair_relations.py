@@ -97,7 +97,7 @@ class PairRelations:
         away = float(np.abs(F - center * np.eye(n)).max(initial=0.0))
         if not np.abs(nodes - center).max(initial=0.0) > _MEET * away:  # rounding scatters one
             return replace(PolynomialBasis.powers(order + 1, away or 1.0), real=np.full(order + 1, center))
-        return basis_on_poles(nodes, order + 1, 1.0)
+        return basis_on_poles(nodes, order + 1, 1.0, outward=order >= n)
 
     def rows(self, order: int, basis: PolynomialBasis) -> tuple[Matrix, Matrix, RankDecision]:
         """Return ``p`` and ``q`` of all rows of at most an order, shapes (count, order + 1, ...), in a basis.

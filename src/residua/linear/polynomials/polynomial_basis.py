@@ -120,7 +120,7 @@ class PolynomialBasis:
         return (self.elements_in(other, k).T @ flat).reshape(coefficients.shape)
 
 
-def basis_on_poles(poles: ArrayLike, count: int, size: float) -> PolynomialBasis:
+def basis_on_poles(poles: ArrayLike, count: int, size: float, *, outward: bool = False) -> PolynomialBasis:
     """Return a basis with some number of nodes, on poles, each used as often as needed.
 
     Parameters
@@ -131,6 +131,10 @@ def basis_on_poles(poles: ArrayLike, count: int, size: float) -> PolynomialBasis
         The number of nodes at least.
     size : float
         Of the elements when the poles do not tell it: all are one, or there is none.
+    outward : bool
+        Whether the order of Leja is reversed: nodes far out come last. A division by all nodes, from the highest
+        element down, then meets the fast modes first, and nothing that it leaves grows; that keeps the digits of
+        polynomials that use all of the nodes, when some are far out. Those of few nodes want the far ones first.
     """
     values = np.asarray(poles, dtype=np.complex128).ravel()
     values = values[np.isfinite(values)]
@@ -144,5 +148,11 @@ def basis_on_poles(poles: ArrayLike, count: int, size: float) -> PolynomialBasis
     floor = 1e-4 * size  # poles that meet would make sizes of rounding
     one = PolynomialBasis.on(values, size=size)
     one = PolynomialBasis(one.real, one.imaginary, np.maximum(one.sizes, floor))
+    if outward:  # pairs kept; the size of a step down to the node before is that of the node before
+        order = np.arange(one.count)[::-1]
+        for j in np.flatnonzero(one.imaginary):
+            at = one.count - 1 - j
+            order[[at - 1, at]] = order[[at, at - 1]]
+        one = PolynomialBasis(one.real[order], one.imaginary[order], np.roll(one.sizes[::-1], -1))
     times = -(-count // one.count)
     return PolynomialBasis(*(np.tile(x, times) for x in (one.real, one.imaginary, one.sizes)))
