@@ -152,10 +152,3 @@ for thread in threads:
 for thread in threads:
     thread.join()
 """
-
-
-def test_a_former_place_still_works_and_says_where_to_look() -> None:
-    sys.modules.pop("residua.linear.recursion", None)
-    with pytest.warns(DeprecationWarning, match=r"residua\.linear\.systems\.recursion"):
-        former = importlib.import_module("residua.linear.recursion")
-    assert former.run_filter is importlib.import_module("residua.linear.systems.recursion").run_filter

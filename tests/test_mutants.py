@@ -17,7 +17,7 @@ CENTRAL = (
     "design.core.decoupling:_accepted",
     "design.observers.observer:with_checked_estimate",
     "design.observers.perfect_observer:_estimate_off",
-    "linear.poles.riccati:filter_riccati",
+    "linear.poles.riccati:filter_riccati:2",
     "design.detection_filters.detection_filter:_stacked",
     "design.parity.directions:check_directions",
     "linear.poles.pole_assignment:assigned_gain",

@@ -65,11 +65,3 @@ POLE = 1e-6
 def above_rounding(M: NDArray, size: NDArray | float, rtol: float = ROUNDING) -> NDArray:
     """Return an array with zeros for entries within the rounding of the terms of their sums."""
     return np.where(np.abs(M) > rtol * size, M, 0.0)
-
-
-def without_rounding(*factors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the product of matrices, with exact zeros for entries within the rounding of their terms."""
-    product, terms = factors[0], np.abs(factors[0])
-    for factor in factors[1:]:
-        product, terms = product @ factor, terms @ np.abs(factor)
-    return above_rounding(product, terms.shape[1] * terms)

@@ -8,7 +8,7 @@ import scipy.linalg
 
 from residua.design.core.signatures import _dimension
 from residua.linear import invariant_zeros
-from residua.linear.poles.matrix_poles import explicit_poles
+from residua.linear.poles.zero_structure import explicit_poles
 from residua.linear.polynomials.polynomial_basis import basis_on_poles
 from residua.linear.subspaces.parts import row_parts
 from residua.robust.parity.optimal_parity import best_ratios

@@ -208,4 +208,4 @@ def test_triangles_bound_the_tail(coupling):
         exact, x = 0.0, X
         for _ in range(600):
             exact, x = exact + np.linalg.norm(x, 2), A @ x
-        assert exact <= bound.beyond(X) <= 40 * exact
+        assert exact <= bound(X) <= 40 * exact

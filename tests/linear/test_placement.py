@@ -13,7 +13,6 @@ from guards import trips
 from residua.errors import AccuracyError, DesignError, ModelError
 from residua.linear import detectability
 from residua.linear.poles.placement import default_margin, place_observer_margin, place_observer_poles
-from residua.linear.poles.pole_assignment import polished, robust_assignment, schur_assignment
 
 
 def pair(seed, n, p, k=None, dt=0.0, units=False):
@@ -186,27 +185,6 @@ def test_margin_on_slicot_benchmarks(shared_data):
         assert rate.min(initial=np.inf) > 0.5 * default_margin(A, dt), entry["name"]
         reached += 1
     assert reached == 32
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_a_newton_step_brings_simple_poles_to_rounding(seed: int) -> None:
-    """The iterations of the robust method end some digits short; the step takes the rest, or leaves the gain alone."""
-    rng = np.random.default_rng(seed)
-    n, r = 6, 2
-    F, H = rng.standard_normal((n, n)), np.linalg.qr(rng.standard_normal((n, r)))[0].T
-    poles = -np.linspace(1.0, 4.0, n).astype(complex)
-    L = robust_assignment(F, H, poles)
-    assert L is not None
-    rough = L + 1e-6 * rng.standard_normal(L.shape)
-    off = [np.abs(np.sort(np.linalg.eigvals(F - K @ H).real) - np.sort(poles.real)).max() for K in (rough, L)]
-    step = polished(F, H, rough, poles)
-    reached = np.abs(np.sort(np.linalg.eigvals(F - step @ H).real) - np.sort(poles.real)).max()
-    assert reached < 1e-2 * off[0]
-    # several members of one cluster are no simple eigenvalues: the gain stays
-    double = np.array([-1, -1, -2, -2, -3, -3], dtype=complex)
-    K = schur_assignment(F, H, double)
-    assert K is not None
-    assert np.abs(polished(F, H, K, double) - K).max() <= 1e-3 * np.abs(K).max()
 
 
 def test_a_state_that_one_output_tells_hears_no_others() -> None:

@@ -7,9 +7,8 @@ import pytest
 import scipy.linalg
 
 from residua.linear import StateSpace, invariant_zeros
-from residua.linear.poles.matrix_poles import explicit_poles
 from residua.linear.poles.spectrum import match_poles
-from residua.linear.poles.zero_structure import without_zero_eigenvalues
+from residua.linear.poles.zero_structure import explicit_poles, without_zero_eigenvalues
 
 
 def chains(rng, lengths, others):

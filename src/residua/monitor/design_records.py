@@ -322,12 +322,7 @@ def _evidence_out(evidence: Evidence) -> dict[str, Any]:
             for name in ("decoupling", "conditions")
         },
         "ranks": {
-            name: [
-                int(d.rank),
-                array_out(np.asarray(d.singular_values)),
-                float_out(d.tolerance),
-                *([int(d.omitted)] if d.omitted else []),
-            ]
+            name: [int(d.rank), array_out(np.asarray(d.singular_values)), float_out(d.tolerance)]
             for name, d in evidence.ranks.items()
         },
         "notes": list(evidence.notes),
@@ -336,15 +331,12 @@ def _evidence_out(evidence: Evidence) -> dict[str, Any]:
 
 
 def _rank_in(value: Any, where: str) -> RankDecision:
-    """Return a rank decision; the number of singular values that were not computed is left out if zero."""
-    entries = list_in(value, where)
-    rank, values, tolerance, omitted = list_in([*entries, 0] if len(entries) == 3 else entries, where, 4)
+    """Return a rank decision, which counts no more singular values than there are."""
+    rank, values, tolerance = list_in(value, where, 3)
     sizes, least = array_in(values, where, NOT_NEGATIVE, 1), float_in(tolerance, where, NOT_NEGATIVE)
-    made = RankDecision(whole_in(rank, where), sizes, least, whole_in(omitted, where))
-    if not (made.omitted > 0) <= made.rank - made.omitted <= len(sizes):
-        raise FileFormatError(
-            f"{where}: a rank of {made.rank} does not fit {len(sizes)} singular values and {made.omitted} others"
-        )
+    made = RankDecision(whole_in(rank, where), sizes, least)
+    if not 0 <= made.rank <= len(sizes):
+        raise FileFormatError(f"{where}: a rank of {made.rank} does not fit {len(sizes)} singular values")
     return made
 
 

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import AccuracyError, ModelError
-from residua.linear.poles.stability import hidden_modes
 from residua.linear.polynomials.polynomial_matrix import PolynomialMatrix
 from residua.linear.subspaces.observability import staircase
 from residua.linear.subspaces.rank import RankDecision, decide_rank, equilibrated
@@ -202,7 +201,7 @@ def reachable_part(system: StateSpace) -> ReachablePart:
     At, Bt = np.ascontiguousarray(system.A.T), np.ascontiguousarray(system.B.T)
     form = staircase(At, Bt)  # callers compare responses, which tell more
     k = form.n_observable
-    removed, uncertainty = hidden_modes(form.A, form.Q, k, form.rounding)
+    removed, uncertainty = form.hidden_modes
     if k < system.n_states:
         Q = form.Q[:, :k]
         system = system.replaced(

@@ -293,8 +293,6 @@ def evidence_html(evidence: Evidence) -> str:
 def _singular(decision: RankDecision) -> tuple[str, str, str, str]:
     kept, dropped = ([number(float(s), 3) for s in part] for part in (decision.kept, decision.dropped))
     gap = "clear" if decision.is_clear else "narrow"
-    if decision.omitted:
-        kept.insert(1, f"{decision.omitted} not computed")
     return _cut(kept) or "none", _cut(dropped) or "none", number(decision.tolerance, 2), gap
 
 

@@ -20,9 +20,9 @@ from residua.design.core.state_map import state_map_of, static_map
 from residua.design.observers.observer import Observer
 from residua.errors import DesignError, SettingError
 from residua.linear import StateSpace
-from residua.linear.poles.matrix_poles import explicit_poles
 from residua.linear.poles.spectrum import describe_modes
 from residua.linear.poles.stability import is_stable_mode
+from residua.linear.poles.zero_structure import explicit_poles
 from residua.linear.subspaces.rank import RankDecision, decide_rank, equilibrated
 from residua.plant import Plant
 from residua.shown import Shown

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,8 +56,13 @@ def stable_system(system: StateSpace, what: str = "the peak norm") -> StableSyst
             f"{what} is that of a sampled system, and this one is continuous: sample it first, "
             "system.discretize(dt); the bound then holds at the sample instants, for inputs that are held"
         )
+    return in_balanced_states(system, what)
+
+
+def in_balanced_states(system: StateSpace, what: str) -> StableSystem:
+    """Return the matrices of a stable system in balanced states; norms depend on the units of inputs and outputs."""
     system = system.explicit()
-    T = scaling(system.A, system.B, system.C, system.D, sampled=True).states
+    T = scaling(system.A, system.B, system.C, system.D, sampled=system.is_discrete).states
     A, B, C = system.A / T[:, None] * T, system.B / T[:, None], system.C * T
     poles = np.linalg.eigvals(A).astype(complex) if len(A) else np.zeros(0, complex)
     stable = is_stable_mode(poles, system.dt)
@@ -67,29 +74,51 @@ def stable_system(system: StateSpace, what: str = "the peak norm") -> StableSyst
     return StableSystem(A, B, C, system.D, T, float(np.abs(poles).max(initial=0.0)))
 
 
-@dataclass(frozen=True, eq=False)
-class TailBound:
-    r"""A norm in which ``A`` contracts, so that a geometric series bounds what is cut off.
+def doubled_sum(power: Matrix, W: Matrix) -> Matrix | None:
+    """Return ``sum power^k W power'^k`` by squaring, which keeps it positive; ``None`` if it grows without end."""
+    total = W
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(60):
+            step = power @ total @ power.T
+            total = total + step
+            size, more = (math.sqrt(v.dot(v)) for v in (total.ravel(), step.ravel()))  # Frobenius norms, soon
+            if not math.isfinite(size):
+                return None
+            if more <= 1e-16 * size:
+                break
+            power = power @ power
+    return total
 
-    With :math:`P = L L^T` of a Lyapunov equation, :math:`\|L^T A L^{-T}\|_2 = s < 1` is computed, and
+
+def _tail_bound(system: StableSystem) -> Callable[[Matrix], float]:
+    r"""Return a function that bounds the sum of the norms of ``C X, C A X, C A^2 X, ...`` for every ``X``.
+
+    With :math:`P = L L^T` of the Lyapunov equation of ``A`` sped up by a part of its stability margin,
+    :math:`\|L^T A L^{-T}\|_2 = s < 1` is computed, and
 
     .. math:: \sum_{j \ge 0} \|C A^j X\|_2 \le \|C L^{-T}\|_2 \, \|L^T X\|_2 / (1 - s)
 
-    for every ``X``. The bound holds for whatever ``P`` the equation gave: only ``s`` has to be less than one.
+    holds for whatever ``P`` the equation gave: only ``s`` has to be less than one. Where it is not, as with poles that
+    are near to each other, and slow, a triangular form bounds it.
     """
+    n = len(system.A)
+    if not n:
+        return lambda X: 0.0
+    for share in (0.5, 0.25):
+        P = doubled_sum(system.A.T / (1 - share * (1 - system.radius)), np.eye(n))
+        if P is None:
+            continue
+        with suppress(np.linalg.LinAlgError):
+            L = np.linalg.cholesky(P)
+            contraction = spectral_norm(scipy.linalg.solve_triangular(L, (L.T @ system.A).T, lower=True))
+            output = spectral_norm(scipy.linalg.solve_triangular(L, system.C.T, lower=True))
+            if contraction < 1:
+                return lambda X, L=L, c=contraction, output=output: output * spectral_norm(L.T @ X) / (1 - c)
+    return _by_triangle(system)
 
-    L: Matrix
-    contraction: float
-    output: float
 
-    def beyond(self, X: Matrix) -> float:
-        """Return the bound for the terms ``C X, C A X, C A^2 X, ...``."""
-        return self.output * spectral_norm(self.L.T @ X) / (1 - self.contraction)
-
-
-@dataclass(frozen=True, eq=False)
-class TriangularTailBound:
-    r"""A bound by absolute values of a triangular form, for want of a norm in which ``A`` contracts.
+def _by_triangle(system: StableSystem) -> Callable[[Matrix], float]:
+    r"""Return a bound by absolute values of a triangular form, for want of a norm in which ``A`` contracts.
 
     With the Schur form :math:`A = Q T Q^H` and :math:`N \ge |Q^H A Q|`, for every ``X``,
 
@@ -98,50 +127,6 @@ class TriangularTailBound:
     ``N`` is ``|T|`` and what rounding of the form amounts to; its powers die out as those of ``A`` do, however near to
     each other the poles are.
     """
-
-    Q: NDArray[np.complex128]
-    weights: NDArray[np.float64]
-
-    def beyond(self, X: Matrix) -> float:
-        """Return the bound for the terms ``C X, C A X, C A^2 X, ...``."""
-        return float(self.weights @ np.abs(self.Q.conj().T @ X).sum(axis=1))
-
-
-def tail_bound(system: StableSystem) -> TailBound | TriangularTailBound:
-    """Return the bound, from the Lyapunov equation of ``A`` sped up by half of its stability margin, or by triangles.
-
-    The latter where the equation is not solved to enough digits: where poles are near to each other, and slow.
-    """
-    n = len(system.A)
-    if not n:
-        return TailBound(np.zeros((0, 0)), 0.0, 0.0)
-    L = _contracting(system.A, 0.5 * (1 + system.radius))
-    if L is not None:
-        contraction = spectral_norm(scipy.linalg.solve_triangular(L, (L.T @ system.A).T, lower=True))
-        if contraction < 1:
-            return TailBound(L, contraction, spectral_norm(scipy.linalg.solve_triangular(L, system.C.T, lower=True)))
-    return _by_triangle(system)
-
-
-def _contracting(A: Matrix, fast: float) -> Matrix | None:
-    """Return a Cholesky factor of ``P = (A / fast)' P (A / fast) + I``, by doubling, which keeps ``P`` positive."""
-    P, power = np.eye(len(A)), A / fast
-    with np.errstate(over="ignore", invalid="ignore"):
-        for _ in range(70):
-            step = power.T @ P @ power
-            P = P + step
-            if not np.isfinite(P).all() or np.linalg.norm(step) <= 1e-15 * np.linalg.norm(P):
-                break
-            power = power @ power
-    if not np.isfinite(P).all():
-        return None
-    try:
-        return np.asarray(np.linalg.cholesky(P), dtype=float)
-    except np.linalg.LinAlgError:
-        return None
-
-
-def _by_triangle(system: StableSystem) -> TriangularTailBound:
     n, eps = len(system.A), np.finfo(float).eps
     T, Q = scipy.linalg.schur(system.A, output="complex")
     N = np.abs(np.triu(T)) + 10 * n * eps * np.linalg.norm(system.A)
@@ -154,7 +139,8 @@ def _by_triangle(system: StableSystem) -> TriangularTailBound:
             "its poles are too near to the stability boundary, or too badly conditioned, for double precision"
         )
     seen = np.abs(system.C @ Q) + 10 * n * eps * np.abs(system.C).sum(axis=1, keepdims=True)
-    return TriangularTailBound(Q, (1 + 1e-6) * seen.sum(axis=0) @ np.abs(inverse))
+    weights = (1 + 1e-6) * seen.sum(axis=0) @ np.abs(inverse)
+    return lambda X: float(weights @ np.abs(Q.conj().T @ X).sum(axis=1))
 
 
 def impulse_blocks(system: StableSystem, *, most: int) -> Iterator[tuple[Matrix, float]]:
@@ -162,11 +148,11 @@ def impulse_blocks(system: StableSystem, *, most: int) -> Iterator[tuple[Matrix,
 
     The first block is the direct term ``D``; ``most`` terms are yielded at most, rounded up to a block.
     """
-    bound = tail_bound(system)
-    yield system.D[None], bound.beyond(system.B)
+    beyond = _tail_bound(system)
+    yield system.D[None], beyond(system.B)
     if len(system.A):
         for H, X in response_blocks(system.A, system.B, system.C, most):
-            yield H, bound.beyond(X)
+            yield H, beyond(X)
 
 
 def response_blocks(A: Matrix, B: Matrix, C: Matrix, terms: int) -> Iterator[tuple[Matrix, Matrix]]:
@@ -178,51 +164,25 @@ def response_blocks(A: Matrix, B: Matrix, C: Matrix, terms: int) -> Iterator[tup
     p, m = len(C), B.shape[1]
     if not (p and m and terms):
         return
-    X, stepped = B, []
-    jumps: _Jumps | None = None
-    for k in range(-(-terms // _BLOCK)):
-        if k == _COMPARED:
-            jumps = _Jumps(A, C)
-            jumps = jumps if jumps.agree(B, stepped) else None
-        H, X = _stepped(A, X, C) if jumps is None else (jumps.rows_times(X), jumps.times_power(X))
-        if k < _COMPARED:
-            stepped.append(H)
-        yield H, X
-
-
-def _stepped(A: Matrix, X: Matrix, C: Matrix) -> tuple[Matrix, Matrix]:
-    """Return a block of terms by one step after the other, and the state after it."""
-    states = np.empty((_BLOCK + 1, *X.shape))
-    states[0] = X
-    for k in range(_BLOCK):
-        np.matmul(A, states[k], out=states[k + 1])
-    return C @ states[:-1], states[-1].copy()
-
-
-class _Jumps:
-    """``C A^k`` for a block of ``k``, and the power of ``A`` that leads to the next, by squaring."""
-
-    def __init__(self, A: Matrix, C: Matrix) -> None:
-        rows, power = C, A
-        with np.errstate(over="ignore", invalid="ignore"):
-            while len(rows) < _BLOCK * len(C):
-                rows, power = np.vstack([rows, rows @ power]), power @ power
-        self._rows, self._power, self._outputs = rows, power, len(C)
-
-    def rows_times(self, X: Matrix) -> Matrix:
-        """Return a block of terms from a state on."""
-        with np.errstate(over="ignore", invalid="ignore"):
-            return (self._rows @ X).reshape(_BLOCK, self._outputs, X.shape[1])
-
-    def times_power(self, X: Matrix) -> Matrix:
-        """Return the state after a block."""
-        with np.errstate(over="ignore", invalid="ignore"):
-            return self._power @ X
-
-    def agree(self, X: Matrix, blocks: list[Matrix]) -> bool:
-        """Tell whether blocks that were made by steps from a state on come out again."""
-        missed = size = 0.0
-        for H in blocks:
-            missed, size = missed + float(np.abs(self.rows_times(X) - H).sum()), size + float(np.abs(H).sum())
-            X = self.times_power(X)
-        return bool(missed <= _AGREED * size)
+    X, rows, power, stepped, jumps = B, C, A, [], False
+    with np.errstate(over="ignore", invalid="ignore"):
+        for k in range(-(-terms // _BLOCK)):
+            if k == _COMPARED:
+                while len(rows) < _BLOCK * p:
+                    rows, power = np.vstack([rows, rows @ power]), power @ power
+                again, missed = B, 0.0
+                for H in stepped:
+                    missed += float(np.abs((rows @ again).reshape(H.shape) - H).sum())
+                    again = power @ again
+                jumps = bool(missed <= _AGREED * sum(float(np.abs(H).sum()) for H in stepped))
+            if jumps:
+                H, X = (rows @ X).reshape(_BLOCK, p, m), power @ X
+            else:
+                states = np.empty((_BLOCK + 1, *B.shape))
+                states[0] = X
+                for i in range(_BLOCK):
+                    np.matmul(A, states[i], out=states[i + 1])
+                H, X = C @ states[:-1], states[-1].copy()
+            if k < _COMPARED:
+                stepped.append(H)
+            yield H, X

@@ -75,21 +75,16 @@ def largest_sum(H: Matrix, *, rtol: float) -> LargestSum:
         return LargestSum(0.0, np.eye(terms.p)[0], 0.0)
     upper, guess = _relaxation(terms, rtol)
     best, direction = _ascend(terms, guess)
-    upper = min(upper, _weighted_bound(terms, direction))
+    upper = min(upper, _weighted_bound(terms, terms.lengths(direction[:, None])[:, 0])[0])
     if upper > best * (1 + rtol) and terms.p > 1:
-        best, direction = max(_ascend(terms, _starts(terms)), (best, direction), key=lambda pair: pair[0])
-        upper = min(upper, _weighted_bound(terms, direction))
+        axes = np.linalg.eigh(terms.weighted(np.ones(len(terms.H))))[1]
+        chance = np.random.default_rng(0).standard_normal((terms.p, _STARTS if terms.flat.size < 1e5 else 4))
+        starts = np.column_stack([np.eye(terms.p), axes, chance / np.linalg.norm(chance, axis=0)])
+        best, direction = max(_ascend(terms, starts), (best, direction), key=lambda pair: pair[0])
+        upper = min(upper, _weighted_bound(terms, terms.lengths(direction[:, None])[:, 0])[0])
     if upper > best * (1 + rtol) and terms.p > 1:
         best, direction, upper = _search_cones(terms, best, direction, upper, rtol)
     return LargestSum(best * terms.unit, direction, max(upper, best) * terms.unit)
-
-
-def _starts(terms: _Terms) -> Matrix:
-    rng = np.random.default_rng(0)
-    axes = np.linalg.eigh(terms.weighted(np.ones(len(terms.H))))[1]
-    count = _STARTS if terms.flat.size < 1e5 else 4
-    V = np.column_stack([np.eye(terms.p), axes, rng.standard_normal((terms.p, count))])
-    return V / np.linalg.norm(V, axis=0)
 
 
 def _ascend(terms: _Terms, V: Matrix, *, most: int = 500) -> tuple[float, NDArray[np.float64]]:
@@ -119,27 +114,23 @@ def _relaxation(terms: _Terms, rtol: float, *, most: int = 200) -> tuple[float, 
     upper, axis = np.inf, np.eye(terms.p)[:, :1]
     for _ in range(most):
         mu = np.sqrt(np.maximum(np.sum((terms.flat @ V) * terms.flat, axis=1).reshape(-1, terms.columns).sum(1), 0.0))
-        S = _at_weights(terms, mu)
-        upper = min(upper, float(np.sqrt(np.linalg.eigvalsh(S)[-1] * mu.sum())))
+        bound, S = _weighted_bound(terms, mu)
+        upper = min(upper, bound)
         attained = float(np.sum(S * V))
         axis = np.linalg.eigh(V)[1][:, -1:]
         if upper <= attained * (1 + 0.1 * rtol):
             break
         V = S @ V @ S
         V = V / np.trace(V)
-    return upper * (1 + 1e-13), axis
+    return upper, axis
 
 
-def _at_weights(terms: _Terms, mu: NDArray[np.float64]) -> Matrix:
+def _weighted_bound(terms: _Terms, mu: NDArray[np.float64]) -> tuple[float, Matrix]:
+    """Return the bound of some weights, and ``sum_k h_k h_k' / mu_k``."""
     # A term that a direction does not see gets a small weight of its own: any positive one keeps the bound valid.
-    np.maximum(mu, 1e-12 * mu.max(), out=mu)
-    return terms.weighted(1 / mu)
-
-
-def _weighted_bound(terms: _Terms, v: NDArray[np.float64]) -> float:
-    mu = terms.lengths(v[:, None])[:, 0]
-    S = _at_weights(terms, mu)
-    return float(np.sqrt(np.linalg.eigvalsh(S)[-1] * mu.sum())) * (1 + 1e-13)
+    mu = np.maximum(mu, 1e-12 * mu.max())
+    S = terms.weighted(1 / mu)
+    return float(np.sqrt(np.linalg.eigvalsh(S)[-1] * mu.sum())) * (1 + 1e-13), S
 
 
 def _search_cones(
@@ -157,7 +148,10 @@ def _search_cones(
     left = _BUDGET / max(terms.flat.size, 1)
     settled = best
     while len(cones):
-        bounds = _cone_bounds(cones, values)
+        linear = np.linalg.solve(cones, values[..., None])[..., 0]
+        spread = np.linalg.solve(cones, np.ones((*values.shape, 1)))[..., 0]
+        by_size = values.max(axis=1) * np.linalg.norm(spread, axis=1)
+        bounds = np.minimum(np.linalg.norm(linear, axis=1), by_size) * (1 + 1e-12)
         open_ = bounds > best * (1 + rtol)
         settled = max(settled, float(bounds[~open_].max(initial=0.0)))
         cones, values, bounds = cones[open_], values[open_], bounds[open_]
@@ -165,32 +159,19 @@ def _search_cones(
         if not len(cones) or left < 0:
             upper = min(upper, max(settled, float(bounds.max(initial=0.0)), best))
             break
-        cones, values = _halved(terms, cones, values)
+        # cut at the middle of the widest pair of edges
+        cosine = cones @ cones.transpose(0, 2, 1) + 4 * np.eye(p)
+        i, j = np.unravel_index(np.argmin(cosine.reshape(len(cones), -1), axis=1), (p, p))
+        row = np.arange(len(cones))
+        middle = cones[row, i] + cones[row, j]
+        middle /= np.linalg.norm(middle, axis=1, keepdims=True)
+        height = np.concatenate([terms.values(part.T) for part in np.array_split(middle, max(1, len(cones) // 512))])
+        cones, values = np.concatenate([cones, cones]), np.concatenate([values, values])
+        cones[row, i], cones[row + len(row), j] = middle, middle
+        values[row, i], values[row + len(row), j] = height, height
         if values.max() > best:
-            i = np.unravel_index(int(np.argmax(values)), values.shape)
-            climbed, where = _ascend(terms, cones[i][:, None])
+            top = np.unravel_index(int(np.argmax(values)), values.shape)
+            climbed, where = _ascend(terms, cones[top][:, None])
             if climbed > best:
                 best, direction = climbed, where
     return best, direction, upper
-
-
-def _cone_bounds(cones: Matrix, values: Matrix) -> NDArray[np.float64]:
-    linear = np.linalg.solve(cones, values[..., None])[..., 0]
-    spread = np.linalg.solve(cones, np.ones((*values.shape, 1)))[..., 0]
-    by_size = values.max(axis=1) * np.linalg.norm(spread, axis=1)
-    return np.minimum(np.linalg.norm(linear, axis=1), by_size) * (1 + 1e-12)
-
-
-def _halved(terms: _Terms, cones: Matrix, values: Matrix) -> tuple[Matrix, Matrix]:
-    """Cut each cone at the middle of its widest pair of edges."""
-    count, p, _ = cones.shape
-    cosine = cones @ cones.transpose(0, 2, 1) + 4 * np.eye(p)
-    i, j = np.unravel_index(np.argmin(cosine.reshape(count, -1), axis=1), (p, p))
-    row = np.arange(count)
-    middle = cones[row, i] + cones[row, j]
-    middle /= np.linalg.norm(middle, axis=1, keepdims=True)
-    at_middle = np.concatenate([terms.values(part.T) for part in np.array_split(middle, max(1, count // 512))])
-    first, second, f1, f2 = cones.copy(), cones.copy(), values.copy(), values.copy()
-    first[row, i], second[row, j] = middle, middle
-    f1[row, i], f2[row, j] = at_middle, at_middle
-    return np.concatenate([first, second]), np.concatenate([f1, f2])

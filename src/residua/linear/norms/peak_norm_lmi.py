@@ -20,7 +20,10 @@ def lmi_peak(system: StableSystem, star: Ellipsoid) -> tuple[float, float, Matri
     lmi.require_solver()
     if not star.bound or not np.any(star.Q) or not np.any(system.C):
         return None
-    A, B, C, D, T = _unit_ball(system, star)
+    # coordinates x = T z in which Q is the identity, and the star bound is the unit
+    T = root(star.Q, 1e-6)
+    inverse = np.linalg.inv(T)
+    A, B, C, D = inverse @ system.A @ T, inverse @ system.B, system.C @ T / star.bound, system.D / star.bound
     room = 1 - system.radius**2
     best: list[tuple[float, float, Matrix]] = []
 
@@ -46,13 +49,6 @@ def lmi_peak(system: StableSystem, star: Ellipsoid) -> tuple[float, float, Matri
     back = system.units[:, None] * T
     g1 = lmi.least_level(_dynamic(A, B, P, rate, 0.0), len(A))
     return value, rate, g1 * back @ np.linalg.solve(P, back.T)
-
-
-def _unit_ball(system: StableSystem, star: Ellipsoid) -> tuple[Matrix, Matrix, Matrix, Matrix, Matrix]:
-    """Return the system in coordinates ``x = T z`` in which ``Q`` is the identity, with the star bound as unit."""
-    T = root(star.Q, 1e-6)
-    back = np.linalg.inv(T)
-    return back @ system.A @ T, back @ system.B, system.C @ T / star.bound, system.D / star.bound, T
 
 
 def root(Q: Matrix, floor: float = 1e-8) -> Matrix:

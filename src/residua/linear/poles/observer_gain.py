@@ -155,7 +155,7 @@ def _least_squares(
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the poles are checked
-            P = filter_covariance(shifted, G, W, V, S, dt=1.0 if sampled else 0.0, rough=True)
+            P = filter_covariance(shifted, G, W, V, S, dt=1.0 if sampled else 0.0)
             S = np.zeros((len(F), len(G))) if S is None else S
             if sampled:
                 K = np.linalg.solve(G @ P @ G.T + V, (shifted @ P @ G.T + S).T).T

@@ -13,7 +13,7 @@ from residua.errors import AccuracyError, DesignError
 from residua.linear.poles.observer_gain import observer_gain
 from residua.linear.poles.spectrum import describe_modes, mean_rate
 from residua.linear.poles.stability import dies_out
-from residua.linear.subspaces.observability import Staircase, pair, staircase
+from residua.linear.subspaces.observability import pair, staircase
 from residua.linear.subspaces.quotient import ObservableSplit
 from residua.linear.subspaces.rank import spectral_norm
 from residua.tolerances import POLE
@@ -211,7 +211,13 @@ def _placement(
     A, C = pair(A, C)
     form = staircase(A, C)
     k, rate = form.n_observable, 1.0 if dt else form.rate
-    _refuse_undetectable(form, dt)
+    fixed, uncertainty = form.hidden_modes
+    bad = fixed[~dies_out(fixed, uncertainty, dt, form.size)]
+    if bad.size:
+        raise DesignError(
+            f"not detectable: mode {describe_modes(bad)} is not seen by any output and is not stable "
+            f"({k} of {len(A)} states observable); add a sensor that sees it"
+        )
     seen, hidden = np.eye(len(A)) if k == len(A) else form.Q[:, :k], form.Q[:, k:]
     gain = observer_gain(
         form.A / rate,
@@ -233,16 +239,4 @@ def _placement(
     block = seen.T @ (form.A - rate * gain.K @ form.C) @ seen
     K = rate * form.states[:, None] * gain.K * form.outputs
     K = K @ C @ np.linalg.pinv(C) if np.linalg.matrix_rank(form.C) < len(C) else K
-    fixed, _ = form.hidden_modes
     return Placement(K, rate * gain.requested, rate * gain.poles, fixed, gain.error, block, spectral_norm(K))
-
-
-def _refuse_undetectable(form: Staircase, dt: float) -> None:
-    """Raise where a mode that no output sees is not stable."""
-    modes, uncertainty = form.hidden_modes
-    bad = modes[~dies_out(modes, uncertainty, dt, form.size)]
-    if bad.size:
-        raise DesignError(
-            f"not detectable: mode {describe_modes(bad)} is not seen by any output and is not stable "
-            f"({form.n_observable} of {len(form.A)} states observable); add a sensor that sees it"
-        )

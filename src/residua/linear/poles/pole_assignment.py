@@ -9,7 +9,7 @@ import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import AccuracyError, DesignError, ModelError
-from residua.linear.poles.spectrum import describe_modes, match_poles, spectrum_error
+from residua.linear.poles.spectrum import describe_modes, spectrum_error
 from residua.linear.poles.stability import is_stable_mode
 from residua.tolerances import BALANCED_RANK, POLE
 
@@ -57,7 +57,7 @@ def assigned_gain(
         gains = [(F - real_block_diagonal(poles)) @ H.T]
     else:
         found = robust_assignment(F, H, poles), schur_assignment(F, H, poles)
-        gains = [polished(F, H, L, poles) for L in found if L is not None and np.all(np.isfinite(L))]
+        gains = [L for L in found if L is not None and np.all(np.isfinite(L))]
     tried = []
     for L in gains:
         error, achieved, reached = spectrum_error(F - L @ H, poles, dt, tolerance)
@@ -141,7 +141,7 @@ def robust_assignment(F: Matrix, H: Matrix, poles: NDArray[np.complex128]) -> Ma
     from scipy.signal import place_poles
 
     counts = np.sum(np.isclose(poles[:, None], poles, rtol=1e-8, atol=0), axis=1)
-    sweeps = _sweeps(len(F))
+    sweeps = round(60 * min(1.0, (24 / max(len(F), 1)) ** 4))  # each costs the fifth power of the order
     if counts.max(initial=0) > H.shape[0] or not sweeps:
         return None
     try:
@@ -150,42 +150,7 @@ def robust_assignment(F: Matrix, H: Matrix, poles: NDArray[np.complex128]) -> Ma
             L = place_poles(F.T, H.T, poles, maxiter=sweeps).gain_matrix.T
     except (ValueError, np.linalg.LinAlgError):
         return None
-    return np.real(L) if np.all(np.isfinite(L)) else None
-
-
-def polished(F: Matrix, H: Matrix, L: Matrix, poles: NDArray[np.complex128]) -> Matrix:
-    r"""Return the gain after one Newton step towards the poles, the smallest, where that brings them nearer.
-
-    To first order :math:`\delta\lambda_i = -w_i\, \delta L\, H v_i` for simple eigenvalues, with :math:`w_i v_i = 1`;
-    the iterations of `robust_assignment` end some digits short of it.
-
-    Parameters
-    ----------
-    F : ndarray, shape (k, k)
-    H : ndarray, shape (r, k)
-    L : ndarray, shape (k, r)
-    poles : ndarray of complex, shape (k,)
-
-    Returns
-    -------
-    ndarray, shape (k, r)
-    """
-    values, V = np.linalg.eig(F - L @ H)
-    if not np.linalg.cond(V) < _SIMPLE:
-        return L
-    W = np.linalg.inv(V)
-    missing = poles[match_poles(values, poles)] - values
-    rows = -np.einsum("ij,ki->ijk", W, H @ V).reshape(len(values), -1)
-    step = np.linalg.lstsq(np.vstack([rows.real, rows.imag]), np.r_[missing.real, missing.imag], rcond=None)[0]
-    better = L + step.reshape(L.shape)
-    now = np.linalg.eigvals(F - better @ H)
-    off = np.abs(poles[match_poles(now, poles)] - now).max(initial=0.0)
-    return better if off < np.abs(missing).max(initial=0.0) else L
-
-
-def _sweeps(order: int) -> int:
-    """Return how many sweeps over the poles to allow: each costs the fifth power of the order."""
-    return round(60 * min(1.0, (24 / max(order, 1)) ** 4))
+    return np.real(L)
 
 
 def schur_assignment(F: Matrix, H: Matrix, poles: NDArray[np.complex128]) -> Matrix | None:
@@ -215,26 +180,26 @@ def schur_assignment(F: Matrix, H: Matrix, poles: NDArray[np.complex128]) -> Mat
     pairs = [complex(p) for p in poles if p.imag > 0]
     done = 0
     while done < k:
-        size = _bring_block_down(T, Z, done, len(reals))
-        if size is None:
-            return None
+        size = 2 if k - done >= 2 and T[-1, -2] != 0 else 1
+        if size == 1 and not reals:  # two real ones are treated as one when only pairs remain
+            if k - done >= 3 and T[-2, -3] != 0 and not _exchange(T, Z, k - 3, k - 1):
+                return None
+            size = 2
         low = k - size
-        target = _nearest(T[low:, low:], reals, pairs)
         G = (H @ Z).T
-        f = _block_gain(T[low:, low:], G[low:], target)
+        f = _block_gain(T[low:, low:], G[low:], _nearest(T[low:, low:], reals, pairs))
         if f is None:
             return None
         T[:, low:] += G @ f
         gain += f @ Z[:, low:].T
-        if not _standardise_and_raise(T, Z, low, done):
+        # back to real Schur form, and above the blocks still to do
+        block, Q = scipy.linalg.schur(T[low:, low:], output="real")
+        T[:low, low:], T[low:, low:], Z[:, low:] = T[:low, low:] @ Q, block, Z[:, low:] @ Q
+        places = [k - 1, k - 1] if size == 2 and T[-1, -2] == 0 else [low]
+        if not all(_exchange(T, Z, place, done) for place in places):
             return None
         done += size
     return -gain.T
-
-
-def _last_size(T: Matrix, done: int) -> int:
-    k = T.shape[0]
-    return 2 if k - done >= 2 and T[k - 1, k - 2] != 0 else 1
 
 
 def _exchange(T: Matrix, Z: Matrix, source: int, destination: int) -> bool:
@@ -244,17 +209,6 @@ def _exchange(T: Matrix, Z: Matrix, source: int, destination: int) -> bool:
     t, z, info = scipy.linalg.lapack.dtrexc(T, Z, source + 1, destination + 1)
     T[:], Z[:] = t, z
     return info == 0
-
-
-def _bring_block_down(T: Matrix, Z: Matrix, done: int, n_reals: int) -> int | None:
-    """Return the order of the last block to treat; two real ones are treated as one when only pairs remain."""
-    size = _last_size(T, done)
-    if size == 2 or n_reals:
-        return size
-    k = T.shape[0]
-    if k - done >= 3 and T[k - 2, k - 3] != 0 and not _exchange(T, Z, k - 3, k - 1):
-        return None
-    return 2
 
 
 def _nearest(block: Matrix, reals: list[float], pairs: list[complex]) -> tuple[float, float, float]:
@@ -291,35 +245,11 @@ def _block_gain(block: Matrix, G: Matrix, target: tuple[float, float, float]) ->
         second = (first * M[1, 1] - determinant) / M[1, 0]
         candidates.append(Vh[:1].T @ (np.array([[first, second]]) - M[:1]) @ U.T / s[0])
     if s.size > 1 and s[1] > 1e-12 * s[0]:
-        for X in _targets(block, trace, determinant):
-            candidates.append(Vh[:2].T @ ((U.T @ (X - block)) / s[:, None]))
+        centre = trace / 2
+        product = centre**2 - determinant  # of the off-diagonal entries, when the diagonal is (centre, centre)
+        root, upper = np.sqrt(abs(product)), float(block[0, 1])
+        targets = [[[centre, u], [product / u, centre]] for u in {upper, float(np.copysign(root, upper or 1.0))} if u]
+        if product >= 0:
+            targets += [[[centre + r, upper], [0.0, centre - r]] for r in (root, -root)]
+        candidates += [Vh[:2].T @ ((U.T @ (np.array(X) - block)) / s[:, None]) for X in targets]
     return min(candidates, key=lambda f: float(np.linalg.norm(f)), default=None)
-
-
-def _targets(block: Matrix, trace: float, determinant: float) -> list[Matrix]:
-    """Return 2 x 2 matrices with the wanted trace and determinant, near to ``block``."""
-    centre = trace / 2
-    product = centre**2 - determinant  # of the off-diagonal entries, when the diagonal is (centre, centre)
-    out = []
-    root = np.sqrt(abs(product))
-    for upper in {float(block[0, 1]), float(np.copysign(root, block[0, 1] or 1.0))}:
-        if upper != 0:
-            out.append(np.array([[centre, upper], [product / upper, centre]]))
-    if product >= 0:
-        out.append(np.array([[centre + root, block[0, 1]], [0.0, centre - root]]))
-        out.append(np.array([[centre - root, block[0, 1]], [0.0, centre + root]]))
-    return out
-
-
-def _standardise_and_raise(T: Matrix, Z: Matrix, low: int, done: int) -> bool:
-    """Bring the assigned block to real Schur form and move it above the blocks still to do."""
-    k = T.shape[0]
-    count = k - low
-    if count == 2:
-        block, Q = scipy.linalg.schur(T[low:, low:], output="real")
-        T[:low, low:] = T[:low, low:] @ Q
-        T[low:, low:] = block
-        Z[:, low:] = Z[:, low:] @ Q
-    if count == 2 and T[k - 1, k - 2] == 0:
-        return _exchange(T, Z, k - 1, done) and _exchange(T, Z, k - 1, done)
-    return _exchange(T, Z, low, done)

@@ -14,11 +14,9 @@ from residua.errors import AccuracyError, DesignError, ModelError
 from residua.linear.poles.doubling import filter_covariance
 from residua.linear.poles.spectrum import describe_modes
 from residua.linear.poles.stability import is_stable_mode
-from residua.linear.subspaces.observability import detectability, observability_form
-from residua.linear.subspaces.parts import part_of_each
-from residua.linear.subspaces.rank import decide_rank, without_rounded_gains
+from residua.linear.subspaces.observability import detectability, pair, staircase
 from residua.linear.systems.scaling import power_near, scaling
-from residua.tolerances import RESIDUE
+from residua.tolerances import RESIDUE, above_rounding
 
 Matrix = NDArray[np.float64]
 #: Largest relative residual of an equation that counts as solved.
@@ -113,11 +111,8 @@ def filter_riccati(
     array([[2.]])
     """
     dt = arrays.sample_step(dt)
-    A = arrays.matrix(A, "A", (None, None))
-    n = A.shape[0]
-    A = arrays.matrix(A, "A", (n, n))
-    C = arrays.matrix(C, "C", (None, n))
-    p = C.shape[0]
+    A, C = pair(A, C)
+    p, n = C.shape
     if p == 0:
         raise DesignError("a Kalman filter needs at least one output")
     S = np.zeros((n, p)) if S is None else arrays.matrix(S, "S", (n, p))
@@ -128,37 +123,29 @@ def filter_riccati(
     T = scaling(A, np.zeros((n, 0)), C, np.zeros((p, 0)), sampled=dt > 0).states
     # Outputs in units of their noise: R becomes a correlation matrix, however C is scaled.
     Y = 1 / power_near(np.sqrt(np.diag(R)))
-    to_T, to_Y = 1 / T[:, None], Y[:, None]
-    A, C, S = to_T * A * T, to_Y * C * T, to_T * S * Y
     # The size of the state follows from the noise; common units keep P near one.
-    unit = float(power_near(np.sqrt(np.trace(to_T * Q * to_T.T)))) or 1.0
-    terms = (A, C * unit, to_T * Q * to_T.T / unit**2, to_Y * R * Y, S / unit)
-    T = T[:, None] * unit
-    Y = to_Y
-    together = _connected(*terms)
-    P = np.where(together, _solve(*terms, dt), 0.0)
-    K, innovation, residual = _gain(*terms, P, dt)
-    if residual > 1e-12:
-        P, K, innovation, residual = _refine(terms, together, P, K, innovation, residual, dt)
-    poles = np.linalg.eigvals(terms[0] - K @ terms[1]).astype(complex)
+    T = T * (float(power_near(np.sqrt(np.trace(Q / T[:, None] / T)))) or 1.0)
+    A, C, Q = A / T[:, None] * T, Y[:, None] * C * T, Q / T[:, None] / T
+    terms = A, C, Q, Y[:, None] * R * Y, S / T[:, None] * Y
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the outcome is checked here
+            P = filter_covariance(*terms[:4], terms[4] if np.any(S) else None, dt=dt)
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise AccuracyError(f"the Riccati equation could not be solved ({error}): {_HARDLY}") from error
+    P, K, innovation, residual = _refined(*terms, P, dt)
+    poles = np.linalg.eigvals(A - K @ C).astype(complex)
     if not is_stable_mode(poles, dt).all() or not residual <= _RESIDUAL_LIMIT:
         raise AccuracyError(
             f"the Riccati equation was not solved: relative residual {residual:.3g} (limit {_RESIDUAL_LIMIT:.0e}), "
             f"poles {describe_modes(poles)}; scale the noise covariances nearer to one another"
         )
-    P, K = _without_rounding(P, K, terms, dt)
-    return RiccatiSolution(T * P * T.T, T * K * Y.T, innovation / Y / Y.T, poles, residual)
-
-
-def _without_rounding(
-    P: Matrix, K: Matrix, terms: tuple[Matrix, Matrix, Matrix, Matrix, Matrix], dt: float
-) -> tuple[Matrix, Matrix]:
-    """Return covariance and gain, in even units, without what rounding leaves of correlations that there are not."""
-    A, C, _, _, S = terms
+    # what rounding leaves of correlations that there are not, and of innovations that tell nothing of a state
     size = np.sqrt(np.abs(np.diag(P)))
-    P = np.where(np.abs(P) > RESIDUE * np.outer(size, size), P, 0.0)
-    told = ((A @ P if dt else P) @ C.T + S).any(axis=1, keepdims=True)  # a state that no innovation tells of
-    return P, np.where(told, without_rounded_gains(K), 0.0)
+    P = above_rounding(P, np.outer(size, size), RESIDUE)
+    told = ((A @ P if dt else P) @ C.T + terms[4]).any(axis=1, keepdims=True)
+    K = np.where(told, above_rounding(K, np.abs(K).max(axis=1, keepdims=True), RESIDUE), 0.0)
+    return RiccatiSolution(T[:, None] * P * T, T[:, None] * K * Y, innovation / Y[:, None] / Y, poles, residual)
 
 
 def _covariance(M: ArrayLike, name: str, n: int) -> Matrix:
@@ -183,13 +170,12 @@ def _check_solvable(A: Matrix, C: Matrix, Q: Matrix, R: Matrix, S: Matrix, dt: f
         raise ModelError(
             f"[[Q, S], [S', R]] is not a covariance: its correlation matrix has the eigenvalue {lowest:.3g}"
         )
-    correlation, _ = _correlation(R)
-    values, vectors = np.linalg.eigh(correlation)
-    if values[0] <= 1e-13 * values[-1]:
-        worst = int(np.argmax(np.abs(vectors[:, 0])))
+    values, vectors = np.linalg.eigh(_correlation(R)[0])
+    rank = int(np.count_nonzero(values > 1e-13 * values[-1]))
+    if rank < len(R):
         raise DesignError(
-            f"R is singular: rank {decide_rank(correlation, rtol=1e-13).rank} of {R.shape[0]}, "
-            f"no noise in the direction of output number {worst + 1}; give every output measurement noise"
+            f"R is singular: rank {rank} of {len(R)}, no noise in the direction of output number "
+            f"{int(np.argmax(np.abs(vectors[:, 0]))) + 1}; give every output measurement noise"
         )
     answer = detectability(A, C, dt=dt)
     if not answer:
@@ -202,8 +188,7 @@ def _check_solvable(A: Matrix, C: Matrix, Q: Matrix, R: Matrix, S: Matrix, dt: f
     rest, scale = _correlation(Q - gain @ S.T)
     values, vectors = np.linalg.eigh(rest)
     root = np.sqrt(np.where(values > 1e-12, values, 0.0)) * vectors * scale[:, None]
-    form = observability_form((A - gain @ C).T, root.T)
-    modes, near = form.unobservable_modes, form.mode_uncertainty
+    modes, near = staircase((A - gain @ C).T, root.T).hidden_modes
     boundary = modes[np.abs(np.abs(modes) - 1 if dt else modes.real) <= near]
     if boundary.size:
         raise DesignError(
@@ -212,75 +197,38 @@ def _check_solvable(A: Matrix, C: Matrix, Q: Matrix, R: Matrix, S: Matrix, dt: f
         )
 
 
-def _connected(A: Matrix, C: Matrix, Q: Matrix, R: Matrix, S: Matrix) -> NDArray[np.bool_]:
-    """Tell which states some chain of couplings, noises and outputs connects: of others the errors share nothing."""
-    n = len(A)
-    graph = np.block([[(A != 0) | (Q != 0), S != 0], [C != 0, R != 0]])
-    part = part_of_each(graph)[:n]
-    return part[:, None] == part
-
-
-def _solve(A: Matrix, C: Matrix, Q: Matrix, R: Matrix, S: Matrix, dt: float) -> Matrix:
-    cross = S if np.any(S) else None
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # the outcome is checked here
-            P = filter_covariance(A, C, Q, R, cross, dt=dt, rough=True)
-    except (np.linalg.LinAlgError, ValueError) as error:
-        raise AccuracyError(f"the Riccati equation could not be solved ({error}): {_HARDLY}") from error
-    return (P + P.T) / 2
-
-
 def _gain(A: Matrix, C: Matrix, Q: Matrix, R: Matrix, S: Matrix, P: Matrix, dt: float) -> tuple[Matrix, Matrix, float]:
     """Return gain, innovation covariance and relative residual of a candidate ``P``."""
-    if dt:
-        innovation = C @ P @ C.T + R
-        cross = A @ P @ C.T + S
-        first, left = A @ P @ A.T, P
-    else:
-        innovation, cross = R, P @ C.T + S
-        first, left = A @ P + P @ A.T, np.zeros_like(P)
+    innovation, cross = (C @ P @ C.T + R, A @ P @ C.T + S) if dt else (R, P @ C.T + S)
     try:
         K: Matrix = np.asarray(np.linalg.solve(innovation, cross.T).T, dtype=np.float64)
     except np.linalg.LinAlgError as error:  # a mode that is hardly seen, as a random walk, hides the noise of outputs
         raise AccuracyError(
             f"the measurement noise is rounding of what the outputs cannot foretell: {_HARDLY}"
         ) from error
-    last = K @ cross.T
-    size = sum(float(np.linalg.norm(M)) for M in (first, left, Q, last))
-    residual = float(np.linalg.norm(first - left + Q - last)) / size if size else 0.0
-    return K, innovation, residual
+    terms = [Q, -K @ cross.T, *((A @ P @ A.T, -P) if dt else (A @ P + P @ A.T,))]
+    size = sum(float(np.linalg.norm(M)) for M in terms)
+    return K, innovation, float(np.linalg.norm(sum(terms))) / size if size else 0.0
 
 
-def _refine(
-    terms: tuple[Matrix, Matrix, Matrix, Matrix, Matrix],
-    together: NDArray[np.bool_],
-    P: Matrix,
-    K: Matrix,
-    innovation: Matrix,
-    residual: float,
-    dt: float,
+def _refined(
+    A: Matrix, C: Matrix, Q: Matrix, R: Matrix, S: Matrix, P: Matrix, dt: float
 ) -> tuple[Matrix, Matrix, Matrix, float]:
-    """Take Newton steps (Kleinman, Hewer) while they make the residual smaller."""
-    A, C, Q, R, S = terms
+    """Return covariance, gain, innovation covariance and residual after Newton steps that help (Kleinman, Hewer)."""
+    K, innovation, residual = _gain(A, C, Q, R, S, P, dt)
     solver = scipy.linalg.solve_discrete_lyapunov if dt else scipy.linalg.solve_continuous_lyapunov
     for _ in range(3):
-        closed = A - K @ C
-        if not is_stable_mode(np.linalg.eigvals(closed), dt).all():
+        if residual <= 1e-12 or not is_stable_mode(np.linalg.eigvals(A - K @ C), dt).all():
             break
         W = Q - K @ S.T - S @ K.T + K @ R @ K.T
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                better = solver(closed, W if dt else -W)
-        except (np.linalg.LinAlgError, ValueError):
+                better = solver(A - K @ C, W if dt else -W)
+            found = _gain(A, C, Q, R, S, (better + better.T) / 2, dt)
+        except (np.linalg.LinAlgError, ValueError, AccuracyError):
             break
-        better = np.where(together, (better + better.T) / 2, 0.0)
-        try:
-            new_K, new_innovation, new_residual = _gain(*terms, better, dt)
-        except AccuracyError:
+        if not found[2] < residual:
             break
-        if not new_residual < residual:
-            break
-        P, K, innovation, residual = better, new_K, new_innovation, new_residual
+        P, (K, innovation, residual) = (better + better.T) / 2, found
     return P, K, innovation, residual

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from residua.errors import AccuracyError
 from residua.linear.poles.stability import modes_with_uncertainty
+from residua.linear.subspaces.parts import connected_parts
 from residua.words import counted
 
 Poles = NDArray[np.complex128]
@@ -17,6 +18,8 @@ _EPS = float(np.finfo(float).eps)
 _INTEGRATES = 1e-5
 #: No pole may miss by more than this, however ill-conditioned it is.
 _MOST_BY_ROUNDING = 1e-3
+#: Poles that a chain of relative distances below this connects are a cluster.
+_NEAR = 1e-3
 #: Relative distances beyond this are all the same, so that sums of them are finite.
 _FARTHEST = 1e300
 
@@ -83,18 +86,6 @@ def match_poles(wanted: Poles, achieved: Poles) -> NDArray[np.intp]:
         return np.asarray(linear_sum_assignment(np.minimum(distance / scale, _FARTHEST))[1], dtype=np.intp)
 
 
-def pole_clusters(poles: Poles, nearness: float = 1e-3) -> list[NDArray[np.intp]]:
-    """Return index sets of poles that are chained by relative distances below ``nearness``."""
-    k = poles.size
-    size = np.maximum(np.abs(poles)[:, None], np.abs(poles))
-    linked = np.abs(poles[:, None] - poles) <= nearness * size
-    label = np.arange(k)
-    for i in range(k):
-        members = np.unique(label[linked[i]])
-        label[np.isin(label, members)] = members.min()
-    return [np.flatnonzero(label == name) for name in np.unique(label)]
-
-
 def spectrum_error(block: NDArray[np.float64], wanted: Poles, dt: float, tolerance: float) -> tuple[float, Poles, bool]:
     """Return the error of the poles of ``block``, the poles in the wanted order, and whether they are right.
 
@@ -126,7 +117,8 @@ def spectrum_error(block: NDArray[np.float64], wanted: Poles, dt: float, toleran
     scale = np.ones(k) if dt else np.abs(wanted)
     size = max(float(np.linalg.norm(block, 2)), float(np.abs(wanted).max()), 1.0 if dt else 0.0)
     worst, reached = 0.0, True
-    for members in pole_clusters(wanted):
+    near = np.abs(wanted[:, None] - wanted) <= _NEAR * np.maximum(np.abs(wanted)[:, None], np.abs(wanted))
+    for members in connected_parts(near):
         unit = float(scale[members].mean())
         error = abs(complex(np.mean(achieved[members] - wanted[members]))) / unit
         worst = max(worst, error)

@@ -6,10 +6,6 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
-from residua.linear.poles.zero_structure import rounding_of, scatter_of, without_zero_eigenvalues
-from residua.linear.subspaces.parts import connected_parts, strong_parts
-from residua.tolerances import TINY
-
 _EPS = float(np.finfo(float).eps)
 #: What a hidden mode must be inside the stability region by: a slower one does not die out in any time that counts.
 _INSIDE = 1e-10
@@ -73,17 +69,6 @@ def dies_out(modes: NDArray, uncertainty: NDArray, dt: float, size: float) -> ND
     return is_stable_mode(modes, dt, uncertainty=uncertainty + _INSIDE * (1.0 if dt else size))
 
 
-def may_die_out(modes: NDArray, uncertainty: NDArray, dt: float, size: float) -> NDArray[np.bool_]:
-    """Tell which hidden modes that do not count as stable may be, as rounding may have scattered them from one place.
-
-    Parameters are those of `dies_out`.
-    """
-    loose = uncertainty > np.sqrt(_EPS) * size
-    reach = scatter_of(int(np.count_nonzero(loose)), max(len(modes), 1), size)
-    inside = is_stable_mode(modes, dt, uncertainty=-np.maximum(uncertainty, reach))
-    return loose & inside & ~dies_out(modes, uncertainty, dt, size)
-
-
 def modes_with_uncertainty(
     A: NDArray[np.float64], perturbation: float = 0.0
 ) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
@@ -107,98 +92,14 @@ def modes_with_uncertainty(
     cosine = np.abs(np.sum(left.conj() * right, axis=0))
     moved = n * _EPS * float(np.linalg.norm(A)) + perturbation
     # A defective mode has cosine 0; the floor gives it the sqrt(eps) that a double mode moves by.
-    size = float(np.linalg.norm(A))
-    modes = modes.astype(complex)
-    modes[_modes_at_zero(A, modes, size, perturbation)] = 0.0
-    return modes, moved / np.maximum(cosine, np.sqrt(_EPS))
+    return modes.astype(complex), moved / np.maximum(cosine, np.sqrt(_EPS))
 
 
 def hidden_modes(
     A: NDArray[np.float64], Q: NDArray[np.float64], k: int, perturbation: float
 ) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
-    """Return the modes of the hidden part of a matrix, and what rounding may have done to each.
+    """Return the modes of the part that columns ``k`` on of an orthogonal ``Q`` span, and their uncertainty.
 
-    They are eigenvalues of the whole, which parts without couplings both ways have apart: no chain of states scatters
-    them there, and no basis is rounded. Where those of the hidden block alone are less sharp, they only say which.
-
-    Parameters
-    ----------
-    A : ndarray, shape (n, n)
-    Q : ndarray, shape (n, n)
-        Orthogonal; its columns from ``k`` on span the hidden part.
-    k : int
-    perturbation : float
-        Norm of what the hidden block is off by, on top of rounding.
-
-    Returns
-    -------
-    modes : ndarray of complex
-    uncertainty : ndarray
+    Parameters are those of `modes_with_uncertainty`: the perturbation is that of the part.
     """
-    block = Q[:, k:].T @ A @ Q[:, k:]
-    modes, moved = _without_scatter(block, *modes_with_uncertainty(block, perturbation), perturbation)
-    parts = strong_parts(A)
-    if not modes.size or len(parts) == 1 or moved.max() <= np.sqrt(_EPS) * float(np.linalg.norm(A)):
-        return modes, moved
-    from scipy.optimize import linear_sum_assignment  # slow to import
-
-    apart = [modes_with_uncertainty(A[np.ix_(part, part)]) for part in parts]
-    poles, own = (np.concatenate(both) for both in zip(*apart, strict=True))
-    distance = np.abs(modes[:, None] - poles)
-    chosen = np.asarray(linear_sum_assignment(distance)[1])
-    # a pole of another part that is as near may be the one, or one from which rounding has scattered this mode
-    left = np.setdiff1d(np.arange(poles.size), chosen)
-    size = float(np.linalg.norm(block))
-    loose = moved > np.sqrt(_EPS) * size
-    scattered = scatter_of(int(np.count_nonzero(loose)), len(block), size, perturbation / max(size, TINY))
-    reach = np.maximum(2 * np.diagonal(distance[:, chosen]), np.where(loose, scattered, 0.0))
-    near = distance[:, left] <= reach[:, None]
-    other = np.where(near, np.abs(poles[chosen][:, None] - poles[left]), 0.0).max(axis=1, initial=0.0)
-    known = np.maximum(own[chosen], other)
-    return (poles[chosen], known) if known.max() < moved.max() else (modes, moved)
-
-
-def _without_scatter(
-    A: NDArray[np.float64], modes: NDArray[np.complex128], moved: NDArray[np.float64], perturbation: float
-) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
-    """Return modes that rounding may have scattered from one real place, with all of them there if ranks count as many.
-
-    It is their mean, which rounding does not scatter: had it, ranks would not count them all there.
-    """
-    n, size = len(A), float(np.linalg.norm(A))
-    loose = np.flatnonzero((moved > np.sqrt(_EPS) * size) & (modes != 0))
-    if len(loose) < 2:
-        return modes, moved
-    more = perturbation / size
-    balanced = scipy.linalg.matrix_balance(A)[0]
-    known = float(np.linalg.norm(balanced)) + perturbation / rounding_of(n)
-    modes, moved = modes.copy(), moved.copy()
-    near = np.abs(modes[loose][:, None] - modes[loose]) <= scatter_of(len(loose), n, size, more)
-    for group in connected_parts(near):
-        own, m = loose[group], len(group)
-        mean = complex(modes[own].mean())
-        if m < 2 or abs(mean.imag) > np.sqrt(_EPS) * abs(mean):
-            continue
-        reach = scatter_of(m, n, size, more)
-        if np.abs(modes[own] - mean.real).max() > reach:
-            continue
-        if without_zero_eigenvalues(balanced - mean.real * np.eye(n), None, known)[2] == m:
-            modes[own], moved[own] = mean.real, rounding_of(n) * size + perturbation
-    return modes, moved
-
-
-def _modes_at_zero(
-    A: NDArray[np.float64], modes: NDArray[np.complex128], size: float, perturbation: float
-) -> NDArray[np.intp]:
-    """Return the modes that ranks count at zero, if they are no further from it than rounding scatters so many.
-
-    Ranks alone are no proof: a chain of slow modes in turned coordinates is near to a singular matrix, too.
-    """
-    n, distance, more = len(A), np.abs(modes), perturbation / max(size, TINY)
-    if distance.min() > scatter_of(n, n, size, more):
-        return np.zeros(0, dtype=int)
-    balanced = scipy.linalg.matrix_balance(A)[0]
-    known = float(np.linalg.norm(balanced)) + perturbation / rounding_of(n)
-    count = without_zero_eigenvalues(balanced, None, known)[2]
-    nearest = np.argsort(distance, kind="stable")[:count]
-    return nearest if np.all(distance[nearest] <= scatter_of(count, n, size, more)) else nearest[:0]
+    return modes_with_uncertainty(Q[:, k:].T @ A @ Q[:, k:], perturbation)

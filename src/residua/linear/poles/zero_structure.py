@@ -14,8 +14,10 @@ Algebra Appl. 27 (1979) 103-140.
 from __future__ import annotations
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
 
+from residua.linear.subspaces.parts import strong_parts
 from residua.linear.subspaces.rank import row_and_null_basis
 
 Matrix = NDArray[np.float64]
@@ -26,9 +28,9 @@ def rounding_of(count: int) -> float:
     return 10 * count * float(np.finfo(float).eps)
 
 
-def scatter_of(multiplicity: int, count: int, size: float, rounding: float = 0.0) -> float:
-    """Return how far rounding, and more of it, scatters so many of ``count`` eigenvalues of a matrix from zero."""
-    return size * (rounding_of(count) + rounding) ** (1 / multiplicity) if multiplicity else 0.0
+def scatter_of(multiplicity: int, count: int, size: float) -> float:
+    """Return how far rounding scatters so many of ``count`` eigenvalues of a matrix from zero."""
+    return size * rounding_of(count) ** (1 / multiplicity) if multiplicity else 0.0
 
 
 def without_zero_eigenvalues(A: Matrix, E: Matrix | None, size: float) -> tuple[Matrix, Matrix | None, int]:
@@ -62,3 +64,21 @@ def without_zero_eigenvalues(A: Matrix, E: Matrix | None, size: float) -> tuple[
             left = np.linalg.qr(E @ null, mode="complete")[0][:, null.shape[1] :]
             A, E = left.T @ A @ kept, left.T @ E @ kept
     return A, E, n - len(A)
+
+
+def explicit_poles(A: NDArray) -> NDArray[np.complex128]:
+    """Return the eigenvalues of a matrix; those that ranks count at zero are zero, as those of integrators."""
+    return np.concatenate([np.zeros(0, dtype=complex), *(_poles(A[np.ix_(part, part)]) for part in strong_parts(A))])
+
+
+def _poles(A: NDArray) -> NDArray[np.complex128]:
+    balanced = scipy.linalg.matrix_balance(A)[0] if len(A) > 1 else A
+    size = float(np.linalg.norm(balanced))
+    poles = np.linalg.eigvals(balanced).astype(complex)
+    rest, _, count = without_zero_eigenvalues(balanced, None, size)
+    # ranks alone are no proof: far from normal, a matrix with poles of size one may be near to a singular one
+    near = np.abs(poles) <= scatter_of(count, len(A), size)
+    found = np.count_nonzero(near)
+    if found > count:
+        return np.concatenate([np.zeros(count, dtype=complex), np.linalg.eigvals(rest)])
+    return np.where(near, 0.0, poles) if found == count else poles

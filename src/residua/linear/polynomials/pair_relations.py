@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis, basis_on_poles
 from residua.linear.subspaces.parts import part_numbers
-from residua.linear.subspaces.quotient import Quotient, quotient
+from residua.linear.subspaces.quotient import NEGLIGIBLE, Quotient, quotient
 from residua.linear.subspaces.rank import RankDecision
 from residua.progress import check_time
 from residua.tolerances import BALANCED_RANK, DESIGN_ROUNDING, RESIDUE, TINY, above_rounding
@@ -22,8 +22,6 @@ Matrix = NDArray[np.float64]
 _MEET = 1e-3
 #: Of a row that has less than this in common with those of another basis nothing is left there.
 _GONE = 1e-9
-#: Coefficients this far below the largest of their row are rounding.
-_NOTHING = 8 * float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +125,7 @@ class PairRelations:
         if np.linalg.norm(weights) > _GONE * np.linalg.norm(np.hstack(moved)):
             moved = min(moved, nearest, key=lambda row: _missed(*row, *self.pair, other))
         largest = max(float(np.abs(x).max(initial=0.0)) for x in moved)
-        w, v = (above_rounding(x, largest, _NOTHING)[None] for x in moved)
+        w, v = (above_rounding(x, largest, NEGLIGIBLE)[None] for x in moved)
         p, q = self._rows(w, v)
         return p[0], q[0]
 

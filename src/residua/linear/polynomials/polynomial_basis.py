@@ -39,11 +39,29 @@ class PolynomialBasis:
         Each is as far as possible from those before it, with sizes that keep the elements near one on all nodes,
         ``size`` where all nodes meet.
         """
-        return cls(*_leja(np.asarray(nodes, dtype=np.complex128).ravel(), size))
-
-    @property
-    def _arrays(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        return self.real, self.imaginary, self.sizes
+        values = np.asarray(nodes, dtype=np.complex128).ravel()
+        upper = values[values.imag >= 0]
+        rest = list(range(len(upper)))
+        log_size = np.zeros(len(upper))  # of the current element at each node
+        center = upper.mean().real if len(upper) else 0.0
+        real, imaginary, sizes = [], [], []
+        previous = size
+        while rest:
+            far = np.abs(upper[rest] - center) if not real else log_size[rest]
+            pick = rest.pop(int(np.argmax(far)))
+            node = upper[pick]
+            for step, conjugate in enumerate([node, node.conjugate()] if node.imag > 0 else [node]):
+                with np.errstate(divide="ignore"):
+                    log_size = log_size + np.log(np.abs(upper - conjugate))
+                left = log_size[rest] if rest else np.zeros(0)
+                largest = float(np.max(left, initial=-np.inf))
+                factor = float(np.exp(largest)) if np.isfinite(largest) else previous
+                log_size = log_size - np.log(factor)
+                previous = factor
+                real.append(node.real)
+                imaginary.append(node.imag if step == 0 else 0.0)
+                sizes.append(factor)
+        return cls(np.array(real), np.array(imaginary), np.array(sizes))
 
     @property
     def count(self) -> int:
@@ -102,34 +120,6 @@ class PolynomialBasis:
         return (self.elements_in(other, k).T @ flat).reshape(coefficients.shape)
 
 
-def _leja(
-    values: NDArray[np.complex128], before: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return real parts, imaginary parts and sizes of nodes in the order of Leja."""
-    upper = values[values.imag >= 0]
-    rest = list(range(len(upper)))
-    log_size = np.zeros(len(upper))  # of the current element at each node
-    center = upper.mean().real if len(upper) else 0.0
-    real, imaginary, sizes = [], [], []
-    previous = before
-    while rest:
-        far = np.abs(upper[rest] - center) if not real else log_size[rest]
-        pick = rest.pop(int(np.argmax(far)))
-        node = upper[pick]
-        for step, conjugate in enumerate([node, node.conjugate()] if node.imag > 0 else [node]):
-            with np.errstate(divide="ignore"):
-                log_size = log_size + np.log(np.abs(upper - conjugate))
-            left = log_size[rest] if rest else np.zeros(0)
-            largest = float(np.max(left, initial=-np.inf))
-            size = float(np.exp(largest)) if np.isfinite(largest) else previous
-            log_size = log_size - np.log(size)
-            previous = size
-            real.append(node.real)
-            imaginary.append(node.imag if step == 0 else 0.0)
-            sizes.append(size)
-    return np.array(real), np.array(imaginary), np.array(sizes)
-
-
 def basis_on_poles(poles: ArrayLike, count: int, size: float, *, outward: bool = False) -> PolynomialBasis:
     """Return a basis with some number of nodes, on poles, each used as often as needed.
 
@@ -158,20 +148,11 @@ def basis_on_poles(poles: ArrayLike, count: int, size: float, *, outward: bool =
     floor = 1e-4 * size  # poles that meet would make sizes of rounding
     one = PolynomialBasis.on(values, size=size)
     one = PolynomialBasis(one.real, one.imaginary, np.maximum(one.sizes, floor))
-    if outward:
-        one = _reversed(one)
+    if outward:  # pairs kept; the size of a step down to the node before is that of the node before
+        order = np.arange(one.count)[::-1]
+        for j in np.flatnonzero(one.imaginary):
+            at = one.count - 1 - j
+            order[[at - 1, at]] = order[[at, at - 1]]
+        one = PolynomialBasis(one.real[order], one.imaginary[order], np.roll(one.sizes[::-1], -1))
     times = -(-count // one.count)
     return PolynomialBasis(*(np.tile(x, times) for x in (one.real, one.imaginary, one.sizes)))
-
-
-def _reversed(basis: PolynomialBasis) -> PolynomialBasis:
-    """Return the basis on the nodes from the last to the first, pairs kept.
-
-    The step from an element down to the one before divides by its own node; its size is that of the node before.
-    """
-    order = np.arange(basis.count)[::-1]
-    for j in np.flatnonzero(basis.imaginary):
-        at = basis.count - 1 - j
-        order[[at - 1, at]] = order[[at, at - 1]]
-    sizes = np.roll(basis.sizes[::-1], -1)
-    return PolynomialBasis(basis.real[order], basis.imaginary[order], sizes)

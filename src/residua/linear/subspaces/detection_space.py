@@ -81,7 +81,8 @@ def confined_space(A: Matrix, C: Matrix, L: Matrix, D: Matrix | None = None, *, 
     """
     D = np.zeros((len(C), L.shape[1])) if D is None else D
     q = quotient(A, L, C, D)
-    S, outputs = complement((q.split.seen.T @ q.N if zeros else q.N).T), _basis(q.D)
+    S = complement((q.split.seen.T @ q.N if zeros else q.N).T)
+    outputs = without_rounding(np.linalg.svd(q.D, full_matrices=False)[0])
     image, seen = np.hstack([A @ S, L]), outputs.T @ np.hstack([C @ S, D])
     confining = (image - S @ (S.T @ image)) @ np.linalg.pinv(seen)
     return DetectionSpace(S, outputs, without_rounding(confining), (*q.decisions, *q.split.decisions))
@@ -90,10 +91,6 @@ def confined_space(A: Matrix, C: Matrix, L: Matrix, D: Matrix | None = None, *, 
 def complement(V: Matrix) -> Matrix:
     """Return an orthonormal basis of what is orthogonal to independent columns."""
     return without_rounding(np.linalg.svd(V)[0][:, V.shape[1] :])
-
-
-def _basis(V: Matrix) -> Matrix:
-    return without_rounding(np.linalg.svd(V, full_matrices=False)[0])
 
 
 def are_independent(bases: list[Matrix]) -> bool:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Literal
 
 import numpy as np
 import scipy.linalg
@@ -12,7 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua import arrays
 from residua.errors import AccuracyError
-from residua.linear.poles.stability import dies_out, hidden_modes, may_die_out
+from residua.linear.poles.stability import dies_out, hidden_modes, is_stable_mode
+from residua.linear.poles.zero_structure import scatter_of
 from residua.linear.subspaces.quotient import observable_split, without_rounding
 from residua.linear.subspaces.rank import RankDecision, spectral_norm
 from residua.linear.systems.scaling import scaling
@@ -87,108 +86,51 @@ class Detectability:
 
 @dataclass(frozen=True, eq=False)
 class Staircase:
-    """The staircase in balanced units, ``As = T^-1 A T``, ``Cs = Y C T``, which placement works in.
+    """The observable part and the rest in balanced units, ``As = T^-1 A T``, ``Cs = Y C T``.
 
     Attributes
     ----------
     A, C : ndarray
         ``As`` and ``Cs``.
     Q : ndarray, shape (n, n)
-        Orthogonal; its first ``n_observable`` columns are seen, the first ``n_seen`` by the outputs themselves.
-    n_observable, n_seen : int
+        Orthogonal; its first ``n_observable`` columns are seen: ``Q' As Q = [[A11, 0], [A21, A22]]`` up to rounding.
+    n_observable : int
     decisions : tuple of RankDecision
     states, outputs : ndarray
         ``T`` and ``Y``.
     rate : float
         A rate that suits the pair.
-    dropped : float
-        Norm of what is not zero of the zeros of the form.
+    size : float
+        Spectral norm of ``As``.
+    hidden_modes : tuple of ndarray
+        The modes of the hidden part, and what rounding and dropped couplings may have done to each.
     """
 
     A: NDArray[np.float64]
     C: NDArray[np.float64]
     Q: NDArray[np.float64]
     n_observable: int
-    n_seen: int
     decisions: tuple[RankDecision, ...]
     states: NDArray[np.float64]
     outputs: NDArray[np.float64]
     rate: float
-    dropped: float
-
-    @cached_property
-    def hidden_modes(self) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
-        """The modes of the hidden part, and what rounding may have done to each."""
-        return hidden_modes(self.A, self.Q, self.n_observable, self.rounding)
-
-    @property
-    def rounding(self) -> float:
-        """What rounding and dropped parts may have done to the blocks: relative to the whole, not the block."""
-        return self.dropped + 10 * self.A.shape[0] * _EPS * self.size
-
-    @cached_property
-    def size(self) -> float:
-        """Spectral norm of ``A``."""
-        return spectral_norm(self.A)
+    size: float
+    hidden_modes: tuple[NDArray[np.complex128], NDArray[np.float64]]
 
 
-def staircase(
-    A: NDArray[np.float64], C: NDArray[np.float64], *, units: Literal["balanced", "given"] = "balanced"
-) -> Staircase:
-    """Reduce a pair to the observability staircase in balanced units.
-
-    Parameters
-    ----------
-    A : ndarray, shape (n, n)
-    C : ndarray, shape (p, n)
-    units : {"balanced", "given"}
-        Balance the pair, or take the caller's units, which are comparable already.
-
-    Returns
-    -------
-    Staircase
-        ``Q' A Q = [[A11, 0], [A21, A22]]`` up to what was dropped, which is not set to zero here.
-    """
+def staircase(A: NDArray[np.float64], C: NDArray[np.float64]) -> Staircase:
+    """Split a pair in balanced units into what the outputs see and the rest."""
     n, p = A.shape[0], C.shape[0]
-    T, Y, rate = np.ones(n), np.ones(p), float(np.abs(A).max(initial=0.0)) or 1.0
-    if units == "balanced":
-        own = scaling(A, np.zeros((n, 0)), C, np.zeros((p, 0)), sampled=False)
-        T, Y, rate = own.states, own.outputs, own.rate
-        A, C = A / T[:, None] * T, Y[:, None] * C * T
-    split = observable_split(A / rate, C)
-    k, hidden = split.seen.shape[1], split.hidden
-    dropped = max(spectral_norm(split.seen.T @ A @ hidden), spectral_norm(C @ hidden))
-    decisions = tuple(split.decisions)
-    seen = decisions[0].rank if decisions else 0
-    return Staircase(A, C, np.hstack([split.seen, hidden]), k, seen, decisions, T, Y, rate, dropped)
-
-
-def _orthogonal(form: Staircase) -> NDArray[np.float64]:
-    """Return ``Q`` in the caller's units: its last columns span the unobservable subspace ``T Q2``."""
-    k, n = form.n_observable, len(form.Q)
-    if np.all(form.states == 1) or k in (0, n):
-        return form.Q
-    Q2 = form.Q[:, k:]
-    # A basis that is the identity in some rows mixes no states through rounding, in whatever units.
-    rows = scipy.linalg.qr(Q2.T, mode="r", pivoting=True)[1][: n - k]
-    N = form.states[:, None] * without_rounding(np.linalg.solve(Q2[rows].T, Q2.T).T)
-    # Sorted rows and pivoted columns keep the small rows of a badly scaled basis accurate.
-    order = np.argsort(-np.abs(N).max(axis=1), kind="stable")
-    full = scipy.linalg.qr(N[order], pivoting=True)[0]
-    Q = np.empty_like(full)
-    Q[order] = full
-    return np.hstack([Q[:, n - k :], Q[:, : n - k]])
-
-
-def _dropped(A: NDArray, C: NDArray, Q: NDArray, k: int) -> float:
-    """Return what is not zero of the zeros of an observability form, relative to the pair."""
-    At, Ct = Q.T @ A @ Q, C @ Q
-    lost = [
-        float(np.linalg.norm(M)) / max(float(np.linalg.norm(whole)), np.finfo(float).tiny)
-        for M, whole in ((At[:k, k:], A), (Ct[:, k:], C))
-        if M.size
-    ]
-    return max(lost, default=0.0)
+    units = scaling(A, np.zeros((n, 0)), C, np.zeros((p, 0)), sampled=False)
+    T, Y = units.states, units.outputs
+    A, C = A / T[:, None] * T, Y[:, None] * C * T
+    split = observable_split(A / units.rate, C)
+    k, hidden, size = split.seen.shape[1], split.hidden, spectral_norm(A)
+    # relative to the whole, not to the hidden block
+    dropped = max(spectral_norm(split.seen.T @ A @ hidden), spectral_norm(C @ hidden)) + 10 * n * _EPS * size
+    Q = np.hstack([split.seen, hidden])
+    modes = hidden_modes(A, Q, k, dropped)
+    return Staircase(A, C, Q, k, tuple(split.decisions), T, Y, units.rate, size, modes)
 
 
 def observability_form(A: ArrayLike, C: ArrayLike) -> ObservabilityForm:
@@ -228,8 +170,17 @@ def observability_form(A: ArrayLike, C: ArrayLike) -> ObservabilityForm:
     """
     A, C = pair(A, C)
     form = staircase(A, C)
-    k, Q = form.n_observable, _orthogonal(form)
-    At, Ct, residual = Q.T @ A @ Q, C @ Q, _dropped(A, C, Q, k)
+    k, Q = form.n_observable, form.Q
+    if 0 < k < len(A) and np.any(form.states != 1):
+        # Sorted rows and pivoted columns keep the small rows of a badly scaled basis accurate.
+        N = form.states[:, None] * without_rounding(Q[:, k:])
+        order = np.argsort(-np.abs(N).max(axis=1), kind="stable")
+        Q = np.roll(scipy.linalg.qr(N[order], pivoting=True)[0], k, axis=1)[np.argsort(order)]
+    At, Ct = Q.T @ A @ Q, C @ Q
+    whole = np.linalg.norm(A), np.linalg.norm(C)
+    residual = max(
+        float(np.linalg.norm(M)) / (float(size) or 1.0) for M, size in zip((At[:k, k:], Ct[:, k:]), whole, strict=True)
+    )
     if residual > _MOST_DROPPED:
         raise AccuracyError(
             f"the observability form drops {residual:.3g} of the norm of (A, C); scale the states to comparable units"
@@ -272,7 +223,15 @@ def detectability(A: ArrayLike, C: ArrayLike, *, dt: float = 0) -> Detectability
     """
     form = staircase(*pair(A, C))
     modes, uncertainty = form.hidden_modes
-    stable = dies_out(modes, uncertainty, dt, form.size)
-    undecided = not stable.all() and bool(may_die_out(modes, uncertainty, dt, form.size)[~stable].all())
-    near = tuple(one for one in form.decisions if not one.is_clear)
-    return Detectability(bool(stable.all()), modes, modes[~stable], form.size, near, undecided)
+    unstable = ~dies_out(modes, uncertainty, dt, form.size)
+    loose = uncertainty > np.sqrt(_EPS) * form.size
+    scatter = scatter_of(int(np.count_nonzero(loose)), len(modes), form.size)
+    undecided = loose & is_stable_mode(modes, dt, uncertainty=-np.maximum(uncertainty, scatter))
+    return Detectability(
+        not unstable.any(),
+        modes,
+        modes[unstable],
+        form.size,
+        tuple(one for one in form.decisions if not one.is_clear),
+        bool(unstable.any() and undecided[unstable].all()),
+    )

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import SettingError
 from residua.progress import check_time
-from residua.tolerances import NEAR, RANK, RESIDUE
+from residua.tolerances import NEAR, RANK, RESIDUE, above_rounding
 
 #: Singular values below this fraction of the scale count as zero, unless the caller says otherwise. The
 #: staircase algorithms lose about three digits at order 30, so this stays well above rounding.
@@ -25,28 +25,24 @@ class RankDecision:
     rank : int
         Number of singular values above ``tolerance``.
     singular_values : ndarray
-        All singular values, largest first; of a large matrix the largest, and then the smallest ones.
+        All singular values, largest first.
     tolerance : float
         The absolute threshold that was used.
-    omitted : int
-        Singular values between the first and the second of those that were not computed, as they are above the
-        tolerance. They count in the rank.
     """
 
     rank: int
     singular_values: NDArray[np.float64]
     tolerance: float
-    omitted: int = 0
 
     @property
     def kept(self) -> NDArray[np.float64]:
-        """The singular values counted as nonzero, as far as they were computed."""
-        return self.singular_values[: self.rank - self.omitted]
+        """The singular values counted as nonzero."""
+        return self.singular_values[: self.rank]
 
     @property
     def dropped(self) -> NDArray[np.float64]:
         """The singular values counted as zero."""
-        return self.singular_values[self.rank - self.omitted :]
+        return self.singular_values[self.rank :]
 
     @property
     def smallest_kept(self) -> float:
@@ -65,8 +61,7 @@ class RankDecision:
 
     def __str__(self) -> str:
         kept = f"{self.smallest_kept:.3g}" if self.rank else "none"
-        rest = f"; {self.omitted} larger ones not computed" if self.omitted else ""
-        return f"rank {self.rank} (smallest kept {kept}, largest dropped {self.largest_dropped:.3g}{rest})"
+        return f"rank {self.rank} (smallest kept {kept}, largest dropped {self.largest_dropped:.3g})"
 
 
 def spectral_norm(M: NDArray) -> float:
@@ -84,23 +79,23 @@ def check_rtol(rtol: float) -> None:
         raise SettingError(f"rtol must be a number from 0 to below 1, got {rtol!r}")
 
 
-def _svd_decision(
-    M: ArrayLike, rtol: float, scale: float | None, side: str
-) -> tuple[NDArray, NDArray, NDArray, RankDecision]:
+def _svd_decision(M: ArrayLike, rtol: float, scale: float | None, side: str) -> tuple[NDArray, NDArray, RankDecision]:
+    """Return left and right singular vectors, all of those of one side, and the rank."""
     check_rtol(rtol)
     M = np.atleast_2d(np.asarray(M))
     rows, columns = M.shape
-    if rows == 0 or columns == 0:
-        U, Vh, s = np.eye(rows), np.eye(columns), np.zeros(0)
-    else:
+    U, Vh, s = np.eye(rows), np.eye(columns), np.zeros(0)
+    if M.size:
         # The singular vectors beyond the shorter side are computed where they are asked for only.
         U, s, Vh = np.linalg.svd(
             M, full_matrices=(side == "left" and rows > columns) or (side == "right" and columns > rows)
         )
-    largest = float(s[0]) if s.size else 0.0
-    tolerance = rtol * (largest if scale is None else scale)
-    rank = int(np.count_nonzero(s > tolerance))
-    return U, s, Vh, RankDecision(rank, s, tolerance)
+    return U, Vh, _decision(s, rtol, scale)
+
+
+def _decision(s: NDArray, rtol: float, scale: float | None) -> RankDecision:
+    tolerance = rtol * (float(s.max(initial=0.0)) if scale is None else scale)
+    return RankDecision(int(np.count_nonzero(s > tolerance)), s, tolerance)
 
 
 def decide_rank(M: ArrayLike, *, rtol: float = DEFAULT_RTOL, scale: float | None = None) -> RankDecision:
@@ -133,22 +128,19 @@ def decide_rank(M: ArrayLike, *, rtol: float = DEFAULT_RTOL, scale: float | None
     check_time()
     check_rtol(rtol)
     M = np.atleast_2d(np.asarray(M))
-    s = np.linalg.svd(M, compute_uv=False) if M.size else np.zeros(0)
-    largest = float(s[0]) if s.size else 0.0
-    tolerance = rtol * (largest if scale is None else scale)
-    return RankDecision(int(np.count_nonzero(s > tolerance)), s, tolerance)
+    return _decision(np.linalg.svd(M, compute_uv=False) if M.size else np.zeros(0), rtol, scale)
 
 
-def equilibrated(M: ArrayLike, *, residue: float = RESIDUE) -> NDArray:
+def equilibrated(M: ArrayLike) -> NDArray:
     """Return ``M`` with rows and columns scaled to about unit size, so that its rank shows whatever its units.
 
-    Rows and columns below ``residue`` of the largest entry can only be rounding and are left as they are.
+    Rows and columns below 64 units of rounding of the largest entry can only be rounding and are left as they are.
     """
     out = np.array(M, dtype=np.result_type(np.asarray(M), float))
     for _ in range(3):
         for axis in (1, 0):
             size = np.abs(out).max(axis=axis, keepdims=True, initial=0.0)
-            out = out / np.where(size > residue * size.max(initial=0.0), size, 1.0)
+            out = out / np.where(size > RESIDUE * size.max(initial=0.0), size, 1.0)
     return out
 
 
@@ -156,13 +148,13 @@ def range_basis(
     M: ArrayLike, *, rtol: float = DEFAULT_RTOL, scale: float | None = None
 ) -> tuple[NDArray, RankDecision]:
     """Return an orthonormal basis of the column space of ``M`` and the rank decision behind it."""
-    U, _, _, decision = _svd_decision(M, rtol, scale, "short")
+    U, _, decision = _svd_decision(M, rtol, scale, "short")
     return without_noise(U[:, : decision.rank]), decision
 
 
 def null_basis(M: ArrayLike, *, rtol: float = DEFAULT_RTOL, scale: float | None = None) -> tuple[NDArray, RankDecision]:
     """Return an orthonormal basis of ``{x : M x = 0}`` and the rank decision behind it."""
-    _, _, Vh, decision = _svd_decision(M, rtol, scale, "right")
+    _, Vh, decision = _svd_decision(M, rtol, scale, "right")
     return without_noise(Vh[decision.rank :].conj().T), decision
 
 
@@ -170,7 +162,7 @@ def row_and_null_basis(
     M: ArrayLike, *, rtol: float = DEFAULT_RTOL, scale: float | None = None
 ) -> tuple[NDArray, NDArray, RankDecision]:
     """Return orthonormal bases, as columns, of the row space and of ``{x : M x = 0}``: together a basis of all."""
-    _, _, Vh, decision = _svd_decision(M, rtol, scale, "right")
+    _, Vh, decision = _svd_decision(M, rtol, scale, "right")
     return Vh[: decision.rank].conj().T, Vh[decision.rank :].conj().T, decision
 
 
@@ -178,18 +170,10 @@ def left_null_basis(
     M: ArrayLike, *, rtol: float = DEFAULT_RTOL, scale: float | None = None
 ) -> tuple[NDArray, RankDecision]:
     """Return an orthonormal basis, as columns, of ``{w : w' M = 0}`` and the rank decision behind it."""
-    U, _, _, decision = _svd_decision(M, rtol, scale, "left")
+    U, _, decision = _svd_decision(M, rtol, scale, "left")
     return without_noise(U[:, decision.rank :]), decision
 
 
 def without_noise(basis: NDArray) -> NDArray:
     """Return an orthonormal basis with exact zeros where its vectors, known to rounding of their length, have none."""
-    return np.where(np.abs(basis) > RESIDUE, basis, 0.0)
-
-
-def without_rounded_gains(K: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a gain, in even units, without what is rounding beside the largest of its row.
-
-    A gain of 1e-17 beside one of size one would couple parts of a plant that nothing couples.
-    """
-    return np.where(np.abs(K) > RESIDUE * np.abs(K).max(axis=1, keepdims=True, initial=0.0), K, 0.0)
+    return above_rounding(basis, 1.0, RESIDUE)

@@ -10,11 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua import arrays
 from residua.errors import AccuracyError, ModelError
-from residua.linear.poles.matrix_poles import explicit_poles
-from residua.linear.poles.zero_structure import scatter_of, without_zero_eigenvalues
+from residua.linear.poles.zero_structure import explicit_poles, scatter_of, without_zero_eigenvalues
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, null_basis, range_basis
 from residua.linear.systems.scaling import scaling
-from residua.tolerances import without_rounding
+from residua.tolerances import above_rounding
 
 Matrix = NDArray[np.float64]
 #: A rank decision with less than this between what it kept and what it dropped is none.
@@ -228,19 +227,15 @@ def finite_poles(A: NDArray, E: NDArray) -> NDArray[np.complex128]:
     """Return the finite poles of a regular pencil: all eigenvalues where ``E`` is invertible, else those of ``A1``."""
     p = balanced_pencil(A, E)
     values = np.linalg.svd(p.E, compute_uv=False) if p.E.size else np.ones(1)
-    if values[-1] > DEFAULT_RTOL * values[0]:
-        return p.unit * _generalised_eigenvalues(p.A, p.E, float(values[-1]))
-    return weierstrass_form(A, E).poles
-
-
-def _generalised_eigenvalues(A: Matrix, E: Matrix, smallest: float) -> NDArray[np.complex128]:
-    """Return the eigenvalues of ``A - sE`` with the smallest singular value of ``E``; those at 0 are not scattered."""
-    found = np.asarray(scipy.linalg.eigvals(A, E), dtype=complex).reshape(-1)
-    size = float(np.linalg.norm(A))
-    rest, under, count = without_zero_eigenvalues(A, E, size)
-    if not count or np.count_nonzero(np.abs(found) <= scatter_of(count, len(A), size / smallest)) < count:
-        return found
-    return np.concatenate([np.zeros(count, dtype=complex), scipy.linalg.eigvals(rest, under).reshape(-1)])
+    if not values[-1] > DEFAULT_RTOL * values[0]:
+        return weierstrass_form(A, E).poles
+    found: NDArray[np.complex128] = np.asarray(scipy.linalg.eigvals(p.A, p.E), dtype=complex).reshape(-1)
+    size = float(np.linalg.norm(p.A))
+    rest, under, count = without_zero_eigenvalues(p.A, p.E, size)
+    # rounding scatters those at zero
+    if count and np.count_nonzero(np.abs(found) <= scatter_of(count, len(A), size / float(values[-1]))) >= count:
+        found = np.concatenate([np.zeros(count, dtype=complex), scipy.linalg.eigvals(rest, under).reshape(-1)])
+    return p.unit * found
 
 
 def _preimage(M: Matrix, X: Matrix, rtol: float, decisions: list[RankDecision]) -> Matrix:
@@ -296,7 +291,8 @@ def _assembled(
         )
     P: Matrix = np.asarray(np.linalg.solve(left, np.eye(n)), dtype=float)
     # What is rounding of its terms would be a pole near zero, which has a size of its own.
-    A1, N = without_rounding(P[:k], p.A, V), (P @ p.E @ Q)[k:, k:]
+    A1 = above_rounding(P[:k] @ p.A @ V, n * np.abs(P[:k]) @ np.abs(p.A) @ np.abs(V))
+    N = (P @ p.E @ Q)[k:, k:]
     target_E, target_A = np.zeros((n, n)), np.zeros((n, n))
     target_E[:k, :k], target_A[:k, :k], target_A[k:, k:] = np.eye(k), A1, np.eye(n - k)
     nilpotent, start = np.zeros_like(N), 0

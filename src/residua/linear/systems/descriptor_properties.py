@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua import arrays
-from residua.errors import AccuracyError, ModelError
+from residua.errors import AccuracyError
 from residua.linear.poles.spectrum import describe_modes
 from residua.linear.poles.zeros import invariant_zeros, pencil_rank_at
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, decide_rank, equilibrated
@@ -148,14 +148,22 @@ def descriptor_controllability(
 def _property(
     A: NDArray, E: NDArray, C: NDArray, rtol: float, pencil: str, infinite: str, what: str
 ) -> DescriptorProperty:
-    n = len(A)
+    n, empty = len(A), np.zeros((len(A), 0))
     poles = weierstrass_form(A, E, rtol=rtol).poles  # raises when the pencil is not regular
-    hidden = _hidden_modes(A, E, C, poles, rtol)
-    empty = np.zeros((n, 0))
+    hidden = invariant_zeros(A, empty, C, None, E).zeros
+    # Poles at zero have no size; the unit of s in which A and E are comparable stands in.
+    size = np.abs(poles).max(initial=balanced_pencil(A, E).unit)
+    if not np.all(np.abs(hidden[:, None] - poles).min(axis=1, initial=np.inf) <= 1e-3 * size):
+        raise AccuracyError(
+            f"the hidden modes {describe_modes(hidden)} are not among the poles {describe_modes(poles)}: a rank "
+            f"decision with rtol={rtol:.3g} was not clear; choose another rtol, or rescale the model"
+        )
     at = complex(hidden[0]) if hidden.size else 0.77 * max(1e-3, float(np.abs(poles).max(initial=1.0)))
     rank_finite = pencil_rank_at(A, empty, C, None, E, at, rtol=1e-7 if hidden.size else rtol)
-    tall, E_s, C_s, A_s = _scaled(A, E, C)
-    rank_infinite = decide_rank(tall, rtol=rtol)
+    units = scaling(A, empty, C, np.zeros((len(C), 0)), E, sampled=False)
+    R, X = units.equations[:, None], units.states
+    A, E, C = R * A * X / units.rate, R * E * X, units.outputs[:, None] * C * X
+    rank_infinite = decide_rank(equilibrated(np.vstack([E, C])), rtol=rtol)
     reasons = []
     if hidden.size:
         reasons.append(f"{pencil} = {rank_finite.rank} < {n} at s = {describe_modes(hidden)}: the {what} this mode")
@@ -164,35 +172,6 @@ def _property(
             f"{infinite} = {rank_infinite.rank} < {n}: the {what} a part of the state that obeys algebraic "
             "equations alone"
         )
-    zero = np.zeros_like(E_s)
-    whole = np.block([[E_s, A_s], [zero, E_s], [np.zeros_like(C_s), C_s]])
-    impulse = decide_rank(whole, rtol=rtol).rank == n + decide_rank(E_s, rtol=rtol).rank
+    whole = np.block([[E, A], [np.zeros_like(E), E], [np.zeros_like(C), C]])
+    impulse = decide_rank(whole, rtol=rtol).rank == n + decide_rank(E, rtol=rtol).rank
     return DescriptorProperty(not reasons, not hidden.size, impulse, hidden, rank_finite, rank_infinite, tuple(reasons))
-
-
-def _scaled(A: NDArray, E: NDArray, C: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray]:
-    """Return ``[E; C]``, ``E``, ``C`` and ``A`` with rows and columns in comparable units."""
-    n, p = len(A), len(C)
-    units = scaling(A, np.zeros((n, 0)), C, np.zeros((p, 0)), E, sampled=False)
-    R, X = units.equations[:, None], units.states
-    E_s, C_s, A_s = R * E * X, units.outputs[:, None] * C * X, R * A * X / units.rate
-    return equilibrated(np.vstack([E_s, C_s])), E_s, C_s, A_s
-
-
-def _hidden_modes(A: NDArray, E: NDArray, C: NDArray, poles: NDArray, rtol: float) -> NDArray[np.complex128]:
-    """Return the finite ``s`` at which ``[sE - A; C]`` loses rank; they are among the poles."""
-    n = len(A)
-    zeros = invariant_zeros(A, np.zeros((n, 0)), C, None, E)
-    if zeros.normal_rank:
-        raise ModelError("det(sE - A) is zero for every s: the equations do not determine the states")
-    hidden = zeros.zeros
-    if hidden.size:
-        # Poles at zero have no size; the unit of s in which A and E are comparable stands in.
-        size = np.abs(poles).max(initial=balanced_pencil(A, E).unit)
-        off = np.abs(hidden[:, None] - poles).min(axis=1, initial=np.inf)
-        if not np.all(off <= 1e-3 * float(size)):
-            raise AccuracyError(
-                f"the hidden modes {describe_modes(hidden)} are not among the poles {describe_modes(poles)}: a rank "
-                f"decision with rtol={rtol:.3g} was not clear; choose another rtol, or rescale the model"
-            )
-    return hidden

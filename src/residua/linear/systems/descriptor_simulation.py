@@ -222,7 +222,11 @@ def simulate_descriptor(
     >>> simulate_descriptor(system, [[1.0], [1.0], [1.0]], dt=0.5).outputs.ravel().round(6)
     array([0.      , 0.393469, 0.632121])
     """
-    step = _step(system, dt)
+    if system.is_discrete and dt is not None and abs(dt - system.dt) > SAME * system.dt:
+        raise DataError(f"the system has dt={system.dt:g} s, the inputs {dt:g} s")
+    step = system.dt or arrays.sample_step(dt or 0.0)
+    if not step:
+        raise ModelError("the system is continuous: give the step of the inputs, dt=...")
     if hold not in ("zero", "linear"):
         raise SettingError(f"hold must be 'zero' or 'linear', got {hold!r}")
     form = weierstrass_form(system.A, system.E, rtol=rtol)
@@ -242,21 +246,27 @@ def simulate_descriptor(
             "would give it impulses: give derivatives=[...] of smooth inputs and hold='linear'"
         )
     fast = _fast_part(form, system, signals)
-    start = _slow_start(form, system, x0, [s[0] for s in signals] if len(v) else [], rtol)
-    slow = _slow_part(form, system, v[: len(fast)], start, step, hold)
+    v, k = v[: len(fast)], form.n_finite
+    first, slow = np.zeros(k), np.zeros((len(v), k))
+    if x0 is not None and len(v):
+        start = consistent_state(system, x0, v[0], derivatives=[s[0] for s in signals[1:]], rtol=rtol)
+        if not start:
+            raise DataError(
+                f"x0 is not consistent with the algebraic equations and the first input (off by {start.distance:.2g}, "
+                "relative): start at consistent_state(system, x0, v[0]).state"
+            )
+        first = form.Q_inverse[:k] @ np.asarray(x0, dtype=float).ravel()
+    if k and len(v):
+        Phi, Gamma = form.A1, (form.P @ system.B)[:k]
+        ramp = np.zeros_like(Gamma)
+        if not system.is_discrete:
+            Phi, Gamma, Gamma2 = exponentials(Phi, Gamma, step)
+            ramp = Gamma2 if hold == "linear" else ramp
+        # The state shifted by what the ramp adds obeys a causal recursion; see `sample`.
+        state = (first - ramp @ v[0])[None]
+        slow = run_filter(Phi, Gamma + Phi @ ramp - ramp, np.eye(k), ramp, state, v[None])[1][0]
     states = np.hstack([slow, fast]) @ form.Q.T
-    return DescriptorRun(states, states @ system.C.T + v[: len(fast)] @ system.D.T)
-
-
-def _step(system: StateSpace, dt: float | None) -> float:
-    if system.is_discrete:
-        if dt is not None and abs(dt - system.dt) > SAME * system.dt:
-            raise DataError(f"the system has dt={system.dt:g} s, the inputs {dt:g} s")
-        return system.dt
-    step = 0.0 if dt is None else arrays.sample_step(dt)
-    if not step:
-        raise ModelError("the system is continuous: give the step of the inputs, dt=...")
-    return step
+    return DescriptorRun(states, states @ system.C.T + v @ system.D.T)
 
 
 def _signal(value: ArrayLike, m: int, length: int | None, name: str) -> NDArray[np.float64]:
@@ -267,37 +277,3 @@ def _signal(value: ArrayLike, m: int, length: int | None, name: str) -> NDArray[
         wanted = f"({'time' if length is None else length}, {m})"
         raise DataError(f"{name} must be {wanted}, got shape {out.shape}")
     return out
-
-
-def _slow_start(
-    form: WeierstrassForm, system: StateSpace, x0: ArrayLike | None, first: list[NDArray], rtol: float
-) -> NDArray[np.float64]:
-    if x0 is None or not first:
-        return np.zeros(form.n_finite)
-    start = consistent_state(system, x0, first[0], derivatives=first[1:], rtol=rtol)
-    if not start:
-        raise DataError(
-            f"x0 is not consistent with the algebraic equations and the first input (off by {start.distance:.2g}, "
-            "relative): start at consistent_state(system, x0, v[0]).state"
-        )
-    return form.Q_inverse[: form.n_finite] @ np.asarray(x0, dtype=float).ravel()
-
-
-def _slow_part(
-    form: WeierstrassForm, system: StateSpace, v: NDArray, start: NDArray, step: float, hold: str
-) -> NDArray[np.float64]:
-    """Return the dynamic states at the samples, shape (time, n1)."""
-    k, m = form.n_finite, v.shape[1]
-    B1 = (form.P @ system.B)[:k]
-    if not k or not len(v):
-        return np.zeros((len(v), k))
-    if system.is_discrete:
-        Phi, Gamma, ramp = form.A1, B1, np.zeros((k, m))
-    else:
-        Phi, Gamma, ramp = exponentials(form.A1, B1, step)
-        ramp = ramp if hold == "linear" else np.zeros_like(ramp)
-    # The state shifted by what the ramp adds obeys a causal recursion; see `sample`.
-    B = Gamma + Phi @ ramp - ramp
-    state = (start - ramp @ v[0])[None]
-    _, out = run_filter(Phi, B, np.eye(k), ramp, state, v[None])
-    return out[0]

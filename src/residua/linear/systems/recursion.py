@@ -99,7 +99,19 @@ def run_filter(
     """
     matrices = (_as_array("A", A), _as_array("B", B), _as_array("C", C), _as_array("D", D))
     state, data = _as_array("x", x), _as_array("v", v)
-    _check_shapes(matrices, state, data)
+    if any(M.ndim != 2 for M in matrices):
+        raise ModelError(f"A, B, C, D must be matrices, got {[M.ndim for M in matrices]} dimensions")
+    shapes = [M.shape for M in matrices]
+    n, m, nr = *shapes[1], len(matrices[2])
+    if shapes != [(n, n), (n, m), (nr, n), (nr, m)]:
+        raise ModelError(
+            "the matrices do not fit: A {}, B {}, C {}, D {}; expected (n, n), (n, m), (nr, n), (nr, m)".format(*shapes)
+        )
+    if state.ndim != 2 or data.ndim != 3 or len(state) != len(data) or state.shape[1] != n or data.shape[2] != m:
+        raise DataError(
+            f"x {state.shape} and v {data.shape} do not fit a filter of {n} states and {m} inputs; "
+            f"expected x (plants, {n}) and v (plants, time, {m})"
+        )
     return run_checked(matrices, state, data)
 
 
@@ -171,23 +183,6 @@ def _as_array(name: str, value: ArrayLike) -> NDArray[np.float64]:
     if array.dtype.kind not in "fiub":
         raise DataError(f"{name} must be real numbers, got an array of {array.dtype}")
     return aligned(array.astype(np.float64, order="C", copy=False))
-
-
-def _check_shapes(matrices: Matrices, x: NDArray, v: NDArray) -> None:
-    A, B, C, D = matrices
-    if any(M.ndim != 2 for M in matrices):
-        raise ModelError(f"A, B, C, D must be matrices, got {[M.ndim for M in matrices]} dimensions")
-    n, m, nr = B.shape[0], B.shape[1], C.shape[0]
-    if A.shape != (n, n) or C.shape[1] != n or D.shape != (nr, m):
-        raise ModelError(
-            f"the matrices do not fit: A {A.shape}, B {B.shape}, C {C.shape}, D {D.shape}; "
-            "expected (n, n), (n, m), (nr, n), (nr, m)"
-        )
-    if x.ndim != 2 or v.ndim != 3 or x.shape[0] != v.shape[0] or x.shape[1] != n or v.shape[2] != m:
-        raise DataError(
-            f"x {x.shape} and v {v.shape} do not fit a filter of {n} states and {m} inputs; "
-            f"expected x (plants, {n}) and v (plants, time, {m})"
-        )
 
 
 def _run_compiled(

@@ -57,7 +57,12 @@ def sample(system: StateSpace, dt: float, *, hold: str | Iterable[str] = "zero")
     step = arrays.sample_step(dt)
     if step == 0:
         raise ModelError("dt must be a positive step in seconds")
-    kinds = _holds(hold, system.n_inputs)
+    kinds = [hold] * system.n_inputs if isinstance(hold, str) else list(hold)
+    if len(kinds) != system.n_inputs:
+        raise ModelError(f"hold: expected {system.n_inputs} words, one per input, got {len(kinds)}")
+    for kind in kinds:
+        if kind not in HOLDS:
+            raise ModelError(f"hold must be 'zero' or 'linear', got {kind!r}")
     system = system.explicit()
     Phi, Gamma1, Gamma2 = exponentials(system.A, system.B, step)
     linear = np.array([kind == "linear" for kind in kinds], dtype=bool)
@@ -101,13 +106,3 @@ def noise_covariance(A: NDArray, Q: NDArray, dt: float) -> NDArray:
         covariance = covariance + Phi @ covariance @ Phi.T
         Phi = Phi @ Phi
     return (covariance + covariance.T) / 2
-
-
-def _holds(hold: str | Iterable[str], count: int) -> list[str]:
-    kinds = [hold] * count if isinstance(hold, str) else list(hold)
-    if len(kinds) != count:
-        raise ModelError(f"hold: expected {count} words, one per input, got {len(kinds)}")
-    for kind in kinds:
-        if kind not in HOLDS:
-            raise ModelError(f"hold must be 'zero' or 'linear', got {kind!r}")
-    return kinds

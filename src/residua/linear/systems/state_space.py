@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from residua import arrays
 from residua.arrays import frozen
 from residua.errors import ModelError
-from residua.linear.poles.matrix_poles import explicit_poles
+from residua.linear.poles.zero_structure import explicit_poles
 from residua.linear.systems.descriptor import finite_poles
 from residua.linear.systems.scaling import scaling
 from residua.tolerances import BALANCED_STABLE
@@ -80,62 +80,26 @@ class StateSpace:
         outputs: Iterable[str] | None = None,
         states: Iterable[str] | None = None,
     ) -> None:
-        self._fill(A, B, C, D, E, dt, inputs, outputs, states, of=None)
-
-    def _fill(
-        self,
-        A: ArrayLike,
-        B: ArrayLike,
-        C: ArrayLike,
-        D: ArrayLike | None,
-        E: ArrayLike | None,
-        dt: float,
-        inputs: Iterable[str] | None,
-        outputs: Iterable[str] | None,
-        states: Iterable[str] | None,
-        *,
-        of: StateSpace | None,
-    ) -> None:
-        """Set the fields; of what is that of another system, ``of``, and checked, only the shapes are looked at."""
-        old: Any = _NOTHING if of is None else of.__dict__
-        A_: Any = A if A is old["A"] else square(A, "A")
-        n = A_.shape[0]
-        B_: Any = B
-        if B is not old["B"] or B_.shape[0] != n:
-            B_ = arrays.matrix(B, "B", (n, None), what="one row per state")
-        C_: Any = C
-        if C is not old["C"] or C_.shape[1] != n:
-            C_ = arrays.matrix(C, "C", (None, n), what="one column per state")
-        m, p = B_.shape[1], C_.shape[0]
-        D_: Any = D
-        if D is None:
-            D_ = frozen(np.zeros((p, m)))
-        elif D is not old["D"] or D_.shape != (p, m):
-            D_ = arrays.matrix(D, "D", (p, m), what="outputs x inputs")
-        E_: Any = E
-        if E is not None and (E is not old["E"] or E_.shape != (n, n)):
-            E_ = arrays.matrix(E, "E", (n, n), what="one row per state")
-            if np.array_equal(E_, np.eye(n)):
-                E_ = None
-        named: dict[str, tuple[Any, int, str]] = {
-            "inputs": (inputs, m, "v"),
-            "outputs": (outputs, p, "y"),
-            "states": (states, n, "x"),
-        }
+        A = square(A, "A")
+        n = A.shape[0]
+        B = arrays.matrix(B, "B", (n, None), what="one row per state")
+        C = arrays.matrix(C, "C", (None, n), what="one column per state")
+        m, p = B.shape[1], C.shape[0]
+        D = frozen(np.zeros((p, m))) if D is None else arrays.matrix(D, "D", (p, m), what="outputs x inputs")
+        if E is not None:
+            E = arrays.matrix(E, "E", (n, n), what="one row per state")
+            E = None if np.array_equal(E, np.eye(n)) else E
         self.__dict__.update(
-            A=A_,
-            B=B_,
-            C=C_,
-            D=D_,
-            E=E_,
-            dt=dt if dt is old["dt"] else arrays.sample_step(dt),
-            **{
-                what: given if given is old[what] and len(given) == count else arrays.names(given, count, prefix, what)
-                for what, (given, count, prefix) in named.items()
-            },
+            A=A,
+            B=B,
+            C=C,
+            D=D,
+            E=E,
+            dt=arrays.sample_step(dt),
+            inputs=arrays.names(inputs, m, "v", "inputs"),
+            outputs=arrays.names(outputs, p, "y", "outputs"),
+            states=arrays.names(states, n, "x", "states"),
         )
-        if A_ is old["A"] and E_ is old["E"] and "_poles" in old:
-            self.__dict__["_poles"] = old["_poles"]
 
     # ------------------------------------------------------------------ facts
 
@@ -231,12 +195,12 @@ class StateSpace:
 
     def replaced(self, **changes: object) -> StateSpace:
         """Return a copy with some of the constructor's arguments changed."""
-        if unknown := changes.keys() - _FIELDS:
+        if unknown := changes.keys() - set(_FIELDS):
             raise TypeError(f"a system has no {', '.join(sorted(unknown))}; known: {', '.join(_FIELDS)}")
-        new = object.__new__(StateSpace)
-        own: dict[str, Any] = self.__dict__
-        fields: list[Any] = [changes.get(name, own[name]) for name in _FIELDS]
-        new._fill(*fields, of=self)
+        fields: dict[str, Any] = {name: self.__dict__[name] for name in _FIELDS} | changes
+        new = StateSpace(**fields)
+        if "_poles" in self.__dict__ and changes.keys().isdisjoint(("A", "E")):
+            new.__dict__["_poles"] = self._poles
         return new
 
     def select(
@@ -372,9 +336,7 @@ class StateSpace:
 
 #: Complex numbers in the matrices that are solved with together.
 _AT_ONCE = 4_000_000
-_FIELDS = dict.fromkeys(("A", "B", "C", "D", "E", "dt", "inputs", "outputs", "states"))
-#: The fields of no other system: nothing that a user passes is one of them.
-_NOTHING = dict.fromkeys(_FIELDS, object())
+_FIELDS = ("A", "B", "C", "D", "E", "dt", "inputs", "outputs", "states")
 
 
 def stack_systems(systems: list[StateSpace]) -> StateSpace:
