@@ -360,7 +360,8 @@ def _worst_pole(blocks: list[NDArray], wanted: NDArray, found: NDArray, count: i
         if len(members) > 1:
             scatter = float(np.abs(found[members] - pole).max()) / unit
             backward = min(_distance_to_pole(block, pole) for block in blocks if len(block))
-            if scatter > 1e-3 or (scatter > TOLERANCE and backward > 1e-11):
+            # a coupling of 2e-6, as in BD01_2_02, costs six digits of the gain
+            if scatter > 1e-3 or (scatter > TOLERANCE and backward > 1e-10):
                 raise CheckError(f"the pole {pole:.4g} is {len(members)}-fold: scatter {scatter:.2g}, {backward:.2g}")
         worst = max(worst, error)
     return worst

@@ -23,7 +23,7 @@ from residua.linear.subspaces.quotient import Quotient, observable_split, withou
 from residua.linear.subspaces.rank import decide_rank
 from residua.plant import Plant
 from residua.plant.balanced import BalancedPlant
-from residua.tolerances import BALANCED_RANK, NEAR, RESIDUE, RESPONSE_ROUNDING, above_rounding
+from residua.tolerances import BALANCED_RANK, NEAR, RESPONSE_ROUNDING, above_rounding
 from residua.words import used_up
 
 Matrix = NDArray[np.float64]
@@ -125,15 +125,16 @@ def decoupled_residual(
             raise
         q, found = near, _gain(model, near, poles, margin, gain)
     O, (F, G) = q.split.seen, q.pair  # noqa: E741
+    F, G = without_rounding(O.T @ F @ O), without_rounding(G @ O)  # as the gain was found for
     J = without_rounding(O.T @ q.J)  # of an output that is not read nothing may be left
     K = above_rounding(J + found.K @ q.H, np.abs(J) + np.abs(found.K) @ np.abs(q.H), RESPONSE_ROUNDING)
     units, R, Y = model.units, model.units.equations, model.units.outputs
     T = without_rounding(O.T @ q.N @ model.derivative - K[:, p:] @ model.algebra) * R
     Ky, Hy, V = units.rate * K[:, :p] * Y, q.H[:, :p] * Y, q.H[:, p:] @ model.algebra * R / units.rate
     system = StateSpace(
-        units.rate * (O.T @ F @ O - found.K @ G @ O),
+        units.rate * (F - found.K @ G),
         np.hstack([T @ plant.B - Ky @ plant.D, Ky]),
-        above_rounding(-G @ O, np.abs(G) @ np.abs(O), RESIDUE),
+        -G,
         np.hstack([-V @ plant.B - Hy @ plant.D, Hy]),
         dt=plant.dt,
         inputs=signal_names(plant),
