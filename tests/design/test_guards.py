@@ -133,7 +133,7 @@ WRONG = [
         "design.observers.inverse_form_observer:_placed",
         lambda placed: (off(placed[0]), placed[1]),
         inverse,
-        marks=trips("design.observers.inverse_form_observer:_observer"),
+        marks=trips("design.observers.inverse_form_observer:_observer:2"),
         id="poles of the inverse form",
     ),
     pytest.param(
@@ -300,7 +300,7 @@ def _whole(bases: Bases) -> Bases:
     return {name: np.eye(len(one)) for name, one in bases.items()}
 
 
-@trips("design.parity.structured_parity:design")
+@trips("design.parity.structured_parity:relation_of")
 def test_a_relation_whose_response_is_lost_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     D.structured_parity(gertler(), {"r1": ["p1"]})
     changed(monkeypatch, "design.core.generator:signatures_of", _silent)

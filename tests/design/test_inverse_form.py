@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import residua as rs
-from residua.errors import DesignError
+from guards import trips
+from residua.errors import AccuracyError, DesignError
 
 
 def watched(A: np.ndarray, states: np.ndarray, unit_of_time: float) -> rs.Plant:
@@ -34,3 +35,12 @@ def test_rates_far_apart_and_units_make_no_matrix_singular(seed: int, unit_of_ti
     alike = watched(np.array([[1, 1.0, 0], [1, 1 + 1e-12, 0], [0, 0, -2]]), states, unit_of_time)
     with pytest.raises(DesignError, match=r"A is singular, rank 2 < 3, with a singular value of [1-9]e-1[34]"):
         rs.design.inverse_form_observer(alike)
+
+
+@trips("design.observers.inverse_form_observer:_observer:1")
+def test_poles_too_far_apart_for_working_precision_are_refused() -> None:
+    plant = rs.Plant([[0, 1, 0], [0, 0, 1], [-6, -11, -6]], [[0], [0], [1]], np.eye(3)[:2]).with_disturbances(
+        {"d": [1, 0, 0]}
+    )
+    with pytest.raises(AccuracyError, match="singular to working precision"):
+        rs.design.inverse_form_observer(plant, poles=[-1e-9, -1e9, -1])

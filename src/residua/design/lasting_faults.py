@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri, chndtr, chndtrinc
 
 from residua.design.core.generator import ResidualGenerator
 from residua.errors import DesignError
@@ -94,6 +93,8 @@ class LastingFaults:
 
     def share(self, fault: str, size: float) -> float:
         """Return the share of 1,500 samples from its onset on in which a constant fault is in alarm."""
+        from scipy.special import chndtr  # slow to import
+
         g = self.generator
         response = g.internal_form().select(inputs=[g.faults.index(fault)]).simulate(np.ones((_FOLLOWED, 1)))
         sums = np.cumsum(response, axis=0)
@@ -114,6 +115,8 @@ class LastingFaults:
     @cached_property
     def _of_parts(self) -> NDArray[np.float64]:
         """The size from which on each part sees each fault, shape (parts, faults)."""
+        from scipy.special import chndtrinc  # slow to import
+
         found = np.full((len(self.whitening), len(self.generator.faults)), np.inf)
         for row, (_, whiten), away in zip(found, self.whitening, self._settled, strict=True):
             d = np.linalg.norm(away, axis=0)
@@ -123,6 +126,8 @@ class LastingFaults:
         return found
 
     def _limit(self, whiten: NDArray[np.float64]) -> float:
+        from scipy.special import chdtri  # slow to import
+
         return float(chdtri(len(whiten), RATE / len(self.whitening)))
 
 

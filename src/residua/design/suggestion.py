@@ -310,7 +310,7 @@ def _untried(plant: Plant, known: Diagnosability | None, assumed: bool) -> Itera
         asked = {option.name for option in one.options if option.required} - set(one.chosen)
         if one.takes_a_plant and not asked:
             why = one.missing(plant, known) or _too_much(one, plant)
-            for options in tuple(one.calls(plant, known)) or ({},):
+            for options in map(dict, tuple(one.calls(plant, known)) or ({},)):
                 arguments = ["plant.with_assumed_noise()" if assumed else "plant"]
                 arguments += [chosen.code for chosen in one.chosen.values()]
                 arguments += [f"{name}={typed(value)}" for name, value in options.items()]

@@ -248,6 +248,11 @@ def _observer(
     """Return the unknown input observer of the inverse form of a balanced plant, in the units of the plant."""
     plant, C, E, n = model.plant, model.C, model.disturbances[0], len(N_BF)
     condition = float(np.linalg.cond(N_BF))
+    if not condition < 1 / ROUNDING and len(requested):
+        raise AccuracyError(
+            f"with the poles {', '.join(map(format_pole, requested))} the inverse form is singular to working "
+            "precision: ask for poles nearer to each other"
+        )
     if not condition < 1 / ROUNDING:
         raise DesignError(f"N_BF is singular: K H F must have rank {len(plant.disturbances)}; choose another K")
     F = np.linalg.inv(N_BF)

@@ -201,9 +201,12 @@ class ParityRelations(Shown):
             with suppress(AccuracyError):
                 return self._by_least_squares(method, (*notes, _OTHER_POLES))
             raise error
-        if made.evidence.conditions.get(_LOST, 0.0) > _MANY:
+        lost = made.evidence.conditions.get(_LOST, 0.0) > _MANY
+        if lost or not made.structure.any(axis=1).all():  # in a residual that answers to nothing all may be lost
             with suppress(AccuracyError):
-                return self._by_least_squares(method, (*notes, _OTHER_POLES))
+                other = self._by_least_squares(method, (*notes, _OTHER_POLES))
+                if lost or (other.structure & ~made.structure).any():
+                    return other
         return made
 
     def _on_poles(self, poles: list[NDArray[np.complex128]], method: str, notes: Sequence[str]) -> ResidualGenerator:

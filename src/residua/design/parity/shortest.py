@@ -68,6 +68,27 @@ class RelationSpace:
         """Each relation."""
         return [self.combined(one) for one in np.eye(self.count)]
 
+    def besides(self, shorter: RelationSpace, new: int) -> RelationSpace:
+        """Return shorter relations, and those of this space that are no sums of multiples of them."""
+        same = lambda part: shorter.basis.changed_to(self.basis, np.moveaxis(part, 0, -1))  # noqa: E731
+        multiples = [np.concatenate([same(shorter.p), same(shorter.q)], axis=1)]
+        while len(multiples[-1]) <= self.order:
+            multiples.append(self.basis.times_variable(multiples[-1]))
+        padded = [np.pad(one, ((0, self.order + 1 - len(one)), (0, 0), (0, 0))) for one in multiples]
+        rows = np.concatenate([one.reshape(-1, one.shape[2]) for one in padded], axis=1)
+        M = np.linalg.qr(rows / np.linalg.norm(rows, axis=0))[0]
+        own = np.concatenate([self.p, self.q], axis=2).reshape(self.count, -1)
+        weights = np.linalg.svd(own - own @ M @ M.T)[0][:, :new].T
+        first, n = np.moveaxis(padded[0], -1, 0), self.p.shape[2]
+        responses = shorter.basis.changed_to(self.basis, np.moveaxis(shorter.responses, 0, -1))
+        responses = np.pad(responses, ((0, self.order + 1 - len(responses)), (0, 0), (0, 0)))
+        return replace(
+            self,
+            p=np.concatenate([first[:, :, :n], np.tensordot(weights, self.p, 1)]),
+            q=np.concatenate([first[:, :, n:], np.tensordot(weights, self.q, 1)]),
+            responses=np.concatenate([np.moveaxis(responses, -1, 0), np.tensordot(weights, self.responses, 1)]),
+        )
+
     def combined(self, weights: Matrix) -> Relation:
         """Return a combination of the relations."""
         p, q = (np.tensordot(weights, part, 1) for part in (self.p, self.q))
@@ -110,10 +131,13 @@ def relation_space(equations: PairRelations, order: int, faults: tuple[Matrix, M
 def shortest_space(model: RelationModel, equations: PairRelations, seen: Sequence[int] = ()) -> RelationSpace:
     """Return the relations of the smallest order that answer to some faults."""
     assert equations.orders is not None
-    (shortest, longest), faults = equations.orders, model.balanced.faults
-    spaces = (relation_space(equations, order, faults) for order in range(shortest, longest + 1))
-    space = next((one for one in spaces if one.seen[list(seen)].all()), None)
-    if space is None:
+    longest, faults = equations.orders[1], model.balanced.faults
+    space: RelationSpace | None = None
+    for order, new in enumerate(equations.new):  # multiples of shorter relations see nothing that these do not see
+        if new and (space is None or not space.seen[list(seen)].all()):
+            found = relation_space(equations, order, faults)
+            space = found if space is None else found.besides(space, new)
+    if space is None or not space.seen[list(seen)].all():
         raise AccuracyError(
             f"relations that answer exist, but none of an order up to {longest} is found to working precision: "
             "structured_bank needs no polynomials"
@@ -121,8 +145,11 @@ def shortest_space(model: RelationModel, equations: PairRelations, seen: Sequenc
     return space
 
 
-def with_rank(made: ResidualGenerator, space: RelationSpace) -> ResidualGenerator:
-    """Return a generator whose evidence holds the rank decisions behind its relations."""
+def with_rank(
+    made: ResidualGenerator, space: RelationSpace, near: Sequence[RankDecision] | None = None
+) -> ResidualGenerator:
+    """Return a generator whose evidence holds the rank decisions behind its relations, and those that are near."""
     ranks = {**made.evidence.ranks, "states and ignored signals": space.decision}
-    notes = tuple(f"near: {one}; double precision hardly decides this rank" for one in space.equations.near[:1])
+    near = space.equations.near if near is None else near
+    notes = tuple(f"near: {one}; double precision hardly decides this rank" for one in near[:1])
     return replace(made, evidence=made.evidence.extended(ranks=ranks, notes=notes))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 
 import numpy as np
 
@@ -16,9 +17,10 @@ from residua.design.parity.relation_model import relation_model
 from residua.design.parity.relations import Poles, check_pole_names, relations_of
 from residua.design.parity.shortest import shortest_space, with_rank
 from residua.errors import AccuracyError, DesignError
+from residua.linear.polynomials.pair_relations import PairRelations
 from residua.plant import Plant
 from residua.plant.input_output_model import InputOutputModel
-from residua.tolerances import BALANCED_ANSWER
+from residua.tolerances import BALANCED_ANSWER, BALANCED_RANK, NEAR
 from residua.words import used_up
 
 
@@ -118,19 +120,28 @@ def structured_parity(
                 f"a parity relation that ignores {what} cannot see {', '.join(blind)}: of up to order "
                 f"{equations.orders[1]}, there is none that answers"
             )
-        own = poles[name] if isinstance(poles, Mapping) else poles
+        if equations.near:  # where a rank is hardly decided, shorter relations may hold to working precision
+            near = model.equations(ignored, tolerance=NEAR * BALANCED_RANK)
+            if near.orders is not None and near.orders[1] < equations.orders[1]:
+                with suppress(AccuracyError):
+                    return relation_of(near, equations, name, ones, part.faults)
+        return relation_of(equations, equations, name, ones, part.faults)
 
-        space = shortest_space(model, equations, seen=ones)
+    def relation_of(
+        used: PairRelations, exact: PairRelations, name: str, ones: list[int], faults: Sequence[str]
+    ) -> ResidualGenerator:
+        own = poles[name] if isinstance(poles, Mapping) else poles
+        space = shortest_space(model, used, seen=ones)
         relations = relations_of(model.plant, [space.best(ones)], [name])
         made = relations.with_poles(own, method="structured parity relation", notes=model.notes)
-        blind = [fault for i, fault in zip(ones, part.faults, strict=True) if not made.structure[0, i]]
+        blind = [fault for i, fault in zip(ones, faults, strict=True) if not made.structure[0, i]]
         if blind:
             raise AccuracyError(
                 f"a relation of order {relations.orders[0]} answers to {', '.join(blind)}, but as a filter with "
                 "these poles its response is lost in the rounding of its terms: choose poles near those of the "
                 "plant, or use structured_bank"
             )
-        return with_rank(made, space)
+        return with_rank(made, space, exact.near)
 
     return build_bank(
         model.plant,

@@ -65,6 +65,9 @@ def star_ellipsoid(system: StableSystem, *, xtol: float = 1e-10) -> Ellipsoid:
     minimum = minimize_scalar(size, bounds=(-12.0, 25.0), method="bounded", options={"xatol": xtol**0.5})
     rate = rate_of(float(minimum.x))
     Q = ellipsoid_shape(system.A, system.B, rate)
+    if Q is None:  # a search that begins where nothing is solved does not find its way out
+        rate = rate_of(min(np.linspace(-12.0, 25.0, 75), key=size))
+        Q = ellipsoid_shape(system.A, system.B, rate)
     if Q is None:
         raise AccuracyError(
             f"the Lyapunov equation of the star norm was not solved (spectral radius {system.radius:.12g}): "

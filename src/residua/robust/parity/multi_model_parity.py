@@ -19,8 +19,8 @@ from residua.linear.poles.spectrum import spectral_radius
 from residua.plant import Plant
 from residua.plant.algebraic_equations import without_algebraic_equations
 from residua.plant.input_output_model import InputOutputModel
+from residua.robust.parity.best_ratios import best_ratios
 from residua.robust.parity.expected_signals import ExpectedSignals, Sizes
-from residua.robust.parity.optimal_parity import best_ratios
 from residua.robust.parity.window_filter import window_filter, window_poles
 from residua.shown import Shown
 from residua.tolerances import RESPONSE_ROUNDING, ROUNDING, TINY

@@ -19,11 +19,12 @@ from residua.design.parity.shortest import SEEN, RelationSpace, relation_space
 from residua.errors import DesignError, ModelError
 from residua.linear.polynomials.pair_relations import PairRelations
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
+from residua.linear.subspaces.parts import part_numbers
 from residua.plant import Plant
 from residua.plant.input_output_model import InputOutputModel
+from residua.robust.parity.best_ratios import best_ratios
 from residua.robust.parity.expected_signals import ExpectedSignals, Sizes, size_factor
 from residua.shown import Shown
-from residua.tolerances import DESIGN_ROUNDING, IDENTITY
 
 Columns = tuple[NDArray[np.float64], NDArray[np.float64]]
 _METHOD = "optimal parity relations"
@@ -87,7 +88,7 @@ class _Task:
     wanted: Columns
     unwanted: Columns
     noise: Columns
-    outputs: float  # what is expected of them, balanced
+    outputs: NDArray[np.float64]  # the sizes of what is expected in the part of each, balanced
     names: tuple[str, ...]
     constant: bool
 
@@ -206,20 +207,15 @@ def optimal_parity(
     others, plant = list(variants), model.plant
     extra = [variant_columns(plant, others, inputs, states, correlation_time)] if others else []
     extra += [np.vstack([plant.Bw, plant.Dw])] if noise else []
-    task = _task(model, faults, disturbances, insensitive_to, sizes, extra, constant=bool(constant))
+    task = replace(_task(model, faults, disturbances, insensitive_to, sizes, extra), constant=bool(constant))
     if order != int(order) or order < 0:
         raise DesignError(f"order must be a whole number of past samples, got {order!r}")
     free = replace(model, decouples=False).equations()
     if not free.count(int(order)):
         raise DesignError(f"there is no relation of order {order}: take a higher one, see parity_orders")
-    # those that nothing unwanted reaches
-    form, largest = model.balanced, np.maximum(*(np.abs(part).max(axis=0, initial=0.0) for part in task.unwanted))
-    B, D = (part[:, largest > 0] / largest[largest > 0] for part in task.unwanted)
-    decoupled = PairRelations.of(form.A, np.hstack([form.free[0], B]), form.C, np.hstack([form.free[1], D]))
-    rows, gains = _perfect(task, relation_space(decoupled, int(order), task.wanted))
-    perfect, indices = len(rows) > 0, np.full(len(rows), np.inf)
-    if not perfect:
-        rows, indices = _best(task, relation_space(free, int(order), task.wanted), decoupled.count(int(order)))
+    rows, indices, gains = _perfect(task, _decoupled(task), int(order))
+    if not len(indices):
+        rows, indices = _best(task, relation_space(free, int(order), task.wanted), _decoupled(task).count(int(order)))
     if not len(indices) or not indices[0] > 0:
         raise DesignError(
             f"no relation of order {order} sees {', '.join(task.names)}"
@@ -228,14 +224,7 @@ def optimal_parity(
         )
     if relations != int(relations) or not 1 <= relations <= len(rows):
         raise DesignError(f"relations must be 1 to {len(rows)}, as many as there are here, got {relations!r}")
-    made = relations_of(plant, rows[: int(relations)]).with_poles(poles, method=_METHOD, notes=model.notes)
-    blind = tuple(name for name in task.names if not made.structure[:, made.faults.index(name)].any())
-    evidence = made.evidence.extended(
-        conditions={} if perfect else {"faults for disturbances (index)": float(indices[0])},
-        notes=("what counts as disturbance is decoupled exactly",) if perfect else (),
-        references=(*made.evidence.references, _REFERENCE),
-    )
-    return OptimalParity(replace(made, evidence=evidence), indices, gains, blind)
+    return _made(task, rows[: int(relations)], indices, gains, poles)
 
 
 def _task(
@@ -245,8 +234,6 @@ def _task(
     insensitive_to: Iterable[str | int] | str,
     sizes: Mapping[str, float] | None,
     extra: list[NDArray[np.float64]],
-    *,
-    constant: bool,
 ) -> _Task:
     """Return what is wanted and unwanted, scaled."""
     plant = model.plant
@@ -265,11 +252,28 @@ def _task(
     unwanted = np.hstack([Bd[:, counted] * size[nf:][counted], Bf[:, g] * size[g], *extra])
     noise = np.vstack([plant.Bw, plant.Dw])
     wanted, unwanted, noise = (_balanced(model, one) for one in (Bf[:, f] * size[f], unwanted, noise))
-    # outputs are as large as faults and disturbances of their expected sizes make them, in the units of these
-    own = model.balanced.units.inputs[len(plant.inputs) :]
-    nd = len(plant.disturbances)
-    outputs = float(np.exp(np.log(size / np.concatenate([own[nd:], own[:nd]])).mean()))
-    return _Task(model, wanted, unwanted, noise, outputs, tuple(names), constant)
+    return _Task(model, wanted, unwanted, noise, _output_sizes(model, size), tuple(names), constant=False)
+
+
+def _output_sizes(model: RelationModel, sizes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the sizes of the balanced outputs for faults and disturbances of their expected sizes.
+
+    The outputs of a part of the plant that nothing connects with another have no common unit with those of the other
+    but by what is expected there: each part takes that of its own faults and disturbances.
+    """
+    plant, balanced = model.plant, model.balanced
+    n, nd = len(balanced.A), len(plant.disturbances)
+    B, D = (
+        np.hstack([role[k] for role in (balanced.free, balanced.faults, balanced.disturbances, balanced.controls)])
+        for k in (0, 1)
+    )
+    coupled = np.block([[np.eye(n) + np.abs(balanced.A), B], [balanced.C, D]]) != 0
+    of_rows, of_columns = part_numbers(coupled)
+    of_outputs = of_rows[n : n + plant.n_outputs]
+    of_signals = of_columns[n + balanced.free[0].shape[1] :][: len(sizes)]
+    own = balanced.units.inputs[len(plant.inputs) :]
+    expected = np.log(sizes / np.concatenate([own[nd:], own[:nd]]))
+    return np.exp([expected[of_signals == i].mean() if i in of_signals else 0.0 for i in of_outputs])
 
 
 def _balanced(model: RelationModel, columns: NDArray[np.float64]) -> Columns:
@@ -280,24 +284,30 @@ def _balanced(model: RelationModel, columns: NDArray[np.float64]) -> Columns:
     return balanced.derivative @ B, np.vstack([D, balanced.algebra @ B])
 
 
-def _perfect(task: _Task, space: RelationSpace) -> tuple[list[Relation], NDArray[np.float64]]:
-    """Return the relations that decouple exactly and see a fault, by their response for their size.
+def _decoupled(task: _Task) -> PairRelations:
+    """Return the relations that nothing unwanted reaches."""
+    model = task.model.balanced
+    sizes = np.maximum(*(np.abs(part).max(axis=0, initial=0.0) for part in task.unwanted))
+    B, D = (part[:, sizes > 0] / sizes[sizes > 0] for part in task.unwanted)
+    return PairRelations.of(model.A, np.hstack([model.free[0], B]), model.C, np.hstack([model.free[1], D]))
 
-    That is their response to the noise, or their weights in units of the outputs.
-    """
+
+def _perfect(
+    task: _Task, equations: PairRelations, order: int
+) -> tuple[list[Relation], NDArray[np.float64], NDArray[np.float64]]:
+    """Return the relations that decouple exactly and see a fault, by their response for their size."""
+    space = relation_space(equations, order, task.wanted)
     largest = np.maximum(*(np.abs(part).max(axis=0, initial=0.0) for part in task.wanted))
     seen = np.linalg.norm(space.responses, axis=(0, 1)) > SEEN * largest
     if not space.count or not seen.any():
-        return [], np.zeros(0)
+        return [], np.zeros(0), np.zeros(0)
     p, q = _in_powers(task, space)
     wanted = task.wanted[0] * seen, task.wanted[1] * seen
-    N = _responses(p, q, task.noise)
-    if not N.size or np.linalg.matrix_rank(N) < len(p):
-        N = (q[:, :, : task.model.plant.n_outputs] * task.outputs).reshape(len(q), -1)
+    N = _size_of(task, p, q)
     gains, combinations = best_ratios(_responses(p, q, wanted, task), N, space.count)
     terms, _ = best_ratios(_responses(np.abs(p), np.abs(q), (np.abs(wanted[0]), np.abs(wanted[1]))), N, space.count)
     kept = gains > _BLIND * terms[0]  # less is rounding of what cancels
-    return [space.combined(c) for c in combinations[kept]], gains[kept]
+    return [space.combined(c) for c in combinations[kept]], np.full(int(kept.sum()), np.inf), gains[kept]
 
 
 def _best(task: _Task, space: RelationSpace, blind: int) -> tuple[list[Relation], NDArray[np.float64]]:
@@ -329,6 +339,36 @@ def _responses(p: NDArray, q: NDArray, columns: Columns, task: _Task | None = No
     if task is not None and task.constant:
         return every.sum(axis=1) if task.model.plant.is_discrete else every[:, 0]
     return every.reshape(len(p), -1)
+
+
+def _size_of(task: _Task, p: NDArray, q: NDArray) -> NDArray[np.float64]:
+    """Return what the size of a relation is: its response to the noise, or its weights in units of the outputs."""
+    if task.noise[0].shape[1]:
+        noise = _responses(p, q, task.noise)
+        if np.linalg.matrix_rank(noise) == len(p):
+            return noise
+    return (q[:, :, : task.model.plant.n_outputs] * task.outputs).reshape(len(q), -1)
+
+
+def _made(
+    task: _Task,
+    rows: list[Relation],
+    indices: NDArray[np.float64],
+    gains: NDArray[np.float64],
+    poles: Poles | None,
+) -> OptimalParity:
+    """Return the relations as a generator of the plant, with what they do not see."""
+    perfect = bool(np.isinf(indices[0]))
+    model = task.model
+    made = relations_of(model.plant, rows).with_poles(poles, method=_METHOD, notes=model.notes)
+    seen = {name for name in task.names if made.structure[:, made.faults.index(name)].any()}
+    blind = tuple(name for name in task.names if name not in seen)
+    notes = ("what counts as disturbance is decoupled exactly",) if perfect else ()
+    conditions = {} if perfect else {"faults for disturbances (index)": float(indices[0])}
+    evidence = made.evidence.extended(
+        conditions=conditions, notes=notes, references=(*made.evidence.references, _REFERENCE)
+    )
+    return OptimalParity(replace(made, evidence=evidence), indices, gains, blind)
 
 
 def variant_columns(
@@ -372,54 +412,3 @@ def variant_columns(
     U, s, _ = np.linalg.svd(columns / units, full_matrices=False)
     kept = s > 1e-14 * s.max(initial=0.0)
     return units * U[:, kept] * s[kept]
-
-
-def best_ratios(
-    wanted: NDArray[np.float64], unwanted: NDArray[np.float64], rank: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    r"""Return the stationary values of :math:`|c^T F| / |c^T D|`, the largest first, and the combinations ``c``.
-
-    The generalised eigenproblem :math:`F F^T c = \lambda D D^T c`, by singular values alone, nothing is squared: with
-    :math:`D = U S V^T` of that rank, those of :math:`S^{-1} U^T F`. Combinations that ``D`` annihilates are
-    left out; they must annihilate ``F`` too, or the ratio has no largest value. Rounding chooses nothing where ratios
-    are equal: of those combinations the one comes first that answers most to a single wanted signal.
-
-    Parameters
-    ----------
-    wanted : ndarray, shape (rows, p)
-        ``F``.
-    unwanted : ndarray, shape (rows, q)
-        ``D``.
-    rank : int
-        Of ``D``.
-
-    Returns
-    -------
-    ratios : ndarray, shape (rank,)
-    combinations : ndarray, shape (rank, rows)
-        With :math:`|c^T D| = 1`.
-    """
-    U, s, _ = np.linalg.svd(unwanted, full_matrices=False)
-    scaled = U[:, :rank] / s[:rank]
-    seen = scaled.T @ wanted
-    left, values, _ = np.linalg.svd(seen, full_matrices=True)
-    left = _without_choice(left, values, seen)
-    return np.concatenate([values, np.zeros(len(left) - len(values))]), (scaled @ left).T
-
-
-def _without_choice(left: NDArray[np.float64], values: NDArray[np.float64], seen: NDArray[np.float64]) -> NDArray:
-    """Return left singular vectors; of those with one value, the ones that answer most to one column, then the next."""
-    left, start = left.copy(), 0
-    for end in range(1, len(values) + 1):
-        if end < len(values) and values[end] > (1 - DESIGN_ROUNDING) * values[start]:
-            continue
-        if end > start + 1 and values[start] > 0:
-            rest = left[:, start:end]
-            for k in range(start, end):
-                answers = rest.T @ seen
-                sizes = np.linalg.norm(answers, axis=0)
-                first = answers[:, np.flatnonzero(sizes > (1 - IDENTITY) * sizes.max())[0]]
-                turned = np.linalg.qr(first[:, None], mode="complete")[0]
-                left[:, k], rest = rest @ (first / np.linalg.norm(first)), rest @ turned[:, 1:]
-        start = end
-    return left
