@@ -15,6 +15,7 @@ from residua.design.core.leak import answers, leak
 from residua.design.core.signals import sampled_filter, signal_names, stack_signals
 from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace
+from residua.linear.subspaces.quotient import without_rounding
 from residua.plant import Plant
 from residua.plant.balanced import BalancedPlant
 from residua.tolerances import LEAK, above_rounding
@@ -238,7 +239,7 @@ def plant_observer(
     z = X if M is None else np.ones((len(F), 1))
     return Observer(
         model.plant,
-        units.rate * z * F / z.T,
+        units.rate * z * without_rounding(F) / z.T,
         z * T * R,
         units.rate * z * K * Y,
         np.eye(n) if M is None else X * M,
