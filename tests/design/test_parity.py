@@ -483,6 +483,16 @@ def test_relations_of_high_order_have_poles_by_least_squares(plant: rs.Plant) ->
     assert any("least squares" in note for note in made.evidence.notes)
 
 
+def test_a_double_pole_at_zero_that_rounding_moves_is_no_obstacle() -> None:
+    A = np.zeros((5, 5))
+    A[3:, 3:] = [[1, 1], [-1, -1]]
+    plant = rs.Plant(A, np.zeros((5, 0)), [[2, 2, 3, -3, -1], [-3, -2, 1, -1, -3], [3, -3, 4, -5, -6]])
+    plant = plant.with_disturbances({"d": [1, 2, 3, -1, -3]})
+    plant = plant.with_faults({"f1": [2, -1, -3, -1, -3], "f2": [0, 3, 2, 2, 2], "f3": [0, -2, 0, -2, 3]})
+    assert rs.design.parity_relations(plant).structure.any()
+    assert rs.design.primary_residuals(plant).structure.any()
+
+
 def test_a_chain_of_integrators_keeps_its_whole_numbers() -> None:
     plant = rs.Plant(np.eye(12, k=1), np.eye(12)[:, [-1]], np.eye(12)[[0]]).with_sensor_faults()
     made = rs.design.parity_relations(plant)

@@ -23,6 +23,8 @@ from residua.tolerances import TINY
 
 #: Rad per sample, below which no residual of a sampled plant is looked at.
 _SLOWEST = 1e-3
+#: Of the balanced rate, below which poles are integrators that rounding has moved.
+_INTEGRATES = 1e-5
 Matrix = NDArray[np.float64]
 #: Poles that meet those of the plant are this part of the plant's distance from them apart.
 _MEET = 1e-3
@@ -109,7 +111,8 @@ def plant_rate(plant: Plant) -> float:
         A = plant.balanced.A if plant.E is None else real_block_diagonal(plant.system(()).poles() / rate)
     except ModelError:  # a singular plant may have no poles
         return 1.0
-    return rate * default_margin(A, plant.dt)
+    margin = default_margin(A, plant.dt)
+    return rate * (margin if plant.is_discrete or margin > _INTEGRATES else 1.0)
 
 
 def filter_basis(plant: Plant, poles: NDArray[np.complex128]) -> PolynomialBasis:
