@@ -89,6 +89,11 @@ class BalancedPlant:
         return R * p.A * X / self.units.rate, self.units.outputs[:, None] * p.C * X, E
 
     @cached_property
+    def modes(self) -> NDArray[np.complex128]:
+        """Eigenvalues of ``A``."""
+        return np.asarray(np.linalg.eigvals(self.A), dtype=complex)
+
+    @cached_property
     def dynamics(self) -> Matrix:
         """A matrix whose eigenvalues are the poles of the plant: without ``E``, ``A``."""
         if self.plant.E is None:

@@ -10,14 +10,13 @@ from numpy.typing import NDArray
 
 from residua.design.core.generator import ResidualGenerator
 from residua.design.core.internal_form import frequency_grid
-from residua.design.observers.observer_gain import default_weights
+from residua.design.observers.observer_gain import default_weights, pair_gain
 from residua.errors import ModelError
-from residua.linear.poles.observer_gain import observer_gain
 from residua.linear.poles.placement import default_margin
 from residua.linear.poles.pole_assignment import real_block_diagonal
 from residua.linear.polynomials.pair_relations import PairRelations
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
-from residua.linear.subspaces.quotient import observable_split, without_rounding
+from residua.linear.subspaces.quotient import without_rounding
 from residua.plant import Plant
 from residua.tolerances import TINY
 
@@ -120,7 +119,7 @@ def filter_basis(plant: Plant, poles: NDArray[np.complex128]) -> PolynomialBasis
     model, at = plant.balanced, poles / plant.balanced.units.rate
     if not len(at) or not len(model.A) or (plant.is_discrete and not np.any(at)):  # a moving average stays one
         return pole_basis(at)
-    apart = float(np.median(np.abs(np.linalg.eigvals(model.A)[:, None] - at)))
+    apart = float(np.median(np.abs(model.modes[:, None] - at)))
     least = _MEET * float(np.abs(model.A - at.real.mean() * np.eye(len(model.A))).max())
     return pole_basis(at, float(np.exp2(np.round(np.log2(max(apart, least) or 1.0)))))
 
@@ -233,15 +232,8 @@ def realize_by_least_squares(p: Matrix, q: Matrix, equations: PairRelations, pla
     P, H = T @ equations.seen.T, newest @ quotient.H
     process, measurement = default_weights(model)
     states = P @ quotient.N
-    gain = observer_gain(
-        M,
-        c[None],
-        observable_split(M, c[None]),
-        sampled=plant.is_discrete,
-        process=states @ process @ states.T,
-        measurement=(H @ measurement @ H)[None, None],
-        rate=model.units.rate,
-    )
+    noise = states @ process @ states.T, (H @ measurement @ H)[None, None]
+    gain = pair_gain(model, M, c[None], noise, None, None)
     K = without_rounding(N @ quotient.H + P @ quotient.J + gain.K * H)
     state_map = without_rounding(states @ model.derivative - K[:, m:] @ model.algebra)
     static_map = (H[m:] @ model.algebra)[None]

@@ -199,20 +199,19 @@ class ParityRelations(Shown):
             made = self._on_poles(self._poles(None), method, notes)
         except AccuracyError as error:
             with suppress(AccuracyError):
-                return self._by_least_squares(method, (*notes, _OTHER_POLES))
+                return self._by_least_squares(method, notes)
             raise error
         lost = made.evidence.conditions.get(_LOST, 0.0) > _MANY
         if lost or not made.structure.any(axis=1).all():  # in a residual that answers to nothing all may be lost
             with suppress(AccuracyError):
-                other = self._by_least_squares(method, (*notes, _OTHER_POLES))
+                other = self._by_least_squares(method, notes)
                 if lost or (other.structure & ~made.structure).any():
                     return other
         return made
 
     def _on_poles(self, poles: list[NDArray[np.complex128]], method: str, notes: Sequence[str]) -> ResidualGenerator:
         """Return the filter with poles for each relation; raise where its rounding hides the faults."""
-        bases = {one.tobytes(): filter_basis(self.plant, one) for one in {x.tobytes(): x for x in poles}.values()}
-        rows = self._moved([bases[one.tobytes()] for one in poles])
+        rows = self._moved([filter_basis(self.plant, one) for one in poles])
         rows = [row.times(1 / float(np.prod(row.basis.sizes[: row.order]))) for row in rows]  # monic again
         controls = controls_of(self.plant)
         parts = [realize_relation(*row.in_equations(self.plant), controls, row.basis) for row in rows]
@@ -237,7 +236,7 @@ class ParityRelations(Shown):
     def _by_least_squares(self, method: str, notes: Sequence[str]) -> ResidualGenerator:
         """Return the filter of which each relation has the poles of a gain by least squares."""
         parts = [realize_by_least_squares(row.p, row.q, row.equations, self.plant) for row in self.rows]
-        return self._generator(parts, method, notes, np.zeros(0, dtype=np.complex128))
+        return self._generator(parts, method, (*notes, _OTHER_POLES), np.zeros(0, dtype=np.complex128))
 
     def _generator(
         self, parts: Sequence[Realization], method: str, notes: Sequence[str], requested: NDArray[np.complex128]

@@ -68,26 +68,21 @@ class RelationSpace:
         """Each relation."""
         return [self.combined(one) for one in np.eye(self.count)]
 
-    def besides(self, shorter: RelationSpace, new: int) -> RelationSpace:
+    def besides(self, shorter: RelationSpace, new: int, faults: tuple[Matrix, Matrix]) -> RelationSpace:
         """Return shorter relations, and those of this space that are no sums of multiples of them."""
-        same = lambda part: shorter.basis.changed_to(self.basis, np.moveaxis(part, 0, -1))  # noqa: E731
-        multiples = [np.concatenate([same(shorter.p), same(shorter.q)], axis=1)]
+        n, both = self.p.shape[2], np.moveaxis(np.concatenate([shorter.p, shorter.q], axis=2), 0, -1)
+        multiples = [shorter.basis.changed_to(self.basis, both)]
         while len(multiples[-1]) <= self.order:
             multiples.append(self.basis.times_variable(multiples[-1]))
         padded = [np.pad(one, ((0, self.order + 1 - len(one)), (0, 0), (0, 0))) for one in multiples]
         rows = np.concatenate([one.reshape(-1, one.shape[2]) for one in padded], axis=1)
         M = np.linalg.qr(rows / np.linalg.norm(rows, axis=0))[0]
-        own = np.concatenate([self.p, self.q], axis=2).reshape(self.count, -1)
-        weights = np.linalg.svd(own - own @ M @ M.T)[0][:, :new].T
-        first, n = np.moveaxis(padded[0], -1, 0), self.p.shape[2]
-        responses = shorter.basis.changed_to(self.basis, np.moveaxis(shorter.responses, 0, -1))
-        responses = np.pad(responses, ((0, self.order + 1 - len(responses)), (0, 0), (0, 0)))
-        return replace(
-            self,
-            p=np.concatenate([first[:, :, :n], np.tensordot(weights, self.p, 1)]),
-            q=np.concatenate([first[:, :, n:], np.tensordot(weights, self.q, 1)]),
-            responses=np.concatenate([np.moveaxis(responses, -1, 0), np.tensordot(weights, self.responses, 1)]),
-        )
+        own = np.concatenate([self.p, self.q], axis=2)
+        flat = own.reshape(self.count, -1)
+        weights = np.linalg.svd(flat - flat @ M @ M.T)[0][:, :new].T
+        found = np.concatenate([np.moveaxis(padded[0], -1, 0), np.tensordot(weights, own, 1)])
+        p, q = found[:, :, :n], found[:, :, n:]
+        return replace(self, p=p, q=q, responses=p @ faults[0] + q @ faults[1])
 
     def combined(self, weights: Matrix) -> Relation:
         """Return a combination of the relations."""
@@ -136,7 +131,7 @@ def shortest_space(model: RelationModel, equations: PairRelations, seen: Sequenc
     for order, new in enumerate(equations.new):  # multiples of shorter relations see nothing that these do not see
         if new and (space is None or not space.seen[list(seen)].all()):
             found = relation_space(equations, order, faults)
-            space = found if space is None else found.besides(space, new)
+            space = found if space is None else found.besides(space, new, faults)
     if space is None or not space.seen[list(seen)].all():
         raise AccuracyError(
             f"relations that answer exist, but none of an order up to {longest} is found to working precision: "

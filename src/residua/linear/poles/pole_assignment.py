@@ -14,8 +14,6 @@ from residua.linear.poles.stability import is_stable_mode
 from residua.tolerances import BALANCED_RANK, POLE
 
 Matrix = NDArray[np.float64]
-#: Eigenvectors of a larger condition belong to poles that are multiple, or nearly so: no simple eigenvalues.
-_SIMPLE = 1e8
 
 
 def assigned_gain(
