@@ -14,10 +14,9 @@ from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.design.core.method import method
 from residua.design.core.needs import FAULTS
-from residua.design.core.signals import signal_names
+from residua.design.observers.observer import plant_filter
 from residua.design.observers.observer_gain import asked, default_weights, gain_evidence
 from residua.errors import AccuracyError, DesignError
-from residua.linear import StateSpace
 from residua.linear.poles.observer_gain import ObserverGain, observer_gain
 from residua.linear.subspaces.quotient import Quotient, observable_split, without_rounding
 from residua.linear.subspaces.rank import decide_rank
@@ -131,15 +130,8 @@ def decoupled_residual(
     units, R, Y = model.units, model.units.equations, model.units.outputs
     T = without_rounding(O.T @ q.N @ model.derivative - K[:, p:] @ model.algebra) * R
     Ky, Hy, V = units.rate * K[:, :p] * Y, q.H[:, :p] * Y, q.H[:, p:] @ model.algebra * R / units.rate
-    system = StateSpace(
-        units.rate * (F - found.K @ G),
-        np.hstack([T @ plant.B - Ky @ plant.D, Ky]),
-        -G,
-        np.hstack([-V @ plant.B - Hy @ plant.D, Hy]),
-        dt=plant.dt,
-        inputs=signal_names(plant),
-        outputs=[f"r{i + 1}" for i in range(len(Hy))],
-    )
+    names = [f"r{i + 1}" for i in range(len(Hy))]
+    system = plant_filter(plant, units.rate * (F - found.K @ G), T, Ky, -G, Hy, V, names)
     evidence = Evidence(
         method="decoupled residual",
         ranks={"unknown inputs in the outputs": q.decisions[-2]},
