@@ -37,6 +37,13 @@ def test_a_wrong_guess_is_answered(what: str) -> None:
         guess(what)
 
 
+@pytest.mark.parametrize("what", [what for what in INSTEAD if re.fullmatch(r"[A-Z]\w+\.\w+", what)])
+def test_a_wrong_guess_of_a_class_is_answered_too(what: str) -> None:
+    owner, name = what.split(".")
+    with pytest.raises(AttributeError, match=re.escape(f"'{owner}' has no attribute '{name}'; {INSTEAD[what]}")):
+        getattr(getattr(rs, owner), name)
+
+
 @pytest.mark.parametrize("what", INSTEAD)
 def test_the_answer_names_only_things_that_exist(what: str) -> None:
     owners = examples() | {"plant": examples()["Plant"], "monitor": examples()["Monitor"]}
@@ -67,4 +74,6 @@ def test_any_other_name_has_the_error_of_python_and_copies_are_made(owner: str) 
     one = examples()[owner]
     with pytest.raises(AttributeError, match=f"^'{owner}' object has no attribute 'no_such_name'$"):
         one.no_such_name  # noqa: B018
+    with pytest.raises(AttributeError, match=f"^type object '{owner}' has no attribute 'no_such_name'$"):
+        type(one).no_such_name  # noqa: B018
     assert type(copy.deepcopy(one)) is type(pickle.loads(pickle.dumps(one))) is type(one)

@@ -19,12 +19,23 @@ _SIMULATE = (
     "continuous plant by plant.discretize(dt) first), and residua.validate.campaign for many runs with faults"
 )
 _NAMED = "diagnosis.named has the faults that explain the longest alarm, diagnosis.alarms all alarms"
+_LOAD = (
+    "use residua.load_plant for a plant file, residua.Monitor.load for a monitor, and residua.read_recording for a "
+    "recording"
+)
 _SCORES = f"{_RUN}, and a statistic for every sample"
 
 #: Remedies, by ``Owner.name`` of attributes, ``owner(option)`` of options and ``owner()`` of calls.
 INSTEAD = {
-    "residua.load": "use residua.load_plant for a plant file, residua.Monitor.load for a monitor, and "
-    "residua.read_recording for a recording",
+    "residua.load": _LOAD,
+    "residua.load_monitor": "use residua.Monitor.load(path)",
+    "residua.read_monitor": "use residua.Monitor.load(path)",
+    "residua.load_recording": "use residua.read_recording",
+    "residua.save": "use monitor.save(path), or plant.to_toml(path)",
+    "residua.save_monitor": "use monitor.save(path)",
+    "residua.read": _LOAD,
+    "residua.read_plant": "use residua.load_plant(path)",
+    "residua.run": f"{_FIRST} monitor.run(recording)",
     "residua.read_csv": "use residua.read_recording",
     "residua.Kalman": "use residua.design.kalman_filter(plant)",
     "residua.KalmanFilter": "use residua.design.kalman_filter(plant)",
@@ -43,6 +54,9 @@ INSTEAD = {
     "Monitor.decision_function": _SCORES,
     "Monitor.plant": "use monitor.design.plant",
     "Monitor.to_json": "use monitor.save(path)",
+    "Monitor.from_json": "use residua.Monitor.load(path)",
+    "Monitor.read": "use residua.Monitor.load(path)",
+    "Monitor.from_file": "use residua.Monitor.load(path)",
     "Monitor(threshold)": "use Monitor(generator, test=residua.decide.NormThreshold(threshold=...))",
     "Monitor(false_alarm_rate)": "use monitor.fit(recording, false_alarm_rate=...)",
     "Plant.simulate": _SIMULATE,
@@ -51,6 +65,10 @@ INSTEAD = {
     "Plant.sample": "use plant.discretize(dt)",
     "Plant.poles": "use plant.system().poles()",
     "Plant.save": "use plant.to_toml(path)",
+    "Plant.load": "use residua.load_plant(path)",
+    "Plant.read": "use residua.load_plant(path)",
+    "Plant.from_file": "use residua.load_plant(path)",
+    "Plant.run": f"{_FIRST} monitor.run(recording)",
     "Plant.Q": "use plant.process_noise",
     "Plant.R": "use plant.measurement_noise",
     "Plant()": "a plant takes matrices, and all else by name: Plant(A, B, C, D, dt=...); use "
@@ -64,6 +82,7 @@ INSTEAD = {
     "Diagnosis.fault": _NAMED,
     "Diagnosis.is_faulty": "use diagnosis.fault_detected",
     "Diagnosis.save": "use diagnosis.to_json() for a text to keep, and Diagnosis.from_json(text) to read it",
+    "Diagnosis.load": "use Diagnosis.from_json(text), of the text of diagnosis.to_json()",
     "Diagnosis.report": "use diagnosis.to_html(path)",
 }
 
@@ -79,10 +98,21 @@ def instead_of_name(module: str, name: str, rooms: Iterable[str]) -> str:
     return instead_of(f"{module}.{name}") or "".join(f"; use {room}.{name}" for room in places[:1])
 
 
-class Guessed:
-    """Base of classes whose missing attributes may be guesses."""
+class _GuessedType(type):
+    """Type of classes whose missing attributes, asked of the class itself, may be guesses."""
 
     if not TYPE_CHECKING:  # any attribute would be there for a type checker
+
+        def __getattr__(cls, name: str) -> Any:
+            """Raise Python's error, with a remedy."""
+            instead = instead_of(f"{cls.__name__}.{name}")
+            raise AttributeError(f"type object {cls.__name__!r} has no attribute {name!r}{instead}", name=name, obj=cls)
+
+
+class Guessed(metaclass=_GuessedType):
+    """Base of classes whose missing attributes may be guesses."""
+
+    if not TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> Any:
             """Raise Python's error, with a remedy."""

@@ -13,7 +13,7 @@ import pytest
 import scipy.io
 
 from residua.errors import DataError, FileFormatError, MissingExtraError, SettingError
-from residua.library import three_tank
+from residua.library import simulate_three_tank, three_tank
 from residua.recording.recording import Recording, read_recording, recording_from_frame
 from residua.recording.table_writer import write_table
 
@@ -396,3 +396,15 @@ def test_errors_say_what_to_do(tmp_path: Path) -> None:
             read_recording(path, plant, **options)  # pyright: ignore[reportArgumentType]
     with pytest.raises(SettingError, match=r"plant must be a residua\.Plant"):
         read_recording(path, 5)  # pyright: ignore[reportArgumentType]
+
+
+def test_a_recording_prints_as_a_short_table_of_its_channels() -> None:
+    table = {f"H{k} [cm]": np.full(9, float(k)) for k in range(25)}
+    table["H1 [cm]"][4] = np.nan
+    lines = repr(recording_from_frame(pd.DataFrame(table), dt=2.0)).splitlines()
+    assert lines[0] == "data frame: 9 samples, 2 s apart, 0 inputs, 25 outputs, 1 value missing"
+    assert lines[1].split() == ["channel", "column", "mean", "std.", "dev.", "missing"]
+    assert lines[3].split() == ["H1", "[cm]", "H1", "[cm]", "1", "0", "1"]
+    assert lines[-1] == "and 5 more channels" and len(lines) == 23
+    simulated = simulate_three_tank(10)
+    assert repr(simulated) == "SimulatedRecording(10 samples, 1 s apart: u (10, 2), y (10, 3), x (10, 3))"

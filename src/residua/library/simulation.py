@@ -14,7 +14,7 @@ from residua.errors import ModelError, SettingError
 Course = ArrayLike | Callable[[NDArray[np.float64]], ArrayLike]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SimulatedRecording:
     """Recording of a simulated plant.
 
@@ -37,6 +37,10 @@ class SimulatedRecording:
     y: NDArray[np.float64]
     x: NDArray[np.float64]
     dt: float
+
+    def __repr__(self) -> str:
+        shapes = ", ".join(f"{name} {getattr(self, name).shape}" for name in ("u", "y", "x"))
+        return f"SimulatedRecording({len(self.time)} samples, {self.dt:g} s apart: {shapes})"
 
 
 def runge_kutta(rate: Callable[[NDArray], NDArray], x: NDArray, dt: float) -> NDArray:

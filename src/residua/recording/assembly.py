@@ -10,12 +10,17 @@ from numpy.typing import NDArray
 
 from residua.errors import DataError
 from residua.recording.columns import Matched, ReadOptions, settled_step
+from residua.recording.levels import level_and_spread
 from residua.recording.matching import named_columns
 from residua.recording.missing import Tally
 from residua.recording.time_axis import regular_step
 from residua.recording.time_grid import Grid, put_on_grid
-from residua.visible import echo
+from residua.shown import Shown, notes, table
+from residua.visible import echo, shortened, visible
+from residua.words import counted, number
 
+#: Head of the table of channels, channels that it prints at most, and characters of a name.
+_HEADER, _SHOWN, _WIDEST = ("channel", "column", "mean", "std. dev.", "missing"), 20, 40
 #: Times in seconds, and the moment that they count from, where they were dates.
 Times = tuple[NDArray[np.float64], str]
 
@@ -34,8 +39,8 @@ class Clock:
     read: Callable[[], Times]
 
 
-@dataclass(frozen=True, eq=False)
-class Recording:
+@dataclass(frozen=True, eq=False, repr=False)
+class Recording(Shown):
     """Inputs and outputs of a plant at equally spaced times, in plant units.
 
     Attributes
@@ -76,6 +81,31 @@ class Recording:
 
     def __len__(self) -> int:
         return len(self.time)
+
+    def _rows(self) -> list[tuple[str, str, float, float, int]]:
+        """Return channel, column, mean, standard deviation and missing values of each channel."""
+        values = np.hstack([self.u, self.y])
+        missing = np.count_nonzero(~np.isfinite(values), axis=0).tolist()
+        figures = (part.tolist() for part in level_and_spread(values))
+        return list(zip(self.columns, self.columns.values(), *figures, missing, strict=False))
+
+    def _headline(self) -> str:
+        return (
+            f"{self.source}: {len(self)} samples, {self.dt:g} s apart, {self.u.shape[1]} inputs, "
+            f"{self.y.shape[1]} outputs, {counted(self.n_missing, 'value')} missing"
+        )
+
+    def _parts(self) -> list[str]:
+        return [table(_HEADER, self._rows()), notes(self.notes)]
+
+    def __repr__(self) -> str:
+        """Return a line on the recording and a short table of its channels."""
+        rows = [[channel, column, *map(number, figures), str(gaps)] for channel, column, *figures, gaps in self._rows()]
+        cells = [[shortened(visible(cell), _WIDEST) for cell in row] for row in (_HEADER, *rows[:_SHOWN])]
+        widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+        lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in cells]
+        more = [f"and {len(rows) - _SHOWN} more channels"] if len(rows) > _SHOWN else []
+        return "\n".join([visible(self._headline()), *lines, *more])
 
 
 def assembled(
