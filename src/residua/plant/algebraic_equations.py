@@ -9,14 +9,20 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from residua.arrays import frozen
-from residua.errors import AccuracyError, ModelError
+from residua.errors import ModelError
 from residua.linear.subspaces.rank import DEFAULT_RTOL
-from residua.linear.systems.descriptor import ScaledPencil, balanced_pencil, pencil_decision, weierstrass_form
+from residua.linear.systems.descriptor import weierstrass_form
 from residua.plant.channels import ROLES
-from residua.tolerances import IDENTITY, ROUNDING, TINY, above_rounding
+from residua.plant.observer_form import check_response, response_error, response_points, state_terms
+from residua.tolerances import ROUNDING, TINY, above_rounding
 
 if TYPE_CHECKING:
     from residua.plant.plant import Plant
+
+#: A state of which less than this part is independent of others is none of the new ones.
+_INDEPENDENT = 1e-6
+#: Largest error of the frequency response.
+_EXACT = 1e-6
 
 
 def without_algebraic_equations(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> Plant:
@@ -63,138 +69,68 @@ def without_algebraic_equations(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> 
     """
     if plant.E is None:
         return plant
-    p = balanced_pencil(plant.A, plant.E)
-    U, s, _ = np.linalg.svd(p.E)
-    r = int(np.count_nonzero(s > rtol * s[0])) if s.size else 0
-    if r == plant.n_states:
+    model = plant.balanced
+    rate, rows, columns = model.units.rate, model.units.equations[:, None], model.units.states
+    k = len(model.A)
+    if k == plant.n_states:
         return plant
-    E1, A2 = U[:, :r].T @ p.E, U[:, r:].T @ p.A
-    whole = np.vstack([E1, A2])
-    _check_index(plant, p, whole, rtol)
-    inverse = np.linalg.inv(whole)
-    # rounding of zeros would be a way from an input to an output that the equations do not have
-    inverse = above_rounding(inverse, float(np.abs(inverse).max(initial=0.0)))
-    return _reduced(plant, p, U, r, inverse, E1)
-
-
-def _check_index(plant: Plant, p: ScaledPencil, whole: NDArray, rtol: float) -> None:
-    values = np.linalg.svd(whole, compute_uv=False)
-    if values[-1] > rtol * values[0]:
-        return
-    if pencil_decision(p, rtol).rank < plant.n_states:
+    # x = V1 xi + V2 v with the equations 0 = algebra (A x + B u): v follows from xi and u where that can be solved
+    A, _, E = model.written
+    V1, V2 = model.back[:, :k], model.back[:, k:]
+    solved = model.algebra @ A @ V2
+    sizes = np.linalg.svd(solved, compute_uv=False)
+    if not sizes[-1] > rtol * sizes[0]:
+        index = weierstrass_form(plant.A, plant.E, rtol=rtol).index
+        what = "later inputs" if plant.is_discrete else "derivatives of its inputs; held inputs would give it impulses"
         raise ModelError(
-            "det(sE - A) is zero for every s: the equations do not determine the states; remove redundant ones, add "
-            "missing ones"
+            f"the algebraic equations cannot be eliminated: the plant has index {index} > 1, so that its state depends "
+            f"on {what}; differentiate the constraint in the model, or use a perfect observer (residua.design)"
         )
-    index = weierstrass_form(plant.A, plant.E, rtol=rtol).index
-    what = "later inputs" if plant.is_discrete else "derivatives of its inputs, and held inputs would give it impulses"
-    raise ModelError(
-        f"the algebraic equations cannot be eliminated: the plant has index {index} > 1, so that its state depends on "
-        f"{what}; differentiate the constraint in the model, or use a perfect observer (residua.design)"
-    )
-
-
-def _reduced(plant: Plant, p: ScaledPencil, U: NDArray, r: int, inverse: NDArray, E1: NDArray) -> Plant:
-    n, letters = plant.n_states, tuple(ROLES.values())
-    widths = np.cumsum([getattr(plant, "B" + x).shape[1] for x in letters])[:-1]
-    B = p.rows[:, None] * np.hstack([getattr(plant, "B" + x) for x in letters])
-    D = np.hstack([getattr(plant, "D" + x) for x in letters])
-    X1, direct = inverse[:, :r], -inverse[:, r:] @ (U[:, r:].T @ B)
-    # z = E1 x; with S the chosen rows of the state, x_S = (X1)_S z.
-    chosen, basis = _kept_states(p, X1, inverse[:, r:], U[:, r:].T @ B)
-    A_z, B_z = U[:, :r].T @ p.A @ X1, U[:, :r].T @ (p.A @ direct + B)
+    P = V2 @ np.linalg.inv(solved) @ model.algebra
+    # rounding of zeros would be a way from an input to an output that the equations do not have
+    P, X = (above_rounding(M, float(np.abs(M).max(initial=0.0))) for M in (P, V1 - P @ A @ V1))
+    letters = tuple(ROLES.values())
+    B = rows * np.hstack([getattr(plant, "B" + letter) for letter in letters]) / rate
+    D = np.hstack([getattr(plant, "D" + letter) for letter in letters])
+    direct = -P @ B
+    chosen, basis = _kept_states(E, X, direct, np.abs(P) @ np.abs(B))
     back = np.linalg.inv(basis)
-    # The pencil was scaled for s / unit, so the unit comes back as a factor of the rates.
-    A = p.unit * basis @ A_z @ back
-    B_r = p.unit * basis @ B_z
-    units = np.array([p.columns[i] if i is not None else 1.0 for i in chosen])
-    to_states = p.columns[:, None] * (X1 @ back) / units
-    A, B_r = units[:, None] * A / units, units[:, None] * B_r
-    direct = p.columns[:, None] * direct
-    floors = _cancelled(p, U, r, inverse, basis, back, B)
-    # The columns of both identities are in the units of the new states, and of the inputs.
-    floors = floors[0] / p.rows[:, None] / units, floors[1] / p.rows[:, None]
-    whole_B = np.hstack([getattr(plant, "B" + x) for x in letters])
-    _check_elimination(plant, to_states, direct, A, B_r, whole_B, floors)
-    C, D = plant.C @ to_states, D + plant.C @ direct
-    names = _names(plant, chosen, n)
+    units = np.array([columns[i] if i is not None else 1.0 for i in chosen])
+    onto = rate * units[:, None] * basis @ model.derivative
+    A, B = onto @ A @ (X @ back / units), onto @ (A @ direct + B)
+    C, D = plant.C @ (columns[:, None] * (X @ back / units)), D + plant.C @ (columns[:, None] * direct)
+    taken = {plant.states[i] for i in chosen if i is not None}
+    fresh = (f"slow {j}" for j in range(1, 2 * plant.n_states + 2) if f"slow {j}" not in taken)
+    names = tuple(next(fresh) if i is None else plant.states[i] for i in chosen)
     fields: dict[str, object] = {"A": frozen(A), "E": None, "C": frozen(C), "states": names}
-    for x, Bx, Dx in zip(letters, np.hsplit(B_r, widths), np.hsplit(D, widths), strict=True):
-        fields["B" + x], fields["D" + x] = frozen(Bx), frozen(Dx)
+    widths = np.cumsum([getattr(plant, "B" + letter).shape[1] for letter in letters])[:-1]
+    for letter, Bx, Dx in zip(letters, np.hsplit(B, widths), np.hsplit(D, widths), strict=True):
+        fields["B" + letter], fields["D" + letter] = frozen(Bx), frozen(Dx)
     known = {*plant.inputs, *plant.outputs, *names}
-    fields["units"] = {key: unit for key, unit in plant.units.items() if key in known}
-    return plant._with(**fields)
-
-
-def _kept_states(p: ScaledPencil, X1: NDArray, X2: NDArray, B2: NDArray) -> tuple[list[int | None], NDArray]:
-    """Return the old states that become new ones (None: a new direction) and their rows of ``z``."""
-    r = X1.shape[1]
-    terms = np.abs(X2) @ np.abs(B2)
-    # A state that an input reaches at once is not a function of z, and has no useful derivative.
-    free = np.flatnonzero(
-        np.abs(X2 @ B2).max(axis=1, initial=0.0) <= ROUNDING * np.maximum(terms.max(initial=0.0), TINY)
+    small = plant._with(**fields, units={key: unit for key, unit in plant.units.items() if key in known})
+    system = small.system()
+    points = response_points(np.append(system.poles(), rate), plant.dt, count=20)  # the rate: integrators have none
+    error = response_error(system.evaluate(points), plant.system().evaluate(points), state_terms(system, points))
+    check_response(
+        error,
+        _EXACT,
+        "the plant without its algebraic equations",
+        "they are nearly of index 2; rescale the model, or drop its fastest dynamics",
     )
-    own = [i for i in free if np.any(p.E[:, i])]
-    rows = X1[own]
+    return small
+
+
+def _kept_states(E: NDArray, X: NDArray, direct: NDArray, terms: NDArray) -> tuple[list[int | None], NDArray]:
+    """Return the old states that become new ones (None: a new direction) and their rows of ``xi``."""
+    r = X.shape[1]
+    # A state that an input reaches at once is not a function of xi, and has no useful derivative.
+    reached = np.abs(direct).max(axis=1, initial=0.0) > ROUNDING * np.maximum(terms.max(initial=0.0), TINY)
+    own = [i for i in np.flatnonzero(~reached) if np.any(E[:, i])]
     if not len(own) or not r:
         return [None] * r, np.eye(r)
-    R, pivots = scipy.linalg.qr(rows.T, mode="r", pivoting=True)
+    R, pivots = scipy.linalg.qr(X[own].T, mode="r", pivoting=True)
     size = np.abs(np.diag(R))
-    count = int(np.count_nonzero(size > 1e-6 * size[0]))
+    count = int(np.count_nonzero(size > _INDEPENDENT * size[0]))
     chosen = sorted(own[i] for i in pivots[:count])
-    basis = X1[chosen]
-    rest = scipy.linalg.null_space(basis).T[: r - count] if count < r else np.zeros((0, r))
-    return [*chosen, *([None] * (r - count))], np.vstack([basis, rest])
-
-
-def _cancelled(
-    p: ScaledPencil, U: NDArray, r: int, inverse: NDArray, basis: NDArray, back: NDArray, B: NDArray
-) -> tuple[NDArray, NDArray]:
-    """Return the sizes of the terms of both identities; rows that cancel leave the rounding of these."""
-    size = np.full_like(inverse, np.abs(inverse).max(initial=0.0))
-    X, left = size[:, :r] @ np.abs(back), np.abs(basis) @ np.abs(U[:, :r].T)
-    direct = size[:, r:] @ np.abs(U[:, r:].T) @ np.abs(B)
-    AX, AB = np.abs(p.A) @ X, np.abs(p.A) @ direct + np.abs(B)
-    EX = np.abs(p.E) @ X
-    return EX @ left @ AX + AX, EX @ left @ AB + AB
-
-
-def _names(plant: Plant, chosen: list[int | None], n: int) -> tuple[str, ...]:
-    taken = {plant.states[i] for i in chosen if i is not None}
-    fresh = (f"slow {k}" for k in range(1, 2 * n + 2) if f"slow {k}" not in taken)
-    return tuple(next(fresh) if i is None else plant.states[i] for i in chosen)
-
-
-def _check_elimination(
-    plant: Plant,
-    X: NDArray,
-    direct: NDArray,
-    A: NDArray,
-    B: NDArray,
-    whole_B: NDArray,
-    floors: tuple[NDArray, NDArray],
-    limit: float = IDENTITY,
-) -> None:
-    """Check ``E X A = A X`` and ``E X B = A direct + B``, each relative to its terms.
-
-    At least 1e-4 of ``floors`` counts, which are the terms before they cancelled.
-    """
-    E = plant.E
-    assert E is not None
-    worst = 0.0
-    for floor, left, right, terms in (
-        (floors[0], E @ X @ A, plant.A @ X, np.abs(E) @ np.abs(X) @ np.abs(A) + np.abs(plant.A) @ np.abs(X)),
-        (
-            floors[1],
-            E @ X @ B,
-            plant.A @ direct + whole_B,
-            np.abs(E) @ np.abs(X) @ np.abs(B) + np.abs(plant.A) @ np.abs(direct) + np.abs(whole_B),
-        ),
-    ):
-        rows = np.maximum(terms, 1e-4 * floor).max(axis=1, keepdims=True, initial=0.0)
-        worst = max(worst, float(np.max(np.abs(left - right) / np.where(rows > 0, rows, 1.0), initial=0.0)))
-    if not worst <= limit:
-        raise AccuracyError(
-            f"eliminating the algebraic equations misses the plant's own by {worst:.2g} > {limit:.0e}: they are nearly "
-            "of index 2; rescale the model, or drop its fastest dynamics"
-        )
+    rest = scipy.linalg.null_space(X[chosen]).T[: r - count] if count < r else np.zeros((0, r))
+    return [*chosen, *([None] * (r - count))], np.vstack([X[chosen], rest])
