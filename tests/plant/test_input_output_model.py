@@ -74,7 +74,6 @@ def test_example_2_of_gertler() -> None:
         np.testing.assert_allclose(entry(io.G, i, 0), gu, atol=1e-13)
         for j in range(2):
             np.testing.assert_allclose(entry(io.Gf, i, j), gp[j], atol=1e-13)
-    assert io.is_diagonal
     assert io.faults == ("p1", "p2")
     # the printed zeros, .4333 and .8636
     assert np.roots(entry(io.G, 0, 0)) == pytest.approx(13 / 30, abs=1e-12)

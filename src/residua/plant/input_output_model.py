@@ -175,12 +175,6 @@ class InputOutputModel(FaultFacts, Shown):
         """True if the model is sampled."""
         return self.dt > 0
 
-    @property
-    def is_diagonal(self) -> bool:
-        """True if every equation has one output."""
-        off = self.H.coefficients[:, ~np.eye(self.n_outputs, dtype=bool)]
-        return not np.any(off)
-
     def right_side(self, roles: Iterable[str] = ("control", "disturbance", "fault")) -> PolynomialMatrix:
         """Return the columns of ``G``, ``Gd`` and ``Gf`` of the given roles, in that order."""
         parts = {"control": self.G, "disturbance": self.Gd, "fault": self.Gf}
@@ -308,10 +302,7 @@ class InputOutputModel(FaultFacts, Shown):
     def with_sensor_faults(self, outputs: Iterable[str | int] | str | None = None) -> InputOutputModel:
         """Return the model with a fault ``"name sensor"`` that adds to each of the given outputs (all when omitted)."""
         chosen = arrays.positions(outputs, self.outputs, "output")
-        names = [self.outputs[i] for i in chosen]
-        return self._with_faults(
-            self.H.select(columns=chosen), tuple(Fault(f"{name} sensor", "sensor", name) for name in names)
-        )
+        return self._with_channel_faults(self.H, "sensor", self.outputs, chosen)
 
     def with_actuator_faults(self, inputs: Iterable[str | int] | str | None = None) -> InputOutputModel:
         """Return the model with a fault ``"name actuator"`` of each of the given inputs (all commanded when omitted).
@@ -324,10 +315,7 @@ class InputOutputModel(FaultFacts, Shown):
             If an input is measured, or all are and none was named.
         """
         chosen = self._inputs(inputs, measured=False)
-        names = [self.inputs[i] for i in chosen]
-        return self._with_faults(
-            self.G.select(columns=chosen), tuple(Fault(f"{name} actuator", "actuator", name) for name in names)
-        )
+        return self._with_channel_faults(self.G, "actuator", self.inputs, chosen)
 
     def with_input_sensor_faults(self, inputs: Iterable[str | int] | str | None = None) -> InputOutputModel:
         """Return the model with a fault ``"name sensor"`` of each of the given inputs (all measured when omitted).
@@ -340,10 +328,7 @@ class InputOutputModel(FaultFacts, Shown):
             If an input is commanded, or all are and none was named.
         """
         chosen = self._inputs(inputs, measured=True)
-        names = [self.inputs[i] for i in chosen]
-        return self._with_faults(
-            -self.G.select(columns=chosen), tuple(Fault(f"{name} sensor", "sensor", name) for name in names)
-        )
+        return self._with_channel_faults(-self.G, "sensor", self.inputs, chosen)
 
     def without_faults(self, names: Iterable[str] | str | None = None) -> InputOutputModel:
         """Return the model without the named faults (without any, when omitted)."""
@@ -412,6 +397,13 @@ class InputOutputModel(FaultFacts, Shown):
         unique(self.disturbances + labels, "disturbances")
         return self._with(Gd=self.Gd.beside(extra), disturbances=self.disturbances + labels)
 
+    def _with_channel_faults(
+        self, P: PolynomialMatrix, kind: str, channels: tuple[str, ...], chosen: list[int]
+    ) -> InputOutputModel:
+        """Return the model with a fault ``"<channel> <kind>"`` of each of the chosen channels, by its column."""
+        faults = tuple(Fault(f"{channels[i]} {kind}", kind, channels[i]) for i in chosen)
+        return self._with_faults(P.select(columns=chosen), faults)
+
     def _with_faults(self, extra: PolynomialMatrix, faults: tuple[Fault, ...]) -> InputOutputModel:
         for j, fault in enumerate(faults):
             if not fault.name or not isinstance(fault.name, str):
@@ -450,24 +442,20 @@ def equation_text(
     left: Iterable[tuple[NDArray[np.float64], str]],
     right: Iterable[tuple[NDArray[np.float64], str]],
     variable: str,
-    *,
-    digits: int = 5,
 ) -> str:
     """Return an equation between sums of polynomials times signals; signals with a zero polynomial are left out."""
-    return " = ".join(
-        _sum(_term(p, signal, variable, digits) for p, signal in side if np.any(p)) for side in (left, right)
-    )
+    return " = ".join(_sum(_term(p, signal, variable) for p, signal in side if np.any(p)) for side in (left, right))
 
 
-def _term(p: NDArray[np.float64], signal: str, variable: str, digits: int) -> tuple[bool, str]:
+def _term(p: NDArray[np.float64], signal: str, variable: str) -> tuple[bool, str]:
     """Return the sign (true: minus) and the text of one polynomial times a signal."""
     used = np.flatnonzero(p)
     minus = bool(p[used[-1]] < 0)
     size = -p if minus else p
     name = f"[{signal}]" if any(c.isspace() for c in signal) else signal
     if len(used) > 1:
-        return minus, f"({polynomial_text(size, variable, digits=digits)}) {name}"
-    factor = _monomial(float(size[used[0]]), _power(variable, int(used[0])), digits)
+        return minus, f"({polynomial_text(size, variable)}) {name}"
+    factor = _monomial(float(size[used[0]]), _power(variable, int(used[0])))
     return minus, name if factor == "1" else f"{factor} {name}"
 
 
@@ -479,7 +467,7 @@ def _sum(terms: Iterable[tuple[bool, str]]) -> str:
     return out or "0"
 
 
-def _monomial(size: float, power: str, digits: int) -> str:
+def _monomial(size: float, power: str, digits: int = 5) -> str:
     number = f"{size:.{digits}g}"
     if not power:
         return number

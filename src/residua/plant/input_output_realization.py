@@ -104,18 +104,23 @@ def realize_input_output(
     >>> found.plant.n_states, found.removed_modes.round(12), found.plant.A.round(12)
     (1, array([0.4+0.j]), array([[0.5]]))
     """
-    own, unit = _in_own_time(model)
+    # a continuous model in the unit of time that balances its powers
+    unit = 1.0 if model.is_discrete else unit_of_variable(model.H, model.right_side())
+    own = model if unit == 1.0 else model._in_other_time(1 / unit)
     whole = observer_form(own.H, own.right_side(), own.outputs, own.dt, rtol)
     part, error = _smallest_part(own, whole, rtol, tolerance)
-    _check_removed(part.removed, part.uncertainty, part.system, own.dt, unit)
+    poles, moved = modes_with_uncertainty(part.system.A)
+    size = max(spectral_norm(part.system.A), float(np.abs(part.removed).max(initial=0.0)))
+    lost = lost_modes(part.removed, part.uncertainty, poles, moved, own.dt, size)
+    if lost:
+        raise ModelError(
+            f"mode {describe_modes(unit * np.array(lost))} is in the equations but no input, disturbance or fault "
+            "reaches it, and it is not stable: a plant without it would not behave like these equations; divide the "
+            "common factor out of the equations if it does not belong to the plant, or add the disturbance or fault "
+            "that reaches it"
+        )
     system = part.system.replaced(A=unit * part.system.A, B=unit * part.system.B)
     return Realization(_plant(model, system), unit * part.removed, error, part.decisions)
-
-
-def _in_own_time(model: InputOutputModel) -> tuple[InputOutputModel, float]:
-    """Return a continuous model in the unit of time that balances its powers, and that unit."""
-    unit = 1.0 if model.is_discrete else unit_of_variable(model.H, model.right_side())
-    return (model if unit == 1.0 else model._in_other_time(1 / unit)), unit
 
 
 def _smallest_part(
@@ -135,59 +140,41 @@ def _smallest_part(
 
     part = reachable_part(whole)
     error, order = missed(part.system), part.system.n_states
-    clear = error <= tolerance and _margin(part) >= _CLEAR
+    tiny = np.finfo(float).tiny
+    ratios = [one.smallest_kept / max(one.tolerance, tiny) for one in part.decisions if one.rank]
+    margin = min(ratios, default=np.inf)  # the weakest coupling that counts, in tolerances
+    clear = error <= tolerance and margin >= _CLEAR
     if order:
         differences = loewner(model.H, right, whole)
         for k in range(order if clear else whole.n_states + 1):
             decided = differences.decided(k)
-            if _is_clear(decided, tolerance) and missed(differences.system(k, whole)) <= tolerance:
+            largest = float(decided.singular_values.max(initial=0.0))
+            gap = decided.tolerance <= tolerance * largest and decided.smallest_kept >= _CLEAR * decided.tolerance
+            if gap and missed(differences.system(k, whole)) <= tolerance:
                 smaller = loewner_part(differences, k, whole)
                 return smaller, missed(smaller.system)
     check_response(error, tolerance, f"the realisation of order {order}", _CONDITIONED)
     if not clear:
         raise AccuracyError(
             f"the order of the plant is not clear: {order} of {whole.n_states} modes count as reached with "
-            f"rtol={rtol:.3g}, the weakest by {_margin(part):.2g} times the tolerance, and no lower order keeps the "
+            f"rtol={rtol:.3g}, the weakest by {margin:.2g} times the tolerance, and no lower order keeps the "
             f"frequency response to {tolerance:.2g}; {_CONDITIONED}"
         )
     return part, error
 
 
-def _is_clear(decided: RankDecision, tolerance: float) -> bool:
-    """Tell whether the negligible singular values of a response are small, and far below the others."""
-    largest = float(decided.singular_values.max(initial=0.0))
-    return decided.tolerance <= tolerance * largest and decided.smallest_kept >= _CLEAR * decided.tolerance
+def lost_modes(
+    removed: NDArray, uncertainty: NDArray, kept: NDArray, moved: NDArray, dt: float, size: float
+) -> list[complex]:
+    """Return the removed modes that are not stable, and that no remaining pole is equal to.
 
-
-def _margin(part: ReachablePart) -> float:
-    """Return the smallest ratio of a coupling that counts to the tolerance."""
-    return min(
-        (
-            decided.smallest_kept / max(decided.tolerance, np.finfo(float).tiny)
-            for decided in part.decisions
-            if decided.rank
-        ),
-        default=np.inf,
-    )
-
-
-def _check_removed(removed: NDArray, uncertainty: NDArray, kept: StateSpace, dt: float, rate: float) -> None:
-    """Raise if an unstable mode was removed and no remaining pole is equal to it."""
-    size = spectral_norm(kept.A)
-    unstable = ~dies_out(removed, uncertainty, dt, max(size, float(np.abs(removed).max(initial=0.0))))
-    poles, moved = modes_with_uncertainty(kept.A)
-    hidden = []
-    for mode, own in zip(removed[unstable], uncertainty[unstable], strict=True):
-        allowed = np.maximum(10 * (own + moved), _COPY * (1.0 if dt else abs(mode)))
-        if not np.any(np.abs(poles - mode) <= allowed):
-            hidden.append(mode)
-    if hidden:
-        modes = describe_modes(rate * np.array(hidden))
-        raise ModelError(
-            f"mode {modes} is in the equations but no input, disturbance or fault reaches it, and it is "
-            "not stable: a plant without it would not behave like these equations; divide the common factor out of the "
-            "equations if it does not belong to the plant, or add the disturbance or fault that reaches it"
-        )
+    ``uncertainty`` and ``moved`` are what rounding does to removed modes and to remaining poles, ``size`` that of the
+    system.
+    """
+    unstable = ~dies_out(removed, uncertainty, dt, size)
+    near = np.maximum(10 * (uncertainty[:, None] + moved), _COPY * (np.ones(1) if dt else np.abs(removed)[:, None]))
+    copied = np.any(np.abs(kept - removed[:, None]) <= near, axis=1)
+    return removed[unstable & ~copied].tolist()
 
 
 def _plant(model: InputOutputModel, system: StateSpace) -> Plant:

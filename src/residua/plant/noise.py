@@ -34,12 +34,7 @@ def covariance(
         W = np.asarray(matrix(value, what, (n, n)))
     if not np.isfinite(W).all():
         raise ModelError(f"{what}: every entry must be finite")
-    _check_covariance(W, channels, what)
-    return (W + W.T) / 2
-
-
-def _check_covariance(W: NDArray[np.float64], channels: tuple[str, ...], what: str) -> None:
-    """Raise unless a matrix is symmetric and positive semidefinite, judged by its correlations, so in any units."""
+    # symmetric and positive semidefinite, judged by its correlations, so in any units
     variances = np.diag(W)
     if (variances < 0).any():
         i = int(variances.argmin())
@@ -65,6 +60,7 @@ def _check_covariance(W: NDArray[np.float64], channels: tuple[str, ...], what: s
         raise ModelError(
             f"{what}: a covariance has no negative eigenvalue; the smallest of its correlation matrix is {smallest:.3g}"
         )
+    return (W + W.T) / 2
 
 
 def _smallest_correlation(W: NDArray[np.float64], spread: NDArray[np.float64]) -> float:

@@ -84,11 +84,6 @@ def check_regular(H: PolynomialMatrix, rtol: float) -> None:
         )
 
 
-def is_row_reduced(H: PolynomialMatrix, rtol: float) -> bool:
-    """Tell whether the coefficients of the highest power of each row form an invertible matrix."""
-    return decide_rank(equilibrated(leading_rows(H, H.row_degrees)), rtol=rtol).rank == H.shape[0]
-
-
 def leading_rows(P: PolynomialMatrix, degrees: tuple[int, ...]) -> NDArray[np.float64]:
     """Return for each row its coefficients at a given power."""
     C = P.padded(max(degrees))
@@ -97,7 +92,7 @@ def leading_rows(P: PolynomialMatrix, degrees: tuple[int, ...]) -> NDArray[np.fl
 
 def check_proper(H: PolynomialMatrix, N: PolynomialMatrix, outputs: tuple[str, ...], dt: float, rtol: float) -> None:
     """Raise if the outputs depend on later inputs (continuous time: on derivatives of inputs)."""
-    if not is_row_reduced(H, rtol):
+    if decide_rank(equilibrated(leading_rows(H, H.row_degrees)), rtol=rtol).rank < H.shape[0]:
         observer_form(H, N, outputs, dt, rtol)
         return
     for i, (own, other) in enumerate(zip(H.row_degrees, N.row_degrees, strict=True)):
@@ -125,24 +120,9 @@ def observer_form(
     size = power_near(np.abs(H.coefficients).max(axis=(0, 2)))
     H, N = (PolynomialMatrix(P.coefficients / size[:, None]) for P in (H, N))
     degrees = tuple(max(pair) for pair in zip(H.row_degrees, N.row_degrees, strict=True))
-    shift, last, low_H, low_N = _chains(H, N, degrees)
-    top_H, top_N = leading_rows(H, degrees), leading_rows(N, degrees)
-    if decide_rank(equilibrated(top_H), rtol=rtol).rank == len(top_H):
-        C, D = np.linalg.solve(top_H, last), np.linalg.solve(top_H, top_N)
-        A, B = shift - low_H @ C, low_N - low_H @ D
-        # The fault of a sensor has no path through the states: nothing but rounding may remain of its difference.
-        B = np.where(np.abs(B) > _DIFFERENCE * (np.abs(low_N) + np.abs(low_H) @ np.abs(D)), B, 0.0)
-    else:
-        A, B, C, D = _without_infinite_part(shift, last, low_H, low_N, top_H, top_N, outputs, dt, rtol)
-    return StateSpace(unit * A, unit * B, C, D, dt=dt, outputs=outputs)
-
-
-def _chains(
-    H: PolynomialMatrix, N: PolynomialMatrix, degrees: tuple[int, ...]
-) -> tuple[NDArray, NDArray, NDArray, NDArray]:
-    """Return the shifts within the chains of states, the last state of each chain, and the lower coefficients."""
     order, m = sum(degrees), len(degrees)
     P, Q = H.padded(max(degrees)), N.padded(max(degrees))
+    # the shifts within the chains of states, the last state of each chain, and the lower coefficients
     shift, last = np.zeros((order, order)), np.zeros((m, order))
     low_H, low_N = np.zeros((order, m)), np.zeros((order, N.shape[1]))
     start = 0
@@ -152,46 +132,38 @@ def _chains(
         if k:
             last[i, start + k - 1] = 1.0
         start += k
-    return shift, last, low_H, low_N
-
-
-def _without_infinite_part(
-    shift: NDArray,
-    last: NDArray,
-    low_H: NDArray,
-    low_N: NDArray,
-    top_H: NDArray,
-    top_N: NDArray,
-    outputs: tuple[str, ...],
-    dt: float,
-    rtol: float,
-) -> tuple[NDArray, NDArray, NDArray, NDArray]:
-    """Return the system of the descriptor equations in the states and ``y``."""
-    order, m = len(shift), len(top_H)
-    E = np.zeros((order + m, order + m))
-    E[:order, :order] = np.eye(order)
-    form = weierstrass_form(np.block([[shift, -low_H], [last, -top_H]]), E, rtol=rtol)
-    k = form.n_finite
-    right = np.vstack([low_N, top_N])
-    B = form.P @ right
-    C = form.Q[order:]
-    D, impulse = -C[:, k:] @ B[k:], B[k:]
-    size = np.abs(form.P[k:]) @ np.abs(right)  # an impulse that cancels is rounding of this
-    for power in range(1, form.index):
-        size = np.abs(form.N) @ size
-        terms = np.abs(C[:, k:]) @ size
-        impulse = form.N @ impulse
-        found = np.abs(C[:, k:] @ impulse)
-        wrong = np.flatnonzero(np.any(found > _IMPULSE * max(float(terms.max(initial=0.0)), TINY), axis=1))
-        if len(wrong):
-            raise _improper(outputs[wrong[0]], dt, f"the power {power} of the variable acts on the inputs")
-    return form.A1, B[:k], C[:, :k], D
+    top_H, top_N = leading_rows(H, degrees), leading_rows(N, degrees)
+    if decide_rank(equilibrated(top_H), rtol=rtol).rank == len(top_H):
+        C, D = np.linalg.solve(top_H, last), np.linalg.solve(top_H, top_N)
+        A, B = shift - low_H @ C, low_N - low_H @ D
+        # The fault of a sensor has no path through the states: nothing but rounding may remain of its difference.
+        B = np.where(np.abs(B) > _DIFFERENCE * (np.abs(low_N) + np.abs(low_H) @ np.abs(D)), B, 0.0)
+    else:
+        E = np.zeros((order + m, order + m))
+        E[:order, :order] = np.eye(order)
+        form = weierstrass_form(np.block([[shift, -low_H], [last, -top_H]]), E, rtol=rtol)
+        k = form.n_finite
+        right = np.vstack([low_N, top_N])
+        B = form.P @ right
+        C = form.Q[order:]
+        D, impulse = -C[:, k:] @ B[k:], B[k:]
+        size = np.abs(form.P[k:]) @ np.abs(right)  # an impulse that cancels is rounding of this
+        for power in range(1, form.index):
+            size = np.abs(form.N) @ size
+            terms = np.abs(C[:, k:]) @ size
+            impulse = form.N @ impulse
+            found = np.abs(C[:, k:] @ impulse)
+            wrong = np.flatnonzero(np.any(found > _IMPULSE * max(float(terms.max(initial=0.0)), TINY), axis=1))
+            if len(wrong):
+                raise _improper(outputs[wrong[0]], dt, f"the power {power} of the variable acts on the inputs")
+        A, B, C = form.A1, B[:k], C[:, :k]
+    return StateSpace(unit * A, unit * B, C, D, dt=dt, outputs=outputs)
 
 
 def _improper(output: str, dt: float, why: str) -> ModelError:
     what = "later inputs" if dt else "derivatives of inputs"
     return ModelError(
-        f"output {output!r} is not a proper function of the inputs, it would depend on {what}: {why}; delay the "
+        f"output {output!r} is not a proper function of the inputs, it would depend on {what}: {why}; delay these "
         "or raise the degree of its equation"
     )
 

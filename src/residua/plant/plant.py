@@ -212,23 +212,8 @@ class Plant(FaultFacts, Guessed, Shown):
     def system(self, roles: Iterable[str] = ("control", "disturbance", "fault", "noise")) -> StateSpace:
         """Return the plant as a plain system driven by the inputs of the given roles, in that order."""
         chosen = (roles,) if isinstance(roles, str) else tuple(roles)
-        if chosen not in self._systems:
-            self._systems[chosen] = self._system(chosen)
-        return self._systems[chosen]
-
-    @cached_property
-    def balanced(self) -> BalancedPlant:
-        """The plant in balanced units, as ordinary state equations."""
-        from residua.plant.balanced import balanced
-
-        return balanced(self)
-
-    @cached_property
-    def _systems(self) -> dict[tuple[str, ...], StateSpace]:
-        """Systems by roles: designs request each many times, and they keep their poles."""
-        return {}
-
-    def _system(self, chosen: tuple[str, ...]) -> StateSpace:
+        if chosen in self._systems:
+            return self._systems[chosen]
         for role in chosen:
             if role not in ROLES:
                 raise ModelError(f"unknown role {role!r}; known: {', '.join(ROLES)}")
@@ -246,9 +231,22 @@ class Plant(FaultFacts, Guessed, Shown):
             "D": np.hstack([empty_D, *(getattr(self, "D" + letter) for letter in letters)]),
             "inputs": labels if len(set(labels)) == len(labels) else by_role(list(chosen), channels),
         }
-        for known in self._systems.values():  # the same states and outputs, whose poles are had already
-            return known.replaced(**driven)
-        return StateSpace(self.A, C=self.C, E=self.E, dt=self.dt, outputs=self.outputs, states=self.states, **driven)
+        known = next(iter(self._systems.values()), None)  # the same states and outputs, with their poles
+        fixed = {"E": self.E, "dt": self.dt, "outputs": self.outputs, "states": self.states}
+        system = StateSpace(self.A, C=self.C, **fixed, **driven) if known is None else known.replaced(**driven)
+        return self._systems.setdefault(chosen, system)
+
+    @cached_property
+    def balanced(self) -> BalancedPlant:
+        """The plant in balanced units, as ordinary state equations."""
+        from residua.plant.balanced import balanced
+
+        return balanced(self)
+
+    @cached_property
+    def _systems(self) -> dict[tuple[str, ...], StateSpace]:
+        """Systems by roles: designs request each many times, and they keep their poles."""
+        return {}
 
     def _headline(self) -> str:
         kind = f"dt={self.dt:g} s" if self.is_discrete else "continuous"

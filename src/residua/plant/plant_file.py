@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -121,7 +122,7 @@ def loads_plant(text: str, *, source: str = "plant") -> Plant:
     try:
         plant = _core(root)
         for entry in root.tables("disturbances", ("name", "state", "output")):
-            plant = _with_disturbance(plant, entry)
+            plant = _pointing(entry, partial(plant.with_disturbances, {entry.text("name"): _vectors(plant, entry)}))
         for entry in root.tables("faults", FAULT_KEYS):
             plant = _with_fault(plant, entry)
         plant = _sampled(plant, root)
@@ -203,12 +204,6 @@ def _units(table: Entry, labels: tuple[str, ...], group: str) -> dict[str, str]:
         return {name: entry.text(name) for name in value}
     units = table.texts("units", len(labels), _each(group)) or ()
     return {name: unit for name, unit in zip(labels, units, strict=False) if unit}
-
-
-def _with_disturbance(plant: Plant, entry: Entry) -> Plant:
-    name = entry.text("name")
-    state, output = _vectors(plant, entry)
-    return _pointing(entry, lambda: plant.with_disturbances({name: (state, output)}))
 
 
 def _with_fault(plant: Plant, entry: Entry) -> Plant:

@@ -105,8 +105,17 @@ def dumps_plant(plant: Plant) -> str:
     if plant.description:
         head.append(f"description = {_text(plant.description)}")
     head.append(f"dt = {_number(plant.dt)}")
-    blocks = [head, *_channels(plant), *_identification(plant), _matrices(plant)]
-    blocks += [_disturbance(plant, i) for i in range(len(plant.disturbances))]
+    matrices = ["[matrices]", f"A = {_matrix(plant.A)}"]
+    if plant.inputs:
+        matrices.append(f"B = {_matrix(plant.B)}")
+    matrices.append(f"C = {_matrix(plant.C)}")
+    if plant.inputs and (_matters(plant.D) or plant.n_states == 0):
+        matrices.append(f"D = {_matrix(plant.D)}")
+    if plant.E is not None:
+        matrices.append(f"E = {_matrix(plant.E)}")
+    blocks = [head, *_channels(plant), *_identification(plant), matrices]
+    for name, b, d in zip(plant.disturbances, plant.Bd.T, plant.Dd.T, strict=True):
+        blocks.append(["[[disturbances]]", f"name = {_text(name)}", *_vectors(plant, b, d)])
     blocks += [_fault(plant, i) for i in range(len(plant.faults))]
     if plant.Bw.shape[1]:
         blocks.append(["[noise]", *_noise(plant)])
@@ -162,23 +171,6 @@ def _identification(plant: Plant) -> list[list[str]]:
         pairs = ", ".join(_texts(pair) for pair in made.uncertain_gains)
         lines.append(f"uncertain_gains = [{pairs}]")
     return [lines]
-
-
-def _matrices(plant: Plant) -> list[str]:
-    lines = ["[matrices]", f"A = {_matrix(plant.A)}"]
-    if plant.inputs:
-        lines.append(f"B = {_matrix(plant.B)}")
-    lines.append(f"C = {_matrix(plant.C)}")
-    if plant.inputs and (_matters(plant.D) or plant.n_states == 0):
-        lines.append(f"D = {_matrix(plant.D)}")
-    if plant.E is not None:
-        lines.append(f"E = {_matrix(plant.E)}")
-    return lines
-
-
-def _disturbance(plant: Plant, i: int) -> list[str]:
-    lines = ["[[disturbances]]", f"name = {_text(plant.disturbances[i])}"]
-    return lines + _vectors(plant, plant.Bd[:, i], plant.Dd[:, i])
 
 
 def _fault(plant: Plant, i: int) -> list[str]:

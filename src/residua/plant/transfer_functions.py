@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from residua.errors import AccuracyError, ModelError
 from residua.linear.poles.spectrum import describe_modes
-from residua.linear.poles.stability import dies_out, modes_with_uncertainty
+from residua.linear.poles.stability import modes_with_uncertainty
 from residua.linear.polynomials.polynomial_matrix import PolynomialMatrix
 from residua.linear.polynomials.polynomial_null_space import shortest_left_null_vectors
 from residua.linear.subspaces.rank import DEFAULT_RTOL
@@ -19,11 +19,10 @@ from residua.plant.conversion import system_labels, system_step
 from residua.plant.input_output_conversion import as_matrices
 from residua.plant.input_output_entries import polynomial
 from residua.plant.input_output_model import InputOutputModel
+from residua.plant.input_output_realization import lost_modes
 from residua.plant.observer_form import check_response, response_error, response_points, unit_of_variable
 from residua.tolerances import RESIDUE
 
-#: Poles closer than this, of the unit disk or of their size, are copies of one, as for equations.
-_COPY = 1e-4
 Entry = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
@@ -74,7 +73,17 @@ def input_output_from_transfer_functions(
     denominators = [den for row in entries for _, den in row]
     unit = unit_of_variable(_diagonal(denominators)) if denominators else 1.0
     rows = [_least_common_row(row, unit, rtol) for row in entries]
-    _check_cancelled(denominators, [h[::-1] for h, _ in rows], step)
+    roots = [_roots(np.ones(1)), *(_roots(h[::-1]) for h, _ in rows)]
+    kept, moved = map(np.concatenate, zip(*roots, strict=True))
+    lost = []
+    for modes, own in map(_roots, denominators):
+        lost += lost_modes(modes, own, kept, moved, step, float(np.abs(modes).max(initial=0.0)))
+    if lost:
+        raise ModelError(
+            f"mode {describe_modes(lost)} is in a denominator but cancels against the numerator, and it is not "
+            "stable: a plant without it would not behave like these transfer functions; divide the common factor out "
+            "if it does not belong to the plant, or give the equations with the disturbance or fault that reaches it"
+        )
     H, N = as_matrices(rows, 1.0, m, k)
     model = InputOutputModel(H, N, dt=step, rtol=rtol, **(labels | options))
     poles = np.concatenate([np.zeros(0, complex), *(np.roots(den).astype(complex) for den in denominators)])
@@ -88,26 +97,6 @@ def input_output_from_transfer_functions(
         "some denominators are nearly the same; round what is meant to be equal, or give H and G",
     )
     return model
-
-
-def _check_cancelled(denominators: Sequence[NDArray], kept: Sequence[NDArray], dt: float) -> None:
-    """Raise if a root of a denominator is unstable, and no remaining equation has an equal one."""
-    left = [_roots(h) for h in kept]
-    poles, moved = (np.concatenate([np.zeros(0), *parts]) for parts in (zip(*left, strict=True) if left else ((), ())))
-    hidden: list[complex] = []
-    for den in denominators:
-        modes, own = _roots(den)
-        unstable = ~dies_out(modes, own, dt, float(np.abs(modes).max(initial=0.0)))
-        for mode, doubt in zip(modes[unstable], own[unstable], strict=True):
-            allowed = np.maximum(10 * (doubt + moved), _COPY * (1.0 if dt else abs(mode)))
-            if not np.any(np.abs(poles - mode) <= allowed):
-                hidden.append(complex(mode))
-    if hidden:
-        raise ModelError(
-            f"mode {describe_modes(hidden)} is in a denominator but cancels against the numerator, and it is not "
-            "stable: a plant without it would not behave like these transfer functions; divide the common factor out "
-            "if it does not belong to the plant, or give the equations with the disturbance or fault that reaches it"
-        )
 
 
 def _roots(polynomial: NDArray) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:

@@ -7,53 +7,51 @@ from collections.abc import Sequence
 from numpy.typing import NDArray
 
 from residua.errors import DataError
+from residua.recording.columns import ReadOptions
 from residua.visible import echo, listed
 
 Arrays = dict[str, NDArray]
 
 
-def table_from_arrays(
-    arrays: Arrays,
-    inputs: Sequence[str],
-    outputs: Sequence[str],
-    *,
-    variable: str | None,
-    names: Sequence[str] | None,
-    source: str,
-) -> dict[str, NDArray]:
+def table_from_arrays(arrays: Arrays, options: ReadOptions, source: str) -> dict[str, NDArray]:
     """Return the named columns of a file of arrays.
 
-    In this order: the matrix ``variable``; one array per channel; the matrices ``u`` and ``y``; the only
+    In this order: the matrix that the caller has chosen; one array per channel; the matrices ``u`` and ``y``; the only
     matrix with as many columns as there are channels, inputs first.
     """
-    channels = (*inputs, *outputs)
+    if options.transpose:
+        arrays = {name: M.T if M.ndim == 2 else M for name, M in arrays.items()}
+    inputs, outputs = options.named_in(list(arrays))
+    channels, names, variable = (*inputs, *outputs), options.matrix_names, options.variable
     if variable is not None:
         if variable not in arrays:
             raise DataError(f"{source}: no array {echo(variable)}; there are: {_listed(arrays)}")
-        return _singles(arrays, skip=variable) | _columns(arrays[variable], variable, channels, names, source)
-    if names is not None:
-        chosen = _fitting(arrays, len(names))
-    else:
+        return _singles(arrays, skip=variable) | matrix_columns(arrays[variable], variable, channels, names, source)
+    if names is None:
         if channels and set(channels) <= set(arrays):
             return _singles(arrays)
-        parts = [("u", inputs), ("y", outputs)]
-        if channels and all(part in arrays for part, group in parts if group):
+        parts = {part: group for part, group in (("u", inputs), ("y", outputs)) if group}
+        if parts and all(part in arrays for part in parts):
             out = _singles(arrays)
-            for part, group in parts:
-                if group:
-                    out |= _columns(arrays[part], part, group, None, source)
+            for part, group in parts.items():
+                out |= matrix_columns(arrays[part], part, group, None, source)
             return out
-        chosen = _fitting(arrays, len(channels) or None)
+    wanted = len(names or channels) or None
+    chosen = [
+        name
+        for name, M in arrays.items()
+        if _is_numeric(M) and M.ndim == 2 and min(M.shape) > 0 and wanted in (None, M.shape[1])
+    ]
     if len(chosen) != 1:
         if names is None and set(channels) & set(arrays):
             return _singles(arrays)  # some channels are there: the caller says which are not
-        wanted = f"{len(names or channels)} columns" if names or channels else "columns"
-        problem = f"several matrices have {wanted}" if chosen else f"no matrix has {wanted}"
+        columns = f"{wanted} columns" if wanted else "columns"
+        problem = f"several matrices have {columns}" if chosen else f"no matrix has {columns}"
         raise DataError(f"{source}: {problem}: choose one with variable=; there are: {_listed(arrays)}")
-    return _singles(arrays, skip=chosen[0]) | _columns(arrays[chosen[0]], chosen[0], channels, names, source)
+    return _singles(arrays, skip=chosen[0]) | matrix_columns(arrays[chosen[0]], chosen[0], channels, names, source)
 
 
-def _columns(
+def matrix_columns(
     M: NDArray, label: str, channels: Sequence[str], names: Sequence[str] | None, source: str
 ) -> dict[str, NDArray]:
     """Return the columns of a matrix by their names, or by the order of the channels."""
@@ -71,14 +69,6 @@ def _columns(
             f"{source}: {echo(label)} has {M.shape[1]} columns, expected {len(wanted)} ({listed(wanted)}){hint}"
         )
     return {name: M[:, i] for i, name in enumerate(wanted)}
-
-
-def _fitting(arrays: Arrays, count: int | None) -> list[str]:
-    return [
-        name
-        for name, M in arrays.items()
-        if _is_numeric(M) and M.ndim == 2 and min(M.shape) > 0 and (count is None or M.shape[1] == count)
-    ]
 
 
 def _singles(arrays: Arrays, skip: str = "") -> dict[str, NDArray]:

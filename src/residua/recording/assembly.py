@@ -25,20 +25,6 @@ _HEADER, _SHOWN, _WIDEST = ("channel", "column", "mean", "std. dev.", "missing")
 Times = tuple[NDArray[np.float64], str]
 
 
-@dataclass(frozen=True, eq=False)
-class Clock:
-    """A column of times, which is read only if it is used.
-
-    Attributes
-    ----------
-    name : str
-    read : callable
-    """
-
-    name: str
-    read: Callable[[], Times]
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Recording(Shown):
     """Inputs and outputs of a plant at equally spaced times, in plant units.
@@ -111,7 +97,7 @@ class Recording(Shown):
 def assembled(
     data: Mapping[str, NDArray],
     found: Matched,
-    clock: Clock | None,
+    times: Callable[[], Times],
     options: ReadOptions,
     source: str,
     tally: Tally,
@@ -125,7 +111,8 @@ def assembled(
         The columns that are read, by their names.
     found : Matched
         The column of every channel; those that are not in ``data`` hold nothing but text.
-    clock : Clock or None
+    times : callable
+        Reads the column of times, which is done only if it is used.
     options : ReadOptions
     source : str
         Name of the recording in messages.
@@ -143,9 +130,9 @@ def assembled(
     columns = {chosen[name]: data[chosen[name]] for name in (*options.inputs, *outputs)}
     lengths = {name: len(column) for name, column in columns.items()}
     rows = max(lengths.values(), default=0)
-    time, origin, step, grid, notes = _settled(clock, options, source, first_row, rows)
-    if time is not None and clock is not None:
-        lengths[clock.name] = len(time)
+    time, origin, step, grid, notes = _settled(found.clock, times, options, source, first_row, rows)
+    if time is not None and found.clock is not None:
+        lengths[found.clock] = len(time)
     if min(lengths.values(), default=0) != max(lengths.values(), default=0):
         raise DataError(f"{source}: the columns differ in length: {echo(lengths)}")
     if rows == 0:
@@ -168,7 +155,7 @@ def assembled(
 
 
 def _settled(
-    clock: Clock | None, options: ReadOptions, source: str, first_row: int, rows: int
+    clock: str | None, times: Callable[[], Times], options: ReadOptions, source: str, first_row: int, rows: int
 ) -> tuple[NDArray[np.float64] | None, str, float | None, Grid | None, tuple[str, ...]]:
     """Return times, their origin, step and grid, and notes.
 
@@ -179,7 +166,7 @@ def _settled(
             raise DataError(f"{source}: fill_gaps needs times, and there is no time column: name it by time=")
         return None, "", None, None, ()
     try:
-        time, origin = clock.read()
+        time, origin = times()
         time = np.asarray(time, dtype=np.float64)
         if len(time) < 2 or len(time) != rows:
             return time, origin, None, None, ()
@@ -193,5 +180,5 @@ def _settled(
     except DataError as error:
         if not options.gets_round_times:
             raise
-        note = f"its time column {echo(clock.name)} was not used, rows are {options.dt:g} s apart as dt= says ({error})"
+        note = f"its time column {echo(clock)} was not used, rows are {options.dt:g} s apart as dt= says ({error})"
         return None, "", None, None, (note,)

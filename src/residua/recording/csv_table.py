@@ -86,7 +86,7 @@ class CsvTable:
         cells, rows = self._cells(places)
         out = {}
         for name, column in zip(wanted, cells, strict=True):
-            parsed = _parsed(column, rows, self._at(name), self.decimal, marks)
+            parsed = _parsed(column, rows, f"{self.source}: column {echo(name)}", self.decimal, marks)
             if isinstance(parsed, DataError):
                 if not optional or not is_text(column, marks):
                     raise parsed
@@ -115,9 +115,6 @@ class CsvTable:
         row = next(csv.reader([self.first_line], delimiter=self.delimiter))
         place = self.names.index(name)
         return row[place].strip() if place < len(row) else ""
-
-    def _at(self, name: str) -> str:
-        return f"{self.source}: column {echo(name)}"
 
     def _fast(self, places: list[int]) -> NDArray[np.float64] | None:
         """Let NumPy read the whole table; ``None`` if it is not plain numbers."""
@@ -173,13 +170,19 @@ def open_csv(content: bytes, source: str, *, decimal: str = ".") -> CsvTable:
     FileFormatError
         If it is not text.
     """
-    text = _decoded(content, source)
+    encoding = "utf-16" if content.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig"
+    if encoding != "utf-16" and b"\x00" in content[:4096]:
+        raise FileFormatError(f"{source}: not a table of text (it holds binary data): export it as CSV in UTF-8")
+    try:
+        text = content.decode(encoding)
+    except UnicodeDecodeError:
+        text = content.decode("latin-1")  # never fails; Windows programs write cm³ this way
     if "\r" in text:
         text = text.replace("\r\n", "\n").replace("\r", "\n")
     if not text or text.isspace():
         raise DataError(f"{source}: the file is empty")
-    head = _head(text, decimal)
-    body, names, delimiter = _without_blank_end(text, head.end), head.names, head.delimiter
+    names, delimiter, above, end = _head(text, decimal)
+    body = _without_blank_end(text, end)
     blanks = delimiter == BLANKS
     if blanks:
         body, delimiter = "\n".join("\t".join(line.split()) for line in body.split("\n")), "\t"
@@ -190,11 +193,11 @@ def open_csv(content: bytes, source: str, *, decimal: str = ".") -> CsvTable:
     if headed:
         if not body or body.isspace():
             raise DataError(f"{source}: there is a header but no data")
-        return CsvTable(source, names, delimiter, body, head.above + 1, decimal, True, blanks)
+        return CsvTable(source, names, delimiter, body, above + 1, decimal, True, blanks)
     numbered = tuple(str(i + 1) for i in range(len(names)))
     first = delimiter.join(names)
     body = first if not body or body.isspace() else f"{first}\n{body}"
-    return CsvTable(source, numbered, delimiter, body, head.above, decimal, False, blanks)
+    return CsvTable(source, numbered, delimiter, body, above, decimal, False, blanks)
 
 
 def _without_blank_end(text: str, start: int) -> str:
@@ -207,43 +210,33 @@ def _without_blank_end(text: str, start: int) -> str:
     return text[start:end] if end >= 0 else text[start:]
 
 
-@dataclass(frozen=True)
-class _Head:
-    """The line that names the columns, or the first one with data.
+def _head(text: str, decimal: str) -> tuple[tuple[str, ...], str, int, int]:
+    """Return the cells of the line that names the columns, or holds the first data, and their separator.
 
-    Attributes
-    ----------
-    names : tuple of str
-    delimiter : str
-    above : int
-        Lines above it.
-    end : int
-        Where the text after it begins.
+    Then the number of lines above it, and where the text below it begins. The line is looked for at the beginning of
+    the text, then in all of it. The separator is the one that makes the most cells; blanks only where nothing else
+    separates any, and as many in the line that follows. A decimal comma separates no numbers.
     """
-
-    names: tuple[str, ...]
-    delimiter: str
-    above: int
-    end: int
-
-
-def _head(text: str, decimal: str) -> _Head:
-    """Find the first line, by it and the following one: at the beginning of the text, or else in all of it."""
     lines = text[:_BEGINNING].split("\n")
     if len(text) > _BEGINNING:
         lines.pop()  # it may go on
         above = _first_line(lines)[0] if any(line.strip() for line in lines) else len(lines)
         if not any(line.strip() for line in lines[above + 1 :]):
             lines = text.split("\n")
-    above, said = _first_line(lines)
+    above, declared = _first_line(lines)
     head = lines[above].lstrip()[1:].strip() if _is_comment(lines[above]) else lines[above]
-    following = next((line for line in lines[above + 1 :] if line.strip()), "")
-    if said:
-        delimiter, names = said, tuple(name.strip() for name in next(csv.reader([head], delimiter=said), []))
-    else:
-        delimiter, names = _separated(head, following, decimal)
     end = sum(len(line) + 1 for line in lines[: above + 1])
-    return _Head(names, delimiter, above, end)
+    separators = [declared] if declared else [d for d in DELIMITERS if not (d == "," and decimal == ",")]
+    rows = {d: next(csv.reader([head], delimiter=d), []) for d in separators}
+    if not declared and decimal == "," and max(map(len, rows.values())) < 2:
+        quoted = next(csv.reader([head]), [])
+        if not all(_is_number(cell) for cell in quoted):
+            rows[","] = quoted
+    delimiter = max(rows, key=lambda d: len(rows[d]))
+    following = next((line for line in lines[above + 1 :] if line.strip()), head)
+    if not declared and len(rows[delimiter]) < 2 and 1 < len(head.split()) == len(following.split()):
+        return tuple(head.split()), BLANKS, above, end
+    return tuple(name.strip() for name in rows[delimiter]), delimiter, above, end
 
 
 def _first_line(lines: list[str]) -> tuple[int, str]:
@@ -261,36 +254,6 @@ def _is_comment(line: str) -> bool:
     return line.lstrip()[:1] in ("#", "%")
 
 
-def _separated(head: str, following: str, decimal: str) -> tuple[str, tuple[str, ...]]:
-    """Return the separator of the cells, and those of the first line.
-
-    What makes the most of them; blanks only where nothing else separates any, and as many in the line that follows. A
-    decimal comma separates no numbers.
-    """
-    rows = {d: next(csv.reader([head], delimiter=d), []) for d in DELIMITERS if not (d == "," and decimal == ",")}
-    if decimal == "," and max(map(len, rows.values())) < 2:
-        quoted = next(csv.reader([head]), [])
-        if not all(_is_number(cell) for cell in quoted):
-            rows[","] = quoted
-    delimiter = max(rows, key=lambda d: len(rows[d]))
-    if len(rows[delimiter]) < 2 and 1 < len(head.split()) == len(following.split() or head.split()):
-        return BLANKS, tuple(head.split())
-    return delimiter, tuple(name.strip() for name in rows[delimiter])
-
-
-def _decoded(content: bytes, source: str) -> str:
-    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
-        encoding = "utf-16"
-    else:
-        encoding = "utf-8-sig"
-        if b"\x00" in content[:4096]:
-            raise FileFormatError(f"{source}: not a table of text (it holds binary data): export it as CSV in UTF-8")
-    try:
-        return content.decode(encoding)
-    except UnicodeDecodeError:
-        return content.decode("latin-1")  # never fails; Windows programs write cm³ this way
-
-
 def _parsed(
     cells: list[str], rows: list[int], what: str, decimal: str, marks: Marks
 ) -> tuple[NDArray[np.float64], Counter[str]] | DataError:
@@ -299,7 +262,8 @@ def _parsed(
     for i, cell in enumerate(cells):
         text = cell.strip()
         try:
-            out[i] = float(_as_number(text, decimal))
+            # with a decimal comma a point is invalid
+            out[i] = float(text if decimal == "." else "" if "." in text else text.replace(",", "."))
         except ValueError:
             if text not in others and text not in marks:
                 return DataError(
@@ -307,13 +271,6 @@ def _parsed(
                 )
             others[text] += 1
     return out, others
-
-
-def _as_number(text: str, decimal: str) -> str:
-    """Return a cell in Python's notation for numbers; with a decimal comma a point is invalid."""
-    if decimal == ".":
-        return text
-    return "" if "." in text else text.replace(",", ".")
 
 
 def is_text(cells: Iterable[str], marks: Marks) -> bool:

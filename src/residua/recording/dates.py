@@ -51,11 +51,12 @@ def seconds_from_text(
     """
     stripped = [cell.strip() for cell in cells]
     if time_format is not None:
-        return _one_by_one(stripped, rows, what, _by_format(time_format), f" as {echo(time_format)}")
+        how = f" as {echo(time_format)}"
+        return _one_by_one(stripped, rows, what, lambda cell: datetime.strptime(cell, time_format), how)
     number = _NUMBERS.match(stripped[0]) if stripped else None
     if number:
         return seconds_from_dates(_numbers(stripped, rows, what, dayfirst))
-    stripped = [_YEAR_FIRST.sub(_as_iso, cell) for cell in stripped]
+    stripped = [_YEAR_FIRST.sub(lambda m: f"{m[1]}-{int(m[3]):02d}-{int(m[4]):02d}", cell) for cell in stripped]
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
@@ -64,14 +65,6 @@ def seconds_from_text(
     except (ValueError, UserWarning, DeprecationWarning):
         pass  # a time zone, or a cell that is not a time: the slow way finds which
     return _one_by_one(stripped, rows, what, datetime.fromisoformat, "")
-
-
-def _as_iso(match: re.Match[str]) -> str:
-    return f"{match[1]}-{int(match[3]):02d}-{int(match[4]):02d}"
-
-
-def _by_format(time_format: str) -> Callable[[str], datetime]:
-    return lambda cell: datetime.strptime(cell, time_format)
 
 
 def _one_by_one(
@@ -119,22 +112,25 @@ def _numbers(cells: list[str], rows: Sequence[int], what: str, dayfirst: bool | 
     days, months = (first, second) if by_day else (second, first)
 
     def moment(i: int) -> str:
-        return f"{matches[i]['year']}-{months[i]:02d}-{days[i]:02d}T{_time_of_day(matches[i])}"
+        """Return a date in ISO 8601; ``ValueError`` for a time of day that is none."""
+        match = matches[i]
+        hour, after = int(match["hour"] or 0), (match["after"] or "00").replace(",", ".")
+        if match["half"]:
+            if not 1 <= hour <= 12:
+                raise ValueError(hour)
+            hour = hour % 12 + 12 * (match["half"].upper() == "P")
+        return f"{match['year']}-{months[i]:02d}-{days[i]:02d}T{hour:02d}:{match['minute'] or '00'}:{after}"
 
     try:
         return np.array([moment(i) for i in range(len(cells))], dtype="datetime64[ns]")
     except ValueError:
-        k = next(i for i in range(len(cells)) if not _is_moment(lambda i=i: moment(i)))
-        order = "day/month/year" if by_day else "month/day/year"
-        raise DataError(f"{what}, line {rows[k]}: {echo(cells[k])}, read as {order}, is not a time") from None
-
-
-def _is_moment(text: Callable[[], str]) -> bool:
-    try:
-        np.datetime64(text(), "ns")
-    except ValueError:
-        return False
-    return True
+        for i, cell in enumerate(cells):
+            try:
+                np.datetime64(moment(i), "ns")
+            except ValueError:
+                order = "day/month/year" if by_day else "month/day/year"
+                raise DataError(f"{what}, line {rows[i]}: {echo(cell)}, read as {order}, is not a time") from None
+        raise
 
 
 def _day_first(
@@ -166,13 +162,3 @@ def _day_first(
             f"dayfirst={dayfirst} the {'second' if dayfirst else 'first'} number is the month"
         )
     return dayfirst
-
-
-def _time_of_day(match: re.Match[str]) -> str:
-    """Return the time of day of a date in ISO 8601; ``ValueError`` for an invalid one."""
-    hour, after = int(match["hour"] or 0), (match["after"] or "00").replace(",", ".")
-    if match["half"]:
-        if not 1 <= hour <= 12:
-            raise ValueError(hour)
-        hour = hour % 12 + 12 * (match["half"].upper() == "P")
-    return f"{hour:02d}:{match['minute'] or '00'}:{after}"

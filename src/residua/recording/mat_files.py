@@ -83,8 +83,10 @@ def read_mat(path: Path) -> dict[str, NDArray]:
         process.kill()
         status = process.wait()
     if arrays is None:
+        crashed = status < 0 and -status in set(signal.Signals)
+        death = f"crashed ({signal.Signals(-status).name})" if crashed else f"ended with status {echo(status)}"
         raise FileFormatError(
-            f"{path.name}: the reader {'was ended, it took too long' if late else _death(status)}: the file is "
+            f"{path.name}: the reader {'was ended, it took too long' if late else death}: the file is "
             f"damaged, or made to do that; {_ADVICE}"
         )
     return arrays
@@ -125,10 +127,3 @@ def _refused(said: dict[str, str], source: str, limit: int) -> FileFormatError:
     if said["error"] == "memory":
         return FileFormatError(f"{source}: it claims to hold more than there is in it: the file is damaged; {_ADVICE}")
     return FileFormatError(f"{source}: not a readable .mat file: {shortened(visible(said.get('what', '')))}")
-
-
-def _death(status: int) -> str:
-    """Describe the end of the process."""
-    if status < 0 and -status in set(signal.Signals):
-        return f"crashed ({signal.Signals(-status).name})"
-    return f"ended with status {echo(status)}"

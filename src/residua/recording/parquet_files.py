@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.errors import FileFormatError, ResiduaError, missing_extra
+from residua.errors import DataError, FileFormatError, ResiduaError, missing_extra
+from residua.recording.columns import ReadOptions
 from residua.recording.unpacked import too_large, unpacked_limit
 from residua.visible import echo
 
 
-def read_parquet(path: Path, wanted: Callable[[list[str]], list[str]]) -> dict[str, NDArray]:
-    """Return columns of a Parquet file.
-
-    Parameters
-    ----------
-    path : Path
-    wanted : callable
-        From the names of all columns to those that are read.
+def read_parquet(path: Path, options: ReadOptions) -> dict[str, NDArray]:
+    """Return the columns of a Parquet file that channels and times are read from.
 
     Raises
     ------
@@ -29,6 +23,8 @@ def read_parquet(path: Path, wanted: Callable[[list[str]], list[str]]) -> dict[s
     MissingExtraError
         If pyarrow is not installed.
     """
+    if options.matrix_names is not None:
+        raise DataError("columns must be a mapping {channel: column} here: the file has named columns")
     limit = unpacked_limit()
     try:
         import pyarrow.parquet as parquet
@@ -36,7 +32,8 @@ def read_parquet(path: Path, wanted: Callable[[list[str]], list[str]]) -> dict[s
         raise missing_extra("pyarrow", "parquet") from error
     try:
         with parquet.ParquetFile(path) as file:
-            names = wanted(list(file.schema_arrow.names))
+            found = options.matched(list(file.schema_arrow.names), path.name)
+            names = list(dict.fromkeys([*found.columns.values(), *filter(None, [found.clock])]))
             about = file.metadata
             packed = sum(about.row_group(k).total_byte_size for k in range(about.num_row_groups))
             if max(packed, about.num_rows * 8 * len(names)) > limit:  # a run of equal values takes no room

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from residua.errors import DataError, FileFormatError, missing_extra
 from residua.files import check_input, read_bytes
 from residua.plant import Plant
-from residua.recording.array_files import table_from_arrays
-from residua.recording.assembly import Clock, Recording, Times, assembled
+from residua.recording.array_files import matrix_columns, table_from_arrays
+from residua.recording.assembly import Recording, Times, assembled
 from residua.recording.columns import ReadOptions
 from residua.recording.csv_table import CsvTable, is_text, open_csv
 from residua.recording.dates import seconds_from_text
@@ -127,7 +127,8 @@ def read_recording(
     options = ReadOptions(
         plant, time, dt, columns, variable, tolerance, fill_gaps, dayfirst, time_format, decimal, transpose, missing
     )
-    return _READERS.get(path.suffix.lower(), _from_csv)(path, options)
+    read = _READERS.get(path.suffix.lower())
+    return _from_text(path, options) if read is None else _from_arrays(read(path, options), options, path.name)
 
 
 def recording_from_frame(
@@ -183,6 +184,12 @@ def recording_from_frame(
     return _from_arrays(table, options, source)
 
 
+#: Readers of the columns of files that are not text, by the ending of the name.
+_READERS: dict[str, Callable[[Path, ReadOptions], dict[str, NDArray]]] = {
+    ".parquet": read_parquet,
+    ".mat": lambda path, options: table_from_arrays(read_mat(path), options, path.name),
+    ".npz": lambda path, options: table_from_arrays(read_npz(path), options, path.name),
+}
 #: Remedies for a file that is not a recording, by the ending of its name.
 _OTHERS = {
     **dict.fromkeys(
@@ -218,7 +225,7 @@ def text_of(path: Path) -> bytes:
     return text
 
 
-def _from_csv(path: Path, options: ReadOptions) -> Recording:
+def _from_text(path: Path, options: ReadOptions) -> Recording:
     table = open_csv(text_of(path), path.name, decimal=options.decimal)
     if not table.headed:
         return _from_headless(table, options, path.name)
@@ -228,30 +235,19 @@ def _from_csv(path: Path, options: ReadOptions) -> Recording:
         raise DataError(f"{path.name}: transpose is for matrices and text without a header: this file has one")
     found, tally = options.matched(table.names, path.name), Tally()
     clock = found.clock
-    together = clock is not None and not options.gets_round_times and _has_numbers(table, clock, options)
-    wanted: list[str] = list(dict.fromkeys([*found.columns.values(), *([clock] if clock and together else [])]))
+    numeric = clock and options.time_format is None and reads_as_number(table, clock, options.marks)
+    together = [clock] if clock and numeric and not options.gets_round_times else []
+    wanted = list(dict.fromkeys([*found.columns.values(), *together]))
     data = table.numbers(wanted, options.marks, tally, optional=options.takes_all)
 
     def times() -> Times:
         assert clock is not None
-        return (data[clock], "") if clock in data else _times_of(table, clock, options)
+        if numeric:
+            return (data if clock in data else table.numbers([clock], options.marks, Tally()))[clock], ""
+        what = f"{table.source}: column {echo(clock)}"
+        return seconds_from_text(*table.texts(clock), what, dayfirst=options.dayfirst, time_format=options.time_format)
 
-    clock_ = None if clock is None else Clock(clock, times)
-    return assembled(data, found, clock_, options, path.name, tally, first_row=table.above + 1)
-
-
-def _has_numbers(table: CsvTable, clock: str, options: ReadOptions) -> bool:
-    """True if times are numbers, by the first one and the options."""
-    return options.time_format is None and reads_as_number(table, clock, options.marks)
-
-
-def _times_of(table: CsvTable, name: str, options: ReadOptions) -> Times:
-    """Return the times of a table of text in seconds, and their origin."""
-    if _has_numbers(table, name, options):
-        return table.numbers([name], options.marks, Tally())[name], ""
-    cells, rows = table.texts(name)
-    what = f"{table.source}: column {echo(name)}"
-    return seconds_from_text(cells, rows, what, dayfirst=options.dayfirst, time_format=options.time_format)
+    return assembled(data, found, times, options, path.name, tally, first_row=table.above + 1)
 
 
 def _from_headless(table: CsvTable, options: ReadOptions, source: str) -> Recording:
@@ -267,7 +263,7 @@ def _from_headless(table: CsvTable, options: ReadOptions, source: str) -> Record
     tally = Tally(dict(zip(table.names, shown, strict=False)))
     block = np.column_stack(list(table.numbers(table.names, options.marks, tally).values()))
     block = block.T if options.transpose else block
-    columns = table_from_arrays({"column": block}, (), (), variable="column", names=options.matrix_names, source=source)
+    columns = matrix_columns(block, "column", (), options.matrix_names, source)
     made = _from_arrays(columns, options, source, first_row=table.above + 1)
     named = "named as asked" if options.matrix_names is not None else f"called column1 to column{block.shape[1]}"
     header = f"no header: every line is data, the columns are {named}"
@@ -286,42 +282,6 @@ def reads_as_number(table: CsvTable, name: str, marks: Marks) -> bool:
     return True
 
 
-def _from_parquet(path: Path, options: ReadOptions) -> Recording:
-    if options.matrix_names is not None:
-        raise DataError("columns must be a mapping {channel: column} here: the file has named columns")
-
-    def wanted(names: list[str]) -> list[str]:
-        found = options.matched(names, path.name)
-        return list(dict.fromkeys([*found.columns.values(), *([found.clock] if found.clock else [])]))
-
-    return _from_arrays(read_parquet(path, wanted), options, path.name)
-
-
-def _from_named_arrays(read: Callable[[Path], dict[str, NDArray]]) -> Callable[[Path, ReadOptions], Recording]:
-    def reader(path: Path, options: ReadOptions) -> Recording:
-        arrays = read(path)
-        if options.transpose:
-            arrays = {name: M.T if M.ndim == 2 else M for name, M in arrays.items()}
-        table = table_from_arrays(
-            arrays,
-            *options.named_in(list(arrays)),
-            variable=options.variable,
-            names=options.matrix_names,
-            source=path.name,
-        )
-        return _from_arrays(table, options, path.name)
-
-    return reader
-
-
-#: Readers of files that are not text, by the ending of the name.
-_READERS: dict[str, Callable[[Path, ReadOptions], Recording]] = {
-    ".parquet": _from_parquet,
-    ".mat": _from_named_arrays(read_mat),
-    ".npz": _from_named_arrays(read_npz),
-}
-
-
 def _from_arrays(table: dict[str, NDArray], options: ReadOptions, source: str, first_row: int = 0) -> Recording:
     """Make a recording from named columns that are arrays already."""
     found, tally, data = options.matched(list(table), source), Tally(), {}
@@ -332,13 +292,15 @@ def _from_arrays(table: dict[str, NDArray], options: ReadOptions, source: str, f
                 raise DataError(f"{source}: column {echo(name)}{values}")
             continue
         data[name] = values
-    clock, clock_ = found.clock, None
-    if clock is not None:
-        clock_ = Clock(clock, lambda: _times_from(table[clock], options, f"{source}: column {echo(clock)}", first_row))
-    return assembled(data, found, clock_, options, source, tally, first_row=first_row)
+
+    def times() -> Times:
+        assert found.clock is not None
+        return _seconds(table[found.clock], options, f"{source}: column {echo(found.clock)}", first_row)
+
+    return assembled(data, found, times, options, source, tally, first_row=first_row)
 
 
-def _times_from(values: NDArray, options: ReadOptions, what: str, first_row: int) -> Times:
+def _seconds(values: NDArray, options: ReadOptions, what: str, first_row: int) -> Times:
     """Return a column of times in seconds, and their origin."""
     if values.dtype.kind == "M":
         if np.isnat(values).any():

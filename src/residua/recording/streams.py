@@ -263,19 +263,14 @@ def _lines(file: IO[bytes], above: int) -> Iterator[bytes]:
         if first:
             lines, first = lines.split(b"\n", above)[-1], False
         lines = blank + lines if blank else lines
-        last = _last_written(lines)
+        tail = lines[-1000:]  # the end of the text without trailing blanks
+        last = len(lines) - len(tail) + len(tail.rstrip()) if tail.strip() else len(lines.rstrip())
         end = lines.find(b"\n", last) + 1 if last else 0
         if last:
             yield lines[: end or None]
         blank = lines[end:] if end or not last else b""
         if not more:
             return
-
-
-def _last_written(lines: bytes) -> int:
-    """Return the end of the text without trailing blanks."""
-    tail = lines[-1000:]
-    return len(lines) - len(tail) + len(tail.rstrip()) if tail.strip() else len(lines.rstrip())
 
 
 # ------------------------------------------------------------------ .npz
@@ -286,13 +281,7 @@ def _npz(path: Path, options: ReadOptions) -> Stream:
         arrays = _mapped(path)
     except Exception as error:  # whatever a reader of damaged data ends with
         raise NotServedError(str(error)) from error
-    table = table_from_arrays(
-        arrays,
-        *options.named_in(list(arrays)),
-        variable=None,
-        names=None,
-        source=path.name,
-    )
+    table = table_from_arrays(arrays, options, path.name)
     stream = _stream(path, options, list(table), 0, None)
     names = [*stream.columns.values(), *([stream.clock] if stream.clock else [])]
     lengths = {len(table[name]) for name in names}
