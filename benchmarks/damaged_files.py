@@ -475,10 +475,9 @@ def kinds() -> dict[str, Callable[[], Kind]]:
 def run(kind: Kind, count: int, seed: int = SEED, seconds: float = np.inf) -> Outcome:
     """Damage and read that many files, each by a seed of its own, for at most so long."""
     outcome, began = Outcome(), time.monotonic()
-    readers = recording._READERS
-    usual = readers[".mat"]
+    usual = recording.read_mat
     if kind.ending == ".mat":
-        readers[".mat"] = recording._from_named_arrays(WORKER.read)
+        recording.read_mat = WORKER.read
     try:
         with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
             warnings.simplefilter("error")
@@ -488,7 +487,7 @@ def run(kind: Kind, count: int, seed: int = SEED, seconds: float = np.inf) -> Ou
                     break
                 _one(kind, random.Random(f"{seed} {kind.name} {number}"), path, outcome)
     finally:
-        readers[".mat"] = usual
+        recording.read_mat = usual
         WORKER.close()
     return outcome
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 import residua as rs
-from residua import partial_files
+from residua import files
 from residua.errors import FileFormatError
 from residua.files import check_input, replacing, write_text
 from residua.library import gertler, three_tank
@@ -109,50 +109,30 @@ def test_threads_that_write_one_file_do_not_mix_nor_touch_the_mask(tmp_path: Pat
 
 # ------------------------------------------------------------------ killed runs and full disks
 
-WRITES_FOR_EVER = """
-import sys, time
-from residua.files import replacing
-with replacing(sys.argv[1]) as temporary:
-    temporary.write_text("half")
-    print("writing", flush=True)
-    time.sleep(600)
-"""
-
-
-def write_in_another_process(path: Path) -> subprocess.Popen[str]:
-    """Begin to write a file, and return when half of it is there."""
-    run = subprocess.Popen([sys.executable, "-c", WRITES_FOR_EVER, str(path)], stdout=subprocess.PIPE, text=True)
-    assert run.stdout is not None
-    assert run.stdout.readline() == "writing\n"
-    return run
-
-
-def end(run: subprocess.Popen[str]) -> None:
-    run.kill()
-    run.communicate()
-
 
 def next_run(path: Path) -> None:
     """Write a file as a new process would: it has looked through no folder yet."""
-    partial_files._swept.clear()
+    files._swept.clear()
     write_text(path, "new")
 
 
-@pytest.mark.skipif(partial_files.fcntl is None, reason="told by the age of the file where there are no locks")
 def test_partial_files_of_killed_runs_are_removed_and_those_of_others_stay(tmp_path: Path) -> None:
-    killed, living = (write_in_another_process(tmp_path / f"{name}.csv") for name in ("killed", "living"))
-    try:
-        end(killed)
-        assert len(list(tmp_path.iterdir())) == 2
-        next_run(tmp_path / "file.txt")
-        left = sorted(path.name for path in tmp_path.iterdir())
-        assert len(left) == 2
-        assert left[0].startswith(".residua-")
-        assert left[1] == "file.txt"
-    finally:
-        end(living)
+    (tmp_path / ".residua-own.csv").write_text("a file of the user, by chance of such a name")
+    killed = """
+import os, sys
+from residua.files import replacing
+with replacing(sys.argv[1]) as temporary:
+    temporary.write_text("half")
+    os.kill(os.getpid(), 9)
+"""
+    subprocess.run([sys.executable, "-c", killed, str(tmp_path / "killed.csv")], check=False)
+    (left,) = tmp_path.glob(".residua-*.partial.csv")
+    os.utime(left, (left.stat().st_atime, left.stat().st_mtime - 0.9 * files._LEFT))
     next_run(tmp_path / "file.txt")
-    assert [path.name for path in tmp_path.iterdir()] == ["file.txt"]
+    assert left.exists()  # another process may be writing it
+    os.utime(left, (left.stat().st_atime, left.stat().st_mtime - 0.2 * files._LEFT))
+    next_run(tmp_path / "file.txt")
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".residua-own.csv", "file.txt"]
 
 
 def test_a_file_is_on_the_disk_before_it_has_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -45,7 +45,6 @@ ROOMS = (
         "wrong_guesses",
         "progress",
         "files",
-        "partial_files",
         "json_files",
         "records",
     ),

@@ -4,13 +4,20 @@ from __future__ import annotations
 
 import os
 import shutil
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from residua.errors import FileFormatError
-from residua.partial_files import PartialFile
 from residua.visible import echo
+
+#: Names of partial files, which end as the final one: writers choose the format by that.
+_PREFIX, _MIDDLE = ".residua-", ".partial"
+#: Seconds without a change after which a partial file is one that a killed run has left.
+_LEFT = 3600.0
+#: Folders that this process has looked through: once is enough.
+_swept: set[str] = set()
 
 
 def check_input(path: str | Path, what: str) -> None:
@@ -93,10 +100,10 @@ def other_version(what: str, found: object, known: int, remedy: str) -> str:
 def replacing(path: str | Path) -> Iterator[Path]:
     """Yield a temporary path in the same folder that replaces ``path`` on success.
 
-    Links are followed; a device or pipe, which must not be replaced, is written to directly. The ending of
-    the name is kept, since writers choose the format by it. A new file gets the permissions that any new
-    file gets, an old one keeps its own. What was written is on the disk before it is renamed, and partial files that
-    killed runs have left in the folder are removed.
+    Links are followed; a device or pipe, which must not be replaced, is written to directly. A new file gets the
+    permissions that any new file gets, an old one keeps its own. What was written is on the disk before it is renamed:
+    after a power cut there is the old file or the new one. Partial files that killed runs have left in the folder are
+    removed.
 
     Parameters
     ----------
@@ -115,14 +122,39 @@ def replacing(path: str | Path) -> Iterator[Path]:
         return
     target = real(path)
     with naming(path):
-        partial = PartialFile(target)
+        _remove_remains(target.parent)
+        partial = target.with_name(f"{_PREFIX}{os.urandom(6).hex()}{_MIDDLE}{target.suffix}")
+        partial.touch(exist_ok=False)
         try:
-            yield partial.path
+            yield partial
             if target.exists():
-                shutil.copymode(target, partial.path)
-            partial.take_place_of(target)
+                shutil.copymode(target, partial)
+            _on_disk(partial, os.O_RDWR | getattr(os, "O_BINARY", 0))
+            os.replace(partial, target)
+            with suppress(OSError):  # not all systems let folders be opened for that
+                _on_disk(target.parent, os.O_RDONLY)
         finally:
-            partial.discard()
+            partial.unlink(missing_ok=True)
+
+
+def _remove_remains(folder: Path) -> None:
+    """Remove the partial files of a folder that nobody is writing; once for each folder and process."""
+    if str(folder) in _swept:
+        return
+    _swept.add(str(folder))
+    with suppress(OSError):  # somebody else's folder or file: it is theirs to clean
+        for path in folder.glob(f"{_PREFIX}*{_MIDDLE}*"):
+            if time.time() - path.stat().st_mtime > _LEFT:
+                path.unlink()
+
+
+def _on_disk(path: Path, how: int) -> None:
+    """Return once the content of a file, or the names in a folder, are on the disk."""
+    file = os.open(path, how)
+    try:
+        os.fsync(file)
+    finally:
+        os.close(file)
 
 
 @contextmanager

@@ -405,6 +405,6 @@ def test_a_recording_prints_as_a_short_table_of_its_channels() -> None:
     assert lines[0] == "data frame: 9 samples, 2 s apart, 0 inputs, 25 outputs, 1 value missing"
     assert lines[1].split() == ["channel", "column", "mean", "std.", "dev.", "missing"]
     assert lines[3].split() == ["H1", "[cm]", "H1", "[cm]", "1", "0", "1"]
-    assert lines[-1] == "and 5 more channels" and len(lines) == 23
+    assert (lines[-1], len(lines)) == ("and 5 more channels", 23)
     simulated = simulate_three_tank(10)
     assert repr(simulated) == "SimulatedRecording(10 samples, 1 s apart: u (10, 2), y (10, 3), x (10, 3))"

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
         uncertain_plant_from_parameters,
         uncertain_plant_from_plants,
     )
-    from residua.robust.sets.uncertain_loop import close_loop, estimator_residual, loop_parameters, residual_over_set
+    from residua.robust.sets.uncertain_loop import close_loop, loop_parameters, residual_over_set
     from residua.robust.sets.uncertain_plant import Perturbation, UncertainParameter, UncertainPlant
 
 __all__ = [
@@ -49,7 +49,6 @@ __all__ = [
     "disturbance_from_perturbations",
     "disturbance_from_steady_states",
     "dumps_plant",
-    "estimator_residual",
     "factor_disturbance",
     "input_output_from_plant",
     "input_output_from_transfer_functions",
@@ -96,7 +95,6 @@ hand_on(
         ),
         "residua.robust.sets.uncertain_loop": (
             "close_loop",
-            "estimator_residual",
             "loop_parameters",
             "residual_over_set",
         ),

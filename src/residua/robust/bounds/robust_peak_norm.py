@@ -79,9 +79,9 @@ class RobustPeakNorm:
     worst: Mapping[str, float]
     visited: int
     all_corners: bool
-    rate: float
-    certificate: Mapping[str, Matrix]
-    eigenvalues: Mapping[str, float]
+    rate: float = np.nan
+    certificate: Mapping[str, Matrix] = field(default_factory=dict)
+    eigenvalues: Mapping[str, float] = field(default_factory=dict)
     unit: float = 1.0
     boxes: int = 1
     note: str = ""
@@ -241,16 +241,24 @@ def robust_peak_norm(
             f"{'' if rate is None else f', rate {rate:g}'}): {more}narrow it, or use another method "
             f"({', '.join(map(repr, others))})"
         )
-    if used == "centred" and top.method == "star":
+    if used == "centred" and top.proof["method"] == "star":
         note = "; ".join(filter(None, (_ELLIPSOID, note)))
     if worst.attained > top.bound * (1 + 1e-9):
         raise AccuracyError(
             f"a member has a peak norm of at least {worst.attained:.9g}, above the bound {top.bound:.9g} of method "
-            f"{top.method!r}: the certificate is wrong in double precision; use another method"
+            f"{top.proof['method']!r}: the certificate is wrong in double precision; use another method"
         )
     values = dict(zip(system.parameters, (float(v) for v in worst.values), strict=True))
-    proof = top.rate, top.certificate, top.eigenvalues, top.unit, len(parts), note
-    return RobustPeakNorm(top.bound, top.method, worst.attained, values, worst.visited, worst.all_corners, *proof)
+    return RobustPeakNorm(
+        bound=top.bound,
+        attained=worst.attained,
+        worst=values,
+        visited=worst.visited,
+        all_corners=worst.all_corners,
+        boxes=len(parts),
+        note=note,
+        **top.proof,
+    )
 
 
 def check_method(method: str | None) -> None:
@@ -261,20 +269,16 @@ def check_method(method: str | None) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class _BoxBound:
-    """The bound of one box of parameters, infinite where there is none, and the parameter along which to cut it."""
+class _Box:
+    """One box of parameters, the one along which to cut it, its bound, infinite without one, and what proves it."""
 
     system: UncertainSystem
     widest: float = np.nan
     bound: float = np.inf
-    method: str = ""
-    rate: float = np.nan
-    certificate: Mapping[str, Matrix] = field(default_factory=dict)
-    eigenvalues: Mapping[str, float] = field(default_factory=dict)
-    unit: float = 1.0
+    proof: dict[str, Any] = field(default_factory=dict)
 
 
-def _cut(system: UncertainSystem, method: str, boxes: int, enough: float, **search: Any) -> list[_BoxBound]:
+def _cut(system: UncertainSystem, method: str, boxes: int, enough: float, **search: Any) -> list[_Box]:
     """Bound the set, cut in two where the bound is largest until it is small enough; the largest bound comes first."""
     parts = [_box_bound(system, method, **search)]
     while len(parts) < boxes and parts[0].bound > enough and np.isfinite(parts[0].widest):
@@ -288,60 +292,45 @@ def _cut(system: UncertainSystem, method: str, boxes: int, enough: float, **sear
     return parts
 
 
-def _box_bound(
-    system: UncertainSystem, method: str, *, worst: WorstMember, rate: float | None, searches: int
-) -> _BoxBound:
+def _box_bound(system: UncertainSystem, method: str, *, worst: WorstMember, rate: float | None, searches: int) -> _Box:
     """Bound the output of all members of one box; infinite where the method has no certificate."""
-    none = _BoxBound(system)
     if not np.any(system.Bw) or not (np.any(system.Cz) or np.any(system.Dzp)):
-        return replace(none, bound=spectral_norm(system.Dzw), method=method)
-    centred = none
+        return _Box(system, bound=spectral_norm(system.Dzw), proof={"method": method})
+    centred = other = _Box(system)
     # where it is too slow, or too far from normal, for its equations to be solved, a method has no bound
     with suppress(AccuracyError):
-        expansion = centred_bound(system) if method == "centred" else None
-        if expansion is not None:
-            terms = {"linear": expansion.linear, "second": expansion.second, "rest": expansion.rest}
-            centred = _BoxBound(
-                system,
-                widest=int(np.argmax(expansion.blame)) if np.any(expansion.blame) else np.nan,
-                bound=expansion.value,
-                method="centred",
-                certificate={name: np.array(value) for name, value in terms.items()},
-                eigenvalues={"small gain": 1 - expansion.gain},
-            )
+        found = centred_bound(system) if method == "centred" else None
+        if found is not None:
+            terms = {"linear": found.linear, "second": found.second, "rest": found.rest}
+            certificate = {name: np.array(value) for name, value in terms.items()}
+            proof = {"method": method, "certificate": certificate, "eigenvalues": {"small gain": 1 - found.gain}}
+            widest = int(np.argmax(found.blame)) if np.any(found.blame) else np.nan
+            centred = _Box(system, widest, found.value, proof)
     if centred.bound <= _LOOSE * worst.attained:
         return centred
-    other = none
     with suppress(AccuracyError):
         problem = scaled_problem(system)
-        other = replace(none, widest=problem.widest())
+        other = replace(other, widest=problem.widest())
         if method not in ("star", "centred"):
             return _by_inequalities(other, Inequalities(problem, method), worst.radius, rate, searches)
         ellipsoid = common_ellipsoid(problem)
         sure = None if ellipsoid is None else verified_star(system, problem, ellipsoid)
         if sure is not None:
-            other = replace(
-                other,
-                bound=sure.bound,
-                method="star",
-                certificate={"Q": sure.Q, "shares": sure.shares},
-                eigenvalues={"decrease": sure.least},
-            )
+            proof = {"method": "star", "certificate": {"Q": sure.Q, "shares": sure.shares}}
+            other = replace(other, bound=sure.bound, proof=proof | {"eigenvalues": {"decrease": sure.least}})
     return other if other.bound < centred.bound or np.isnan(centred.widest) else centred
 
 
-def _by_inequalities(
-    part: _BoxBound, inequalities: Inequalities, radius: float, rate: float | None, searches: int
-) -> _BoxBound:
+def _by_inequalities(box: _Box, inequalities: Inequalities, radius: float, rate: float | None, searches: int) -> _Box:
     """Bound one box by matrix inequalities, at the rate that is asked for or the best, on a logistic scale."""
     found: list[Certificate] = []
 
     def size(t: float) -> float:
-        made = inequalities.solve(rate or room / (1 + np.exp(-t)))
-        found.extend([] if made is None else [made])
-        return _TOO_LARGE if made is None else float(np.log(made.bound))
+        certificate = inequalities.solve(rate or room / (1 + np.exp(-t)))
+        found.extend([] if certificate is None else [certificate])
+        return _TOO_LARGE if certificate is None else float(np.log(certificate.bound))
 
-    system, problem = part.system, inequalities.problem
+    system, problem = box.system, inequalities.problem
     room = 1 - radius**2
     if rate is not None:
         size(0.0)
@@ -359,17 +348,16 @@ def _by_inequalities(
             options = {"xatol": _SETTLED, "maxiter": searches - tried}
             minimize_scalar(size, bounds=span, method="bounded", options=options)
     if not found:
-        return part
+        return box
     best = min(found, key=lambda one: one.bound)
-    return replace(
-        part,
-        bound=best.bound * problem.unit,
-        method=inequalities.method,
-        rate=best.rate,
-        certificate=best.matrices | {"T": problem.T},
-        eigenvalues=best.eigenvalues,
-        unit=problem.unit,
-    )
+    proof = {
+        "method": inequalities.method,
+        "rate": best.rate,
+        "certificate": best.matrices | {"T": problem.T},
+        "eigenvalues": best.eigenvalues,
+        "unit": problem.unit,
+    }
+    return replace(box, bound=best.bound * problem.unit, proof=proof)
 
 
 @dataclass(frozen=True, eq=False)

@@ -170,99 +170,76 @@ def smallest_gain(
         note = f"more inputs ({inputs}) than outputs ({outputs}): some combination of the inputs leaves no output"
         bound, attained, worst, boxes = 0.0, 0.0, (low + high) / 2, 0
     else:
-        search = _Search(response, low, high, rtol, *_lowest_gain(response, low, high, samples=samples, seed=seed))
-        note = search.run(most_boxes)
-        bound, attained, worst, boxes = search.bound, search.attained, search.worst, search.boxes
+        lowest = _lowest_gain(response, low, high, samples=samples, seed=seed)
+        bound, attained, worst, boxes, note = _branch_and_bound(response, low, high, rtol, most_boxes, *lowest)
     values = dict(zip(system.parameters, (float(v) for v in worst[:-1]), strict=True))
     frequency = min(float(worst[-1]) / (system.dt or 1.0), float(band))
     return SmallestGain(bound, attained, values, frequency, float(band), boxes, note)
 
 
-class _Search:
-    """Branch and bound, best first: the box with the smallest bound is always among the next to be cut."""
+def _branch_and_bound(
+    response: MemberResponse, low: Points, high: Points, rtol: float, most: int, attained: float, worst: Points
+) -> tuple[float, float, Points, int, str]:
+    """Cut the box with the smallest bound until that is close to the smallest gain of a visited member.
 
-    def __init__(
-        self, response: MemberResponse, low: Points, high: Points, rtol: float, attained: float, worst: Points
-    ) -> None:
-        self.response, self.low, self.high, self.rtol = response, low, high, rtol
-        self.attained, self.worst = attained, worst
-        self.number = count()
-        self.open: list[tuple[float, int, Points, Points]] = [(0.0, next(self.number), low, high)]
-        self.closed, self.boxes, self.unresolved = np.inf, 0, False
-        outputs, inputs = response.Dzw.shape
-        channels = len(response.owners) + len(response.A)
-        size = (outputs * inputs * len(low) + channels) * (len(low) + channels)
-        self.batch = int(np.clip(_CHUNK // size, 1, _BATCH))
+    Returns
+    -------
+    tuple
+        The bound, the smallest gain and its point, how many boxes were bounded, and a note.
+    """
+    number = count()
+    waiting: list[tuple[float, int, Points, Points]] = [(0.0, next(number), low, high)]
+    settled, boxes, unresolved = np.inf, 0, False  # the smallest bound of those that are not cut further
+    outputs, inputs = response.Dzw.shape
+    channels = len(response.owners) + len(response.A)
+    size = (outputs * inputs * len(low) + channels) * (len(low) + channels)
+    batch = int(np.clip(_CHUNK // size, 1, _BATCH))
 
-    @property
-    def bound(self) -> float:
-        """What holds for the set by now."""
-        return min(self.closed, self.open[0][0] if self.open else np.inf, self.attained)
-
-    @property
-    def target(self) -> float:
-        """The bound that is enough."""
-        return (1 - self.rtol) * self.attained
-
-    def run(self, most: int) -> str:
-        """Bound boxes until it is enough; return what there is to note."""
-        while self.boxes < most and self._more():
-            parts = [heapq.heappop(self.open)]
-            while self._more() and len(parts) < min(self.batch, most - self.boxes):
-                parts.append(heapq.heappop(self.open))
-            self._bound(parts)
-        if not self.attained:
-            return "the gain of a member is zero but for rounding"
-        if self.bound >= self.target:
-            return ""
-        if not self.open:
-            return f"rounding keeps the bound at {self.bound / self.attained:.3g} of what is attained"
-        poles = "; that no member has a pole in the band was not proved" if self.unresolved and not self.bound else ""
-        return (
-            f"the bound is {self.bound / self.attained:.3g} of what is attained after {self.boxes} boxes: raise "
-            f"most_boxes, or narrow the set{poles}"
-        )
-
-    def _more(self) -> bool:
+    def is_open() -> bool:
         """Tell whether the bound is still too small, and not because of a box that cannot be cut."""
-        return bool(self.open) and self.open[0][0] < min(self.target, self.closed)
+        return bool(waiting) and waiting[0][0] < min((1 - rtol) * attained, settled)
 
-    def _add(self, bound: float, low: Points, high: Points) -> None:
-        heapq.heappush(self.open, (bound, next(self.number), low, high))
-
-    def _bound(self, parts: list[tuple[float, int, Points, Points]]) -> None:
-        low, high = np.array([part[2] for part in parts]), np.array([part[3] for part in parts])
-        expansion = expand(self.response, low, high)
-        self.boxes += len(parts)
-        self.unresolved = not expansion.resolved.all()
-        centres = (low + high) / 2
-        if self.unresolved:
-            _check_stable(self.response, centres[~expansion.resolved, :-1])
+    while boxes < most and is_open():
+        parts = [heapq.heappop(waiting)]
+        while is_open() and len(parts) < min(batch, most - boxes):
+            parts.append(heapq.heappop(waiting))
+        lower, upper = np.array([part[2] for part in parts]), np.array([part[3] for part in parts])
+        expansion, centres = expand(response, lower, upper), (lower + upper) / 2
+        boxes, unresolved = boxes + len(parts), not expansion.resolved.all()
+        if unresolved:
+            _check_stable(response, centres[~expansion.resolved, :-1])
         gains = np.where(expansion.resolved, expansion.gain, np.inf)
         best = int(np.argmin(gains))
-        if gains[best] < self.attained * (1 - 0.1 * self.rtol):
-            self.attained, self.worst = _descended(self.response, self.low, self.high, centres[best], gains[best])
-        for i, part in enumerate(parts):
-            bound = max(part[0], float(expansion.bound[i]))
-            end = expansion.end[i] * (high[i] > low[i])
-            if bound >= self.target:
-                self.closed = min(self.closed, bound)
+        if gains[best] < attained * (1 - 0.1 * rtol):
+            attained, worst = _descended(response, low, high, centres[best], gains[best])
+        for (before, *_), bound, a, b, end, share in zip(
+            parts, expansion.bound.tolist(), lower, upper, expansion.end, expansion.share, strict=True
+        ):
+            bound, end = max(before, bound), end * (b > a)
+            share = np.where(b - a > _NARROWEST * (high - low), share, 0.0)
+            widest = int(np.argmax(share))
+            if bound >= (1 - rtol) * attained or not (end.any() or share[widest] > 0):
+                settled = min(settled, bound)  # enough; or too narrow, or exact but for rounding
             elif end.any():
-                self._add(bound, np.where(end > 0, high[i], low[i]), np.where(end < 0, low[i], high[i]))
+                heapq.heappush(waiting, (bound, next(number), np.where(end > 0, b, a), np.where(end < 0, a, b)))
             else:
-                self._cut(bound, low[i], high[i], expansion.share[i])
-
-    def _cut(self, bound: float, low: Points, high: Points, share: Points) -> None:
-        """Halve a box along the coordinate that matters most; one too narrow, or exact but for rounding, is left."""
-        share = np.where(high - low > _NARROWEST * (self.high - self.low), share, 0.0)
-        widest = int(np.argmax(share))
-        if share[widest] <= 0:
-            self.closed = min(self.closed, bound)
-            return
-        upper, lower = high.copy(), low.copy()
-        upper[widest] = lower[widest] = (low[widest] + high[widest]) / 2
-        self._add(bound, low, upper)
-        self._add(bound, lower, high)
+                middle, first, second = (a[widest] + b[widest]) / 2, b.copy(), a.copy()
+                first[widest] = second[widest] = middle
+                for half in ((a, first), (second, b)):
+                    heapq.heappush(waiting, (bound, next(number), *half))
+    bound = min(settled, waiting[0][0] if waiting else np.inf, attained)
+    note = ""
+    if not attained:
+        note = "the gain of a member is zero but for rounding"
+    elif bound < (1 - rtol) * attained and not waiting:
+        note = f"rounding keeps the bound at {bound / attained:.3g} of what is attained"
+    elif bound < (1 - rtol) * attained:
+        poles = "; that no member has a pole in the band was not proved" if unresolved and not bound else ""
+        note = (
+            f"the bound is {bound / attained:.3g} of what is attained after {boxes} boxes: raise most_boxes, or narrow "
+            f"the set{poles}"
+        )
+    return bound, attained, worst, boxes, note
 
 
 def _lowest_gain(
@@ -283,22 +260,21 @@ def _lowest_gain(
     _check_stable(response, np.vstack([inside, some])[:, :-1])
     step = max(1, _CHUNK // max(len(response.A) ** 2, 1))
 
-    def descended(points: Points) -> tuple[float, Points]:
+    def lowest(points: Points) -> tuple[float, Points]:
         gains = np.concatenate([response.gains(points[i : i + step]) for i in range(0, len(points), step)])
         best = int(np.argmin(gains))
-        starts.append(points[best])
-        return _descended(response, low, high, points[best], gains[best])
+        return gains[best], points[best]
 
-    starts: list[Points] = []
     if low[-1] < high[-1]:
         moved = np.repeat(inside, _FREQUENCIES, axis=0)
         moved[:, -1] = np.tile(np.linspace(low[-1], high[-1], _FREQUENCIES), len(inside))
         inside = np.vstack([inside, moved])
-    first = descended(inside)
-    corner[:, -1] = starts[0][-1]
-    lowest = min(first, descended(corner), key=lambda one: one[0])
-    _check_stable(response, lowest[1][None, :-1])
-    return lowest
+    starts = [lowest(inside)]
+    corner[:, -1] = starts[0][1][-1]
+    starts.append(lowest(corner))
+    least = min((_descended(response, low, high, point, gain) for gain, point in starts), key=lambda one: one[0])
+    _check_stable(response, least[1][None, :-1])
+    return least
 
 
 def _descended(response: MemberResponse, low: Points, high: Points, point: Points, gain: float) -> tuple[float, Points]:

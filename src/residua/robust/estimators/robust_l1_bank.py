@@ -239,12 +239,21 @@ def robust_l1_bank(
     if not targets:
         raise SettingError(f"faults= is empty: leave it out for all, or choose of {', '.join(plant.faults)}")
     check_method(method)
+    if not (0 <= beta <= 1 and np.isfinite(gamma) and gamma >= 0):
+        raise SettingError(f"beta must lie in [0, 1] and gamma be 0 or more, got {beta!r} and {gamma!r}")
+    if gamma == 0 and beta in (0, 1):
+        raise SettingError(
+            "without gamma, beta must lie between 0 and 1: the least disturbance alone is had by a residual that is "
+            "blind to the fault, the largest response alone by one that only disturbances fill"
+        )
+    if not (np.isfinite(band) and 0 <= band * plant.dt <= np.pi):
+        raise SettingError(f"band must lie in [0, {np.pi / plant.dt:.6g}] rad/s, half the sample rate, got {band!r}")
     ignored = dict.fromkeys(plant.faults[i] for i in arrays.positions(decouple, plant.faults, "fault"))
     task = Task(
         loop,
         checked_sizes(loop, sizes),
-        _weights(beta, gamma),
-        _band(band, plant.dt),
+        Weights(float(beta), float(gamma)),
+        float(band),
         _radii(loop, settling),
         _search(search, seed),
         method,
@@ -254,7 +263,15 @@ def robust_l1_bank(
     families = [estimator_family(plant, one, tuple(name for name in ignored if name != one)) for one in targets]
     check_members_stable(loop)
     if task.checkpoint is not None:
-        _make_folder(task.search, task.checkpoint)
+        if not isinstance(task.search, GeneticSearch):
+            raise SettingError("only a genetic search leaves its state: search='genetic' with checkpoint=")
+        try:
+            task.checkpoint.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise SettingError(
+                f"checkpoint= must be a folder, for several files, and {str(task.checkpoint)!r} is not or cannot be "
+                f"made one: {error.strerror or error}"
+            ) from error
     tell, close = progress_of(progress)
     parts, estimators = {}, {}
     try:
@@ -266,36 +283,6 @@ def robust_l1_bank(
     generator = stacked_members(parts, loop.nominal, _METHOD, _REFERENCE)
     assert generator.codes is not None  # stacked_members gives them
     return RobustL1Bank(generator, generator.codes, {}, {}, loop, estimators)
-
-
-def _make_folder(search: Search, folder: Path) -> None:
-    """Make the folder for the states of searches, before anything has been computed."""
-    if not isinstance(search, GeneticSearch):
-        raise SettingError("only a genetic search leaves its state: search='genetic' with checkpoint=")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise SettingError(
-            f"checkpoint= must be a folder, for several files, and {str(folder)!r} is not or cannot be made one: "
-            f"{error.strerror or error}"
-        ) from error
-
-
-def _weights(beta: float, gamma: float) -> Weights:
-    if not (0 <= beta <= 1 and np.isfinite(gamma) and gamma >= 0):
-        raise SettingError(f"beta must lie in [0, 1] and gamma be 0 or more, got {beta!r} and {gamma!r}")
-    if gamma == 0 and beta in (0, 1):
-        raise SettingError(
-            "without gamma, beta must lie between 0 and 1: the least disturbance alone is had by a residual that is "
-            "blind to the fault, the largest response alone by one that only disturbances fill"
-        )
-    return Weights(float(beta), float(gamma))
-
-
-def _band(band: float, dt: float) -> float:
-    if not (np.isfinite(band) and 0 <= band * dt <= np.pi):
-        raise SettingError(f"band must lie in [0, {np.pi / dt:.6g}] rad/s, half the sample rate, got {band!r}")
-    return float(band)
 
 
 def _radii(loop: UncertainPlant, settling: float | None) -> tuple[float, ...]:

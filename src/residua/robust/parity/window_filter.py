@@ -8,11 +8,11 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from residua.design.core.evidence import format_pole
 from residua.design.core.signals import signal_names
 from residua.design.parity.relation import chain, pole_basis
 from residua.errors import DesignError
 from residua.linear import StateSpace
+from residua.linear.poles.pole_assignment import checked_poles
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.plant import Plant
 
@@ -62,10 +62,4 @@ def window_poles(poles: Sequence[complex] | None, order: int) -> NDArray[np.comp
     values = np.atleast_1d(np.asarray(poles, dtype=np.complex128))
     if values.shape != (order,):
         raise DesignError(f"a window of order {order} takes {order} poles, not {values.size}")
-    pairs = np.sort_complex(values[values.imag > 0]), np.sort_complex(values[values.imag < 0].conj())
-    if len(pairs[0]) != len(pairs[1]) or not np.allclose(*pairs, rtol=1e-12, atol=0):
-        raise DesignError("the poles are not closed under conjugation")
-    outside = values[~(np.abs(values) < 1)]
-    if len(outside):
-        raise DesignError(f"pole {format_pole(outside[0])} is not stable: poles must lie inside the unit circle")
-    return values
+    return checked_poles(values, sampled=True)

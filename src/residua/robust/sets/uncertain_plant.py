@@ -348,10 +348,59 @@ class UncertainPlant:
         nuisance_size: float = 1.0,
         model: ArrayLike | None = None,
     ) -> UncertainSystem:
-        """Return the residual of an estimator as an uncertain system; see :func:`estimator_residual`."""
-        from residua.robust.sets.uncertain_loop import estimator_residual
+        r"""Return the residual of an estimator, seen from disturbances and nuisance faults, as an uncertain system.
 
-        return estimator_residual(self, gain, projection, nuisances=nuisances, nuisance_size=nuisance_size, model=model)
+        The estimator :math:`\hat x_{k+1} = A_e \hat x_k + W (y_k - C \hat x_k)` with the residual
+        :math:`r = P (y - C \hat x)`. With :math:`e = x - \hat x` and the states :math:`[x; e]`,
+
+        .. math::
+
+           \tilde A = \begin{bmatrix} A & 0 \\ A - A_e & A_e - W C \end{bmatrix}, \quad
+           B_p = -\begin{bmatrix} H_x \\ H_x - W H_y \end{bmatrix}, \quad C_q = [G_x \; 0], \quad
+           B_w = \begin{bmatrix} D_1 \\ D_1 - W D_2 \end{bmatrix}, \\
+           C_z = P [0 \; C], \quad D_{zp} = -P H_y, \quad D_{zw} = P D_2
+
+        The part of :math:`\Delta C` in the residual, :math:`D_{zp}`, is missing in the literature's eqs. (42) and (45).
+
+        Parameters
+        ----------
+        gain : array_like, shape (n, outputs)
+            ``W``.
+        projection : array_like, shape (r, outputs)
+            ``P``.
+        nuisances : sequence of str
+            Faults that count as disturbances, after those of the plant.
+        nuisance_size : float
+            Their size, where disturbances and nuisances together have the length 1.
+        model : array_like, shape (n, n), optional
+            ``Ae``; the nominal ``A`` when omitted.
+
+        Returns
+        -------
+        UncertainSystem
+            From the disturbances (and nuisances) to the residual. Its parameters are deviations from the nominal values
+            of the loop: ``residua.plant.loop_parameters``. White noise, which has no bound, is left out.
+
+        Raises
+        ------
+        ModelError
+            If the plant has control inputs (:meth:`in_closed_loop` closes the loop) or a shape does not fit.
+
+        References
+        ----------
+        Robust l1 fault detection, eqs. (27)-(37).
+        """
+        from residua.robust.sets.uncertain_loop import residual_over_set
+
+        p = self.nominal
+        n, y = p.n_states, p.n_outputs
+        W = arrays.matrix(gain, "gain", (n, y), what="states x outputs")
+        P = arrays.matrix(projection, "projection", (None, y), what="one column per output")
+        Ae = p.A if model is None else arrays.matrix(model, "model", (n, n))
+        estimator = StateSpace(Ae - W @ p.C, W, -P @ p.C, P, dt=p.dt)
+        signals = (*p.disturbances, *(p.faults[i] for i in arrays.positions(nuisances, p.faults, "fault")))
+        sizes = dict.fromkeys(signals[len(p.disturbances) :], nuisance_size)
+        return residual_over_set(self, estimator, np.eye(n), signals=signals, sizes=sizes)
 
     def discretize(self, dt: float) -> UncertainPlant:
         """Return the uncertain plant sampled with step ``dt``.
