@@ -11,6 +11,7 @@ from fractions import Fraction
 from itertools import combinations
 
 import numpy as np
+from flint import nmod_mat
 from numpy.typing import NDArray
 
 import residua as rs
@@ -31,37 +32,15 @@ def remainders(M: NDArray) -> NDArray[np.int64]:
 
 def rank(M: NDArray[np.int64]) -> int:
     """Return the rank of a matrix modulo the prime."""
-    return len(_eliminated(M)[1])
-
-
-def _eliminated(M: NDArray[np.int64]) -> tuple[NDArray[np.int64], list[int]]:
-    """Return the reduced echelon form and its pivot columns."""
-    M, pivots = M.copy() % PRIME, []
-    for c in range(M.shape[1]):
-        r = len(pivots)
-        below = np.flatnonzero(M[r:, c])
-        if not len(below):
-            continue
-        M[[r, r + below[0]]] = M[[r + below[0], r]]
-        M[r] = M[r] * pow(int(M[r, c]), -1, PRIME) % PRIME
-        rows = np.flatnonzero(M[:, c])
-        rows = rows[rows != r]
-        M[rows, c:] = (M[rows, c:] - M[rows, c, None] * M[r, c:] % PRIME) % PRIME  # a pivot's row begins with it
-        pivots.append(c)
-        if len(pivots) == len(M):
-            break
-    return M, pivots
+    return nmod_mat(*M.shape, M.ravel().tolist(), PRIME).rank() if M.size else 0
 
 
 def left_null(M: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return rows that span the left null space modulo the prime."""
-    reduced, pivots = _eliminated(M.T)
-    free = [j for j in range(M.shape[0]) if j not in pivots]
-    out = np.zeros((len(free), M.shape[0]), dtype=np.int64)
-    for i, j in enumerate(free):
-        out[i, j] = 1
-        out[i, pivots] = -reduced[: len(pivots), j] % PRIME
-    return out
+    if not M.size:
+        return np.eye(len(M), dtype=np.int64)
+    X, count = nmod_mat(*M.T.shape, M.T.ravel().tolist(), PRIME).nullspace()
+    return np.array([[int(x) for x in row] for row in X.tolist()], dtype=np.int64)[:, :count].T
 
 
 def product(X: NDArray[np.int64], Y: NDArray[np.int64]) -> NDArray[np.int64]:
