@@ -268,20 +268,18 @@ def simulate_degrading_jet_engine(
     steps = round(seconds / plant.dt)
     courses = fault_courses(faults, plant.faults, steps, dt=plant.dt)
     f = np.column_stack([np.zeros((steps, 0)), *courses.values()])
-    w = _disturbance(disturbance, (steps, len(plant.disturbances)), seed)
+    shape = steps, len(plant.disturbances)
+    if not isinstance(disturbance, str):
+        w = filled(disturbance, shape, "disturbance")
+    elif disturbance == "sphere":
+        draw = np.random.default_rng(seed).standard_normal(shape)
+        w = draw / np.linalg.norm(draw, axis=1, keepdims=True)
+    else:
+        raise SettingError(f"disturbance must be 'sphere' or numbers of shape {shape}, got {disturbance!r}")
     if controller is None:
         controller = degrading_jet_engine_controller(engine)
-    found = _closed_loop(engine, controller, degrading_jet_engine_corner() if values is None else values)
-    y, u, x = np.split(
-        found.simulate(np.hstack([w, f])), np.cumsum([plant.n_outputs, len(plant.inputs)]).tolist(), axis=1
-    )
-    return SimulatedRecording(np.arange(steps, dtype=np.float64) * plant.dt, u, y, x, plant.dt)
-
-
-def _closed_loop(engine: UncertainPlant, controller: StateSpace, values: Mapping[str, float] | ArrayLike) -> StateSpace:
-    """Return a member under feedback, from disturbances and faults to measurements, commands and states."""
-    plant = engine.nominal
-    system = engine.in_closed_loop(controller).member(values).system(("disturbance", "fault"))
+    member = engine.in_closed_loop(controller).member(degrading_jet_engine_corner() if values is None else values)
+    system = member.system(("disturbance", "fault"))
     if not system.is_stable():
         raise DesignError(
             f"the loop is not stable for this member of the set (spectral radius {np.abs(system.poles()).max():.6g}): "
@@ -289,23 +287,12 @@ def _closed_loop(engine: UncertainPlant, controller: StateSpace, values: Mapping
         )
     by_name = set(controller.outputs) == set(plant.inputs)
     commands = controller.explicit().select(outputs=plant.inputs if by_name else None).C
-    n, own, v = plant.n_states, controller.n_states, system.n_inputs
-    return StateSpace(
-        system.A,
-        system.B,
-        np.vstack([system.C, np.hstack([np.zeros((len(commands), n)), commands]), np.eye(n, n + own)]),
-        np.vstack([system.D, np.zeros((len(commands) + n, v))]),
-        dt=system.dt,
-    )
-
-
-def _disturbance(value: ArrayLike, shape: tuple[int, int], seed: int) -> NDArray[np.float64]:
-    if not isinstance(value, str):
-        return filled(value, shape, "disturbance")
-    if value != "sphere":
-        raise SettingError(f"disturbance must be 'sphere' or numbers of shape {shape}, got {value!r}")
-    draw = np.random.default_rng(seed).standard_normal(shape)
-    return draw / np.linalg.norm(draw, axis=1, keepdims=True)
+    n, m = plant.n_states, len(commands)
+    C = np.vstack([system.C, np.hstack([np.zeros((m, n)), commands]), np.eye(n, system.n_states)])
+    D = np.vstack([system.D, np.zeros((m + n, system.n_inputs))])
+    seen = StateSpace(system.A, system.B, C, D, dt=system.dt).simulate(np.hstack([w, f]))
+    y, u, x = np.split(seen, np.cumsum([plant.n_outputs, m]).tolist(), axis=1)
+    return SimulatedRecording(np.arange(steps, dtype=np.float64) * plant.dt, u, y, x, plant.dt)
 
 
 def _sampled(engine: UncertainPlant | None) -> UncertainPlant:

@@ -28,6 +28,33 @@ LEAKS = ("leak 1", "leak 2", "leak 3")
 CLOGS = ("clog 13", "clog 20", "clog 32")
 SENSORS = ("h1 sensor", "h2 sensor", "h3 sensor")
 ACTUATORS = ("Q1 actuator", "Q2 actuator")
+#: Description of each fault, by the words of its name, the first checks, and its unit.
+NOTES = (
+    (
+        ACTUATORS,
+        "Pump {0} delivers another flow than its command.",
+        "the pump's voltage and speed, its inlet filter, and the calibration of its flow",
+        "",
+    ),
+    (
+        SENSORS,
+        "The reading of level {0} is off.",
+        "the reading against the scale on the tank; the sensor's connector and zero",
+        "",
+    ),
+    (
+        LEAKS,
+        "A hole in the bottom of tank {1}.",
+        "whether the drain valve below the tank is shut; the floor below it for water",
+        "cm2",
+    ),
+    (
+        CLOGS,
+        "Part of the opening of a pipe is lost.",
+        "the valve of the pipe for its position and for dirt",
+        "of the opening",
+    ),
+)
 
 
 def three_tank(dt: float = 1.0) -> Plant:
@@ -95,7 +122,13 @@ def three_tank(dt: float = 1.0) -> Plant:
     directions = (q13 * np.array([1, 0, -1]), q20 * np.array([0, 1, 0]), q32 * np.array([0, -1, 1]))
     for name, direction in zip(CLOGS, directions, strict=True):
         plant = plant.with_faults({name: direction / AREA}, component=name.replace("clog", "pipe"))
-    plant = plant.with_fault_notes(_notes())
+    plant = plant.with_fault_notes(
+        {
+            name: {"description": text.format(*name.split()), "check": check, "unit": unit}
+            for names, text, check, unit in NOTES
+            for name in names
+        }
+    )
     if dt == 0:
         return plant.with_noise(process=PROCESS_NOISE, measurement=LEVEL_NOISE)
     return plant.discretize(dt).with_noise(process=PROCESS_NOISE * dt, measurement=LEVEL_NOISE)
@@ -224,38 +257,3 @@ def three_tank_fault(number: int, steps: int = 2001, *, dt: float = 1.0, onset: 
         raise ModelError(f"the benchmark has the faults 1 to 12, not {number!r}")
     name, slope = slopes[number]
     return {name: slope * tau}
-
-
-def _notes() -> dict[str, dict[str, str]]:
-    """Return the description of each fault, the first checks, and its unit."""
-    notes = {
-        f"{pump} actuator": {
-            "description": f"Pump {pump} delivers another flow than its command.",
-            "check": "the pump's voltage and speed, its inlet filter, and the calibration of its flow",
-        }
-        for pump in ("Q1", "Q2")
-    }
-    notes |= {
-        f"{level} sensor": {
-            "description": f"The reading of level {level} is off.",
-            "check": "the reading against the scale on the tank; the sensor's connector and zero",
-        }
-        for level in ("h1", "h2", "h3")
-    }
-    notes |= {
-        leak: {
-            "description": f"A hole in the bottom of tank {leak[-1]}.",
-            "check": "whether the drain valve below the tank is shut; the floor below it for water",
-            "unit": "cm2",
-        }
-        for leak in LEAKS
-    }
-    notes |= {
-        clog: {
-            "description": "Part of the opening of a pipe is lost.",
-            "check": "the valve of the pipe for its position and for dirt",
-            "unit": "of the opening",
-        }
-        for clog in CLOGS
-    }
-    return notes

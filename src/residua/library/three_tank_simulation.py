@@ -86,7 +86,9 @@ def simulate_three_tank(
     course = fault_courses(faults, (*ACTUATORS, *SENSORS, *LEAKS, *CLOGS), steps, dt=dt)
     commands = None if u is None else filled(u, (steps, 2), "u")
     wanted = filled(LEVELS[:2] if setpoints is None else setpoints, (steps, 2), "setpoints")
-    sensor, level, flow = _noise(steps, dt, noise, seed)
+    draw = np.random.default_rng(seed).standard_normal((steps, 8)) * noise
+    sensor, level = draw[:, :3] * np.sqrt(LEVEL_NOISE), draw[:, 3:6] * np.sqrt(PROCESS_NOISE * dt)
+    flow = draw[:, 6:] * np.sqrt(FLOW_NOISE)
     offset = np.column_stack([course[name] for name in SENSORS])
     extra = np.column_stack([course[name] for name in ACTUATORS])
     leaks = np.column_stack([course[name] for name in LEAKS])
@@ -97,7 +99,11 @@ def simulate_three_tank(
         x[k] = h
         y[k] = h + offset[k] + sensor[k]
         if commands is None:
-            q[k], integral = _control(wanted[k] - y[k, :2], integral, dt)
+            error = wanted[k] - y[k, :2]
+            free = _POINT + _PROPORTIONAL * (error + integral)
+            q[k] = _within(free, LARGEST_FLOW)
+            # frozen while a pump is at its limit
+            integral = np.where(q[k] == free, integral + error * dt / INTEGRAL_TIME, integral)
         else:
             q[k] = commands[k]
         real = _within(q[k] + extra[k] + flow[k], LARGEST_FLOW)
@@ -107,23 +113,6 @@ def simulate_three_tank(
     return SimulatedRecording(np.arange(steps, dtype=np.float64) * dt, q, y, x, float(dt))
 
 
-def _control(error: NDArray, integral: NDArray, dt: float) -> tuple[NDArray, NDArray]:
-    """Return the commands of the two controllers; the integral is frozen while a pump is at its limit."""
-    wanted = _POINT + _PROPORTIONAL * (error + integral)
-    q = _within(wanted, LARGEST_FLOW)
-    return q, np.where(q == wanted, integral + error * dt / INTEGRAL_TIME, integral)
-
-
 def _within(value: NDArray, highest: float) -> NDArray:
     """Clip between zero and a limit; ``np.clip`` takes three times as long for three numbers."""
     return np.minimum(np.maximum(value, 0.0), highest)
-
-
-def _noise(steps: int, dt: float, factor: float, seed: int) -> tuple[NDArray, NDArray, NDArray]:
-    """Return the noise of sensors, of levels over a step, and of pump flows."""
-    draw = np.random.default_rng(seed).standard_normal((steps, 8)) * factor
-    return (
-        draw[:, :3] * np.sqrt(LEVEL_NOISE),
-        draw[:, 3:6] * np.sqrt(PROCESS_NOISE * dt),
-        draw[:, 6:] * np.sqrt(FLOW_NOISE),
-    )

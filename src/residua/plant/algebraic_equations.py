@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from residua.plant.plant import Plant
 
 #: A state of which less than this part is independent of others is none of the new ones.
-_INDEPENDENT = 1e-6
+_DISTINCT = 1e-6
 #: Largest error of the frequency response.
 _EXACT = 1e-6
 
@@ -130,7 +130,7 @@ def _kept_states(E: NDArray, X: NDArray, direct: NDArray, terms: NDArray) -> tup
         return [None] * r, np.eye(r)
     R, pivots = scipy.linalg.qr(X[own].T, mode="r", pivoting=True)
     size = np.abs(np.diag(R))
-    count = int(np.count_nonzero(size > _INDEPENDENT * size[0]))
+    count = int(np.count_nonzero(size > _DISTINCT * size[0]))
     chosen = sorted(own[i] for i in pivots[:count])
     rest = scipy.linalg.null_space(X[chosen]).T[: r - count] if count < r else np.zeros((0, r))
     return [*chosen, *([None] * (r - count))], np.vstack([X[chosen], rest])

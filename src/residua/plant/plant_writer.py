@@ -113,7 +113,16 @@ def dumps_plant(plant: Plant) -> str:
         matrices.append(f"D = {_matrix(plant.D)}")
     if plant.E is not None:
         matrices.append(f"E = {_matrix(plant.E)}")
-    blocks = [head, *_channels(plant), *_identification(plant), matrices]
+    blocks = [head, *_channels(plant)]
+    made = plant.identification
+    if made is not None:
+        lines = ["[identification]", f"method = {_text(made.method)}", f"rows = {made.rows}"]
+        for key, channels in (("coloured", made.coloured), ("weak_inputs", made.weak_inputs)):
+            lines += [f"{key} = {_texts(channels)}"] if channels else []
+        if made.uncertain_gains:
+            lines.append(f"uncertain_gains = [{', '.join(map(_texts, made.uncertain_gains))}]")
+        blocks.append(lines)
+    blocks.append(matrices)
     for name, b, d in zip(plant.disturbances, plant.Bd.T, plant.Dd.T, strict=True):
         blocks.append(["[[disturbances]]", f"name = {_text(name)}", *_vectors(plant, b, d)])
     blocks += [_fault(plant, i) for i in range(len(plant.faults))]
@@ -158,19 +167,6 @@ def _channels(plant: Plant) -> list[list[str]]:
             lines.append(f"operating_point = {_row(values)}")
         blocks.append(lines)
     return blocks
-
-
-def _identification(plant: Plant) -> list[list[str]]:
-    made = plant.identification
-    if made is None:
-        return []
-    lines = ["[identification]", f"method = {_text(made.method)}", f"rows = {made.rows}"]
-    for key, channels in (("coloured", made.coloured), ("weak_inputs", made.weak_inputs)):
-        lines += [f"{key} = {_texts(channels)}"] if channels else []
-    if made.uncertain_gains:
-        pairs = ", ".join(_texts(pair) for pair in made.uncertain_gains)
-        lines.append(f"uncertain_gains = [{pairs}]")
-    return [lines]
 
 
 def _fault(plant: Plant, i: int) -> list[str]:

@@ -206,27 +206,22 @@ def check_kind(path: Path) -> None:
         raise FileFormatError(f"{path.name}: this is {_OTHERS[path.suffix.lower()]}")
 
 
-def text_of(path: Path) -> bytes:
-    """Return the text of a file, unpacked if it is compressed by gzip."""
-    content = read_bytes(path, "recording")
-    if not content.startswith(b"\x1f\x8b"):
-        return content
-    inner = Path(path.stem).suffix.lower()
-    if inner in _READERS or inner in _OTHERS:
-        raise FileFormatError(f"{path.name}: only text is read packed: unpack it first (gunzip {path.name})")
-    limit = unpacked_limit()
-    try:
-        with gzip.GzipFile(fileobj=io.BytesIO(content)) as file:
-            text = file.read(limit + 1)
-    except (OSError, EOFError, zlib.error) as error:
-        raise FileFormatError(f"{path.name}: not a readable .gz file: {echo(str(error))}") from error
-    if len(text) > limit:
-        raise too_large(path.name, limit)
-    return text
-
-
 def _from_text(path: Path, options: ReadOptions) -> Recording:
-    table = open_csv(text_of(path), path.name, decimal=options.decimal)
+    """Read a table of text, unpacked if it is compressed by gzip."""
+    content = read_bytes(path, "recording")
+    if content.startswith(b"\x1f\x8b"):
+        inner = Path(path.stem).suffix.lower()
+        if inner in _READERS or inner in _OTHERS:
+            raise FileFormatError(f"{path.name}: only text is read packed: unpack it first (gunzip {path.name})")
+        limit = unpacked_limit()
+        try:
+            with gzip.GzipFile(fileobj=io.BytesIO(content)) as file:
+                content = file.read(limit + 1)
+        except (OSError, EOFError, zlib.error) as error:
+            raise FileFormatError(f"{path.name}: not a readable .gz file: {echo(str(error))}") from error
+        if len(content) > limit:
+            raise too_large(path.name, limit)
+    table = open_csv(content, path.name, decimal=options.decimal)
     if not table.headed:
         return _from_headless(table, options, path.name)
     if options.matrix_names is not None:
@@ -295,29 +290,25 @@ def _from_arrays(table: dict[str, NDArray], options: ReadOptions, source: str, f
 
     def times() -> Times:
         assert found.clock is not None
-        return _seconds(table[found.clock], options, f"{source}: column {echo(found.clock)}", first_row)
+        values, what = table[found.clock], f"{source}: column {echo(found.clock)}"
+        if values.dtype.kind == "M":
+            if np.isnat(values).any():
+                raise DataError(f"{what}: the time in row {first_row + int(np.isnat(values).argmax())} is missing")
+            return seconds_from_dates(values.astype("datetime64[ns]"))
+        if values.dtype.kind in "OUT" and len(values) and isinstance(values[0], str):
+            rows = range(first_row, first_row + len(values))
+            texts = [str(value) for value in values]
+            return seconds_from_text(texts, rows, what, dayfirst=options.dayfirst, time_format=options.time_format)
+        seconds = _as_numbers(values, "", options.marks, Tally())
+        if isinstance(seconds, str):
+            raise DataError(f"{what}{seconds}")
+        return seconds, ""
 
     return assembled(data, found, times, options, source, tally, first_row=first_row)
 
 
-def _seconds(values: NDArray, options: ReadOptions, what: str, first_row: int) -> Times:
-    """Return a column of times in seconds, and their origin."""
-    if values.dtype.kind == "M":
-        if np.isnat(values).any():
-            raise DataError(f"{what}: the time in row {first_row + int(np.isnat(values).argmax())} is missing")
-        return seconds_from_dates(values.astype("datetime64[ns]"))
-    if values.dtype.kind in "OUT" and len(values) and isinstance(values[0], str):
-        rows = range(first_row, first_row + len(values))
-        texts = [str(value) for value in values]
-        return seconds_from_text(texts, rows, what, dayfirst=options.dayfirst, time_format=options.time_format)
-    seconds = _as_numbers(values, "", options.marks, Tally())
-    if isinstance(seconds, str):
-        raise DataError(f"{what}{seconds}")
-    return seconds, ""
-
-
 def _as_numbers(values: NDArray, name: str, marks: Marks, tally: Tally) -> NDArray[np.float64] | str:
-    """Return a column of numbers, and count its marks of missing values; or raise for one without numbers."""
+    """Return a column of numbers, its marks of missing values counted, or the problem with it, for a message."""
     if values.dtype.kind in "fiub":
         return np.asarray(values, dtype=float)
     if values.dtype.kind not in "OUT":

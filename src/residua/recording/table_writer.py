@@ -13,7 +13,7 @@ from residua.errors import DataError, FileFormatError, missing_extra
 from residua.files import replacing
 from residua.visible import echo
 
-#: Rows of a Parquet file that are written at once, as one group.
+#: Rows that are written at once; of a Parquet file as one group.
 _ROWS = 1 << 16
 
 
@@ -56,8 +56,11 @@ def write_table(path: str | Path, columns: Mapping[str, Iterable[float] | NDArra
         raise DataError(f"the columns differ in length: {lengths}")
     suffix = path.suffix.lower()
     if suffix == ".csv":
-        with replacing(path) as temporary:
-            _write_csv(temporary, arrays)
+        with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
+            csv.writer(file, lineterminator="\n").writerow(arrays)
+            for start in range(0, max(lengths.values(), default=0), _ROWS):
+                parts = [_cells(column[start : start + _ROWS]) for column in arrays.values()]
+                file.writelines(",".join(row) + "\n" for row in zip(*parts, strict=True))
     elif suffix == ".parquet":
         try:
             import pyarrow
@@ -74,15 +77,6 @@ def write_table(path: str | Path, columns: Mapping[str, Iterable[float] | NDArra
     else:
         raise FileFormatError(f"{path.name}: tables are written as .csv or .parquet, not {echo(suffix)}")
     return path
-
-
-def _write_csv(path: Path, arrays: Mapping[str, NDArray], rows: int = 50_000) -> None:
-    length = max((len(column) for column in arrays.values()), default=0)
-    with path.open("w", encoding="utf-8", newline="") as file:
-        csv.writer(file, lineterminator="\n").writerow(arrays)
-        for start in range(0, length, rows):
-            parts = [_cells(column[start : start + rows]) for column in arrays.values()]
-            file.writelines(",".join(row) + "\n" for row in zip(*parts, strict=True))
 
 
 def _cells(values: NDArray) -> list[str]:

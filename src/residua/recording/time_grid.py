@@ -94,8 +94,16 @@ def put_on_grid(time: NDArray[np.float64], step: float | None, tolerance: float,
         Number of the row that ``time[0]`` is from, for messages.
     source : str
     """
-    _check_order(time, first_row, source)
+    bad = np.flatnonzero(~np.isfinite(time))
+    if len(bad):
+        raise DataError(f"{source}: the time in row {first_row + bad[0]} is missing or not finite")
     steps = np.diff(time)
+    back = np.flatnonzero(steps < 0)
+    if len(back):
+        k = int(back[0])
+        raise DataError(
+            f"{source}: time goes backwards in row {first_row + k + 1}: {time[k + 1]:.10g} s after {time[k]:.10g} s"
+        )
     if not np.any(steps > 0):
         raise DataError(f"{source}: every row has the same time, {time[0]:.10g} s")
     usual = float(np.median(steps[steps > 0]))
@@ -104,29 +112,33 @@ def put_on_grid(time: NDArray[np.float64], step: float | None, tolerance: float,
             f"{source}: the times are usually {usual:g} s apart, and a grid of {step:g} s was asked for (dt=, or the "
             "step of the plant): resample the recording, or discretize the plant at its step"
         )
-    _check_size(time, usual if step is None else step, first_row, source)
-    fit = _fitted(time, usual if step is None else step, tolerance)
+    asked = usual if step is None else step
+    # far more points than there are rows, as after a wrong date
+    points = (time[-1] - time[0]) / asked
+    if points > max(_POINTS, _POINTS_PER_ROW * len(time)):
+        longest = int(steps.argmax())
+        raise DataError(
+            f"{source}: {len(time)} rows would need a grid of {points:.6g} points of {asked:g} s; the longest gap, "
+            f"before row {first_row + longest + 1}, is {steps[longest]:g} s: is that time right? If "
+            "so, cut the recording there: fit takes several"
+        )
+    fit = _fitted(time, asked, tolerance)
     if step is not None and abs(fit.step - step) > STEP_TOLERANCE * step:
         raise DataError(
             f"{source}: the times are {fit.step:.8g} s apart on average, and a grid of {step:g} s was asked for (dt=, "
             f"or the step of the plant): they drift by more than {STEP_TOLERANCE:g} of it"
         )
-    bad = int((fit.off > tolerance).sum())
-    if bad:
+    away = int((fit.off > tolerance).sum())
+    if away:
         k = int(fit.off.argmax())
         raise DataError(
-            f"{source}: the times stand on no grid of {fit.step:.6g} s: {bad} of {len(time)} rows are more than "
+            f"{source}: the times stand on no grid of {fit.step:.6g} s: {away} of {len(time)} rows are more than "
             f"{tolerance:.2g} of a step from the nearest point, the worst, row {first_row + k}, {fit.off[k]:.2g} of "
             "one; give the step by dt=, allow more by tolerance= (below 0.5), or resample the recording"
         )
-    return _with_rows(fit, first_row, source)
-
-
-def _with_rows(fit: _Fit, first_row: int, source: str) -> Grid:
-    """Return the grid with the row nearest to each point; raise if too many share one."""
     places, off, step = fit.places, fit.off, fit.step
     points, total = int(places[-1]) + 1, len(places)
-    order = np.lexsort((off, places))
+    order = np.lexsort((off, places))  # of each point the nearest row comes first, and is kept
     rows = order[np.concatenate([[True], np.diff(places[order]) > 0])]
     keeper = rows[np.searchsorted(places[rows], places)]
     dropped = np.flatnonzero(keeper != np.arange(total))
@@ -140,30 +152,6 @@ def _with_rows(fit: _Fit, first_row: int, source: str) -> Grid:
     time = np.asarray(fit.start + step * np.arange(points), dtype=np.float64)
     twice = np.column_stack([dropped, keeper[dropped]])
     return Grid(time, step, rows, places[rows], twice, float(off[rows].max(initial=0.0)))
-
-
-def _check_size(time: NDArray[np.float64], step: float, first_row: int, source: str) -> None:
-    """Raise if the grid would have far more points than there are rows, as after a wrong date."""
-    points = (time[-1] - time[0]) / step
-    if points > max(_POINTS, _POINTS_PER_ROW * len(time)):
-        longest = int(np.diff(time).argmax())
-        raise DataError(
-            f"{source}: {len(time)} rows would need a grid of {points:.6g} points of {step:g} s; the longest gap, "
-            f"before row {first_row + longest + 1}, is {time[longest + 1] - time[longest]:g} s: is that time right? If "
-            "so, cut the recording there: fit takes several"
-        )
-
-
-def _check_order(time: NDArray[np.float64], first_row: int, source: str) -> None:
-    bad = np.flatnonzero(~np.isfinite(time))
-    if len(bad):
-        raise DataError(f"{source}: the time in row {first_row + bad[0]} is missing or not finite")
-    back = np.flatnonzero(np.diff(time) < 0)
-    if len(back):
-        k = int(back[0])
-        raise DataError(
-            f"{source}: time goes backwards in row {first_row + k + 1}: {time[k + 1]:.10g} s after {time[k]:.10g} s"
-        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -81,16 +81,16 @@ class RobustL1Bank(Bank):
         common = left_out(self.loop)  # which every member has in its notes
         own = [note for note in self.generator.evidence.notes if not note.endswith(common)]
         lines += [f"note: {note}" for note in (*common, *own)]
-        return "\n".join(lines + [_leaks(one) for one in self.estimators.values() if one.leakage])
-
-
-def _leaks(one: RobustEstimator) -> str:
-    """Return what other faults add to one residual, as a line."""
-    sizes = one.certificate.sizes
-    # what is rounding beside the threshold is nothing
-    leakage = {o: x if x > 1e-9 * one.threshold else 0.0 for o, x in one.leakage.items()}
-    parts = (f"{o} {x:.3g}" + (f" (covered to {sizes[o]:g})" if o in sizes else "") for o, x in leakage.items())
-    return f"{one.fault}: of other faults a unit adds at most: {', '.join(parts)}"
+        for one in self.estimators.values():
+            parts = []
+            for fault, size in one.leakage.items():
+                covered = one.certificate.sizes.get(fault)
+                # what is rounding beside the threshold is nothing
+                parts.append(f"{fault} {size if size > 1e-9 * one.threshold else 0.0:.3g}")
+                parts[-1] += "" if covered is None else f" (covered to {covered:g})"
+            if parts:
+                lines.append(f"{one.fault}: of other faults a unit adds at most: {', '.join(parts)}")
+        return "\n".join(lines)
 
 
 @method(

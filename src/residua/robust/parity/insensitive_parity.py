@@ -417,11 +417,24 @@ def insensitive_parity(
     equations = equations_of(model, values, sizes)
     if not drifts and not isolated:
         isolated = list(names)
-    members, ignored = _members(drifts, isolated, len(equations.model.outputs))
+    m = len(equations.model.outputs)
+    both = [name for name in isolated if name in drifts]
+    if both:
+        raise DesignError(
+            f"parameter {both[0]!r} stands among those to ignore always and among those to isolate: leave it out of one"
+        )
+    ignored = [tuple(drifts), *((*drifts, name) for name in isolated)]
+    longest = max(ignored, key=len)
+    if len(longest) > m - 1:
+        raise DesignError(
+            f"{m} equations leave room for {m - 1} ignored parameter{'s' * (m != 2)} at a time, not for "
+            f"{', '.join(longest)}: add a sensor, or ignore fewer"
+        )
+    members = tuple("ignores " + (" and ".join(one) or "nothing") for one in ignored)
     if memory != int(memory) or memory < 1:
         raise SettingError(f"memory must be a whole number of samples, at least 1, got {memory!r}")
     plant = equations.model.to_plant()
-    chosen, m, k = window_poles(poles, equations.outputs.shape[1] - 1), plant.n_outputs, len(names)
+    chosen, k = window_poles(poles, equations.outputs.shape[1] - 1), len(names)
     # the primary residuals and, one parameter after the other, their derivatives
     labels = [f"e{j + 1}" for j in range(m)]
     labels += [f"d{name}/d{j + 1}" for j in range(k) for name in labels]
@@ -454,7 +467,7 @@ def insensitive_parity(
         values,
         sizes,
         members,
-        ignored,
+        tuple(ignored),
         (*causes, OTHER),
         np.column_stack([seen, np.ones(len(members), dtype=bool)]),
         shares,
@@ -463,23 +476,6 @@ def insensitive_parity(
         "in units of what expected changes do under white inputs; no thresholds before .fit(u, y)",
         dict(zip(names, equations.errors, strict=True)),
     )
-
-
-def _members(drifts: list[str], isolated: list[str], m: int) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
-    """Return the names of the residuals and what each ignores."""
-    both = [name for name in isolated if name in drifts]
-    if both:
-        raise DesignError(
-            f"parameter {both[0]!r} stands among those to ignore always and among those to isolate: leave it out of one"
-        )
-    ignored = [tuple(drifts), *((*drifts, name) for name in isolated)]
-    longest = max(ignored, key=len)
-    if len(longest) > m - 1:
-        raise DesignError(
-            f"{m} equations leave room for {m - 1} ignored parameter{'s' * (m != 2)} at a time, not for "
-            f"{', '.join(longest)}: add a sensor, or ignore fewer"
-        )
-    return tuple("ignores " + (" and ".join(one) or "nothing") for one in ignored), tuple(ignored)
 
 
 def _fitted(

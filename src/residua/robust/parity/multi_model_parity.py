@@ -256,7 +256,15 @@ def multi_model_parity(
     outputs, known = W[:, :, : plant.n_outputs], W[:, :, plant.n_outputs :]
     chosen = window_poles(poles, int(order))
     system = window_filter(outputs, known, plant, [f"r{i + 1}" for i in range(len(W))], chosen)
-    leak, notes = _leaks(system, driven, windows, W, names, moving_average=not np.any(chosen))
+    leak, notes = np.array([np.linalg.norm(W.reshape(len(W), -1) @ window, axis=1) for window in windows]), []
+    if np.any(chosen):
+        spread = [one.spread_of(system, name) for one, name in zip(driven, names, strict=True)]
+        if any(one is None for one in spread):
+            notes.append(
+                "the leak is that of the moving averages: with given sizes of states poles have no stationary one"
+            )
+        else:
+            leak = np.array(spread)
     gains = np.array([_steady(outputs, chosen, one) for one in family])
     conditions = {_NOMINAL_LEAK: float(leak[nominal].max()), "leak (rms), worst model": float(leak.max())}
     if criterion == "leak":
@@ -337,20 +345,6 @@ def _by_faults(
     kept = some > 1e-12 * some.max(initial=0.0)  # the others see nothing
     combinations = combinations[kept] / np.linalg.norm(combinations[kept], axis=1, keepdims=True)
     return np.vstack([exact_rows, combinations @ U[:, :rank].T]), np.concatenate([ratios, some[kept]])
-
-
-def _leaks(system, driven, windows, W, names, *, moving_average: bool) -> tuple[NDArray[np.float64], tuple[str, ...]]:
-    """Return the spread of the residual without faults on each model."""
-    flat = W.reshape(len(W), -1)
-    average = np.array([np.linalg.norm(flat @ window, axis=1) for window in windows])
-    if moving_average:
-        return average, ()
-    spread = [one.spread_of(system, name) for one, name in zip(driven, names, strict=True)]
-    if any(one is None for one in spread):
-        return average, (
-            "the leak is that of the moving averages: with given sizes of states poles have no stationary one",
-        )
-    return np.array(spread), ()
 
 
 def _steady(outputs: NDArray[np.float64], poles: NDArray[np.complex128], plant: Plant) -> NDArray[np.float64]:

@@ -233,7 +233,8 @@ class UncertainPlant:
                     )
                 labels.append(name)
         channels = tuple(list(entries).index(name) for name in labels)
-        _assign(self, nominal, tuple(entries.values()), channels, np.hstack(left), np.vstack(right))
+        known = tuple(entries.values())
+        self.__dict__.update(vars(make_uncertain_plant(nominal, known, channels, np.hstack(left), np.vstack(right))))
 
     @classmethod
     def from_parameters(
@@ -443,28 +444,14 @@ def make_uncertain_plant(
     function: Callable[[Mapping[str, float]], Plant] | None = None,
 ) -> UncertainPlant:
     """Return an uncertain plant with ``[Hx; Hy]`` and ``[Gx Gu Gd Gf]``."""
-    new = object.__new__(UncertainPlant)
-    _assign(new, nominal, parameters, channels, H, G, linearisation, plants, function)
-    return new
-
-
-def _assign(
-    new: UncertainPlant,
-    nominal: Plant,
-    parameters: tuple[UncertainParameter, ...],
-    channels: tuple[int, ...],
-    H: Matrix,
-    G: Matrix,
-    linearisation: Linearisation | None = None,
-    plants: tuple[Plant, ...] = (),
-    function: Callable[[Mapping[str, float]], Plant] | None = None,
-) -> None:
     unique(tuple(p.name for p in parameters), "parameters")
     n = nominal.n_states
     sides = np.split(G, np.cumsum([n, len(nominal.inputs), len(nominal.disturbances)]), axis=1)
     parts = dict(zip(("Hx", "Hy", "Gx", "Gu", "Gd", "Gf"), map(frozen, (H[:n], H[n:], *sides)), strict=True))
     fields = {"nominal": nominal, "parameters": parameters, "channels": channels, **parts}
+    new = object.__new__(UncertainPlant)
     new.__dict__.update(fields | {"linearisation": linearisation, "plants": plants, "function": function})
+    return new
 
 
 def visited_values(plant: UncertainPlant, inside: int, seed: int) -> NDArray[np.float64]:
