@@ -50,7 +50,7 @@ _ROUNDED = 1 + 1e-9
 
 @dataclass(frozen=True, eq=False)
 class ReachedMiddle:
-    """The middle of the set, and what inputs of unit size reach of it, by way of parameters as well.
+    """The middle of the set, and the reach of inputs of unit size in it, by way of parameters as well.
 
     Attributes
     ----------
@@ -104,7 +104,7 @@ def reached_middle(system: UncertainSystem) -> ReachedMiddle:
 
 @dataclass(frozen=True, eq=False)
 class CentredBound:
-    """A bound of the output of all members, and what it consists of.
+    """A bound of the output of all members, and its parts.
 
     Attributes
     ----------
@@ -276,7 +276,7 @@ class _Expansion:
         return (H for H, _ in response_blocks(A, B, C, 3 * self.terms))
 
     def _missed_of_two(self, i: int, norms: Real) -> float:
-        """Bound what is cut off and rounded in the response of ``z`` to a parameter that sees ``q`` of first order."""
+        """Bound the tail and the rounding of the response of ``z`` to a parameter that reads ``q`` of first order."""
         own = self.owned[i]
         # either the last factor is cut off, or one of those that made q
         made = norms[own].sum() + self.zp[:, own].sum(axis=1) * (self.qw.sum() + self.qp[own].sum())

@@ -1,4 +1,4 @@
-"""What the gain exceeds over boxes of members and frequencies: a Taylor polynomial around the centre, and its rest."""
+"""Lower bounds of the gain over boxes of members and frequencies: a Taylor polynomial and its remainder."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class MemberResponse:
 
     @property
     def origin(self) -> float:
-        """What ``z`` is seen from: one for sampled systems, zero for ``s``."""
+        """Origin of the variable: one for ``z`` of sampled systems, zero for ``s``."""
         return 1.0 if self.dt else 0.0
 
     def variable(self, theta: NDArray[np.float64]) -> Array:
@@ -103,7 +103,7 @@ class MemberResponse:
 
 
 def member_response(system: UncertainSystem, *, constant: bool) -> MemberResponse:
-    """Return a system in balanced units of its states, and with what the parameters see in units of these."""
+    """Return a system in balanced units of its states, with the signals that the parameters read in units of these."""
     T = system.balanced_states()
     seen = np.linalg.norm(system.Cq * T, axis=1)[:, None]
     unit = np.where(seen > 0, seen, 1.0)
@@ -134,7 +134,7 @@ def solved(M: Array, B: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Expansion:
-    """What is known about the gain over each of a stack of boxes.
+    """Bounds of the gain over each of a stack of boxes.
 
     Attributes
     ----------

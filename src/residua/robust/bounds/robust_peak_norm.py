@@ -88,7 +88,7 @@ class RobustPeakNorm:
 
     @property
     def ratio(self) -> float:
-        """The bound over what is attained: at least 1, and 1 if the bound cannot be improved."""
+        """The bound relative to the attained output: at least 1, and 1 if the bound cannot be improved."""
         return self.bound / self.attained if self.attained else 1.0
 
     def __float__(self) -> float:
@@ -437,7 +437,7 @@ def _visit(system: UncertainSystem, points: Matrix) -> tuple[NDArray[np.float64]
 
 
 def _sizes(A: Matrix, B: Matrix, C: Matrix, D: Matrix, count: int) -> NDArray[np.float64]:
-    """Return what a few steps of ascent attain with the first terms of each impulse response."""
+    """Return the outputs that a few steps of ascent attain with the first terms of each impulse response."""
     p, m = D.shape
     if not p or not m:
         return np.zeros(len(A))

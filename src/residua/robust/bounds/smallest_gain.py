@@ -1,4 +1,4 @@
-"""The smallest gain of all members of an uncertain system, with proof: what a fault is sure to leave in a residual."""
+"""The smallest gain of all members of an uncertain system, with proof: the certain effect of a fault on a residual."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _FREQUENCIES, _CHECKED, _STEPS = 9, 128, 12
 
 @dataclass(frozen=True, eq=False)
 class SmallestGain:
-    """What the gain of no member of an uncertain system, at no frequency of a band, falls below.
+    """A lower bound of the gain of every member of an uncertain system, at every frequency of a band.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class SmallestGain:
 
     @property
     def ratio(self) -> float:
-        """The bound over what is attained: at most 1, and 1 if the bound cannot be improved."""
+        """The bound relative to the attained gain: at most 1, and 1 if the bound cannot be improved."""
         return self.bound / self.attained if self.attained else 1.0
 
     def __float__(self) -> float:

@@ -295,7 +295,7 @@ def verified_star(system: UncertainSystem, problem: ScaledProblem, star: CommonE
 
 
 def _least(Q: Matrix, terms: list[Matrix], B: Matrix, shares: NDArray[np.float64]) -> float:
-    """Return the smallest eigenvalue of the inequality, in units of the extents of ``Q``, less what is rounding."""
+    """Return the smallest eigenvalue of the inequality, in units of the extents of ``Q``, less their rounding."""
     n = len(Q)
     extent = np.sqrt(np.maximum(np.diagonal(Q), 0.0))
     if not n:

@@ -33,7 +33,7 @@ _DECOUPLED, _ROUNDED = 1e-8, 1e-13
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CertifiedThreshold(Shown):
-    r"""What the residual of no member exceeds while disturbances and bounded faults keep to their sizes.
+    r"""A bound of the residual of every member while disturbances and bounded faults keep to their sizes.
 
     .. math:: J_{th} = J_{rw} + \sum_k \kappa_k J_{rf_k}
 
@@ -66,7 +66,7 @@ class CertifiedThreshold(Shown):
 
     @property
     def leakage(self) -> dict[str, float]:
-        """Bound of what a fault of size one that is not to be seen adds to the residual."""
+        """Bound of the effect on the residual of a fault of size one that is not to be seen."""
         return {name: bound.bound for name, bound in self.faults.items()}
 
     def __float__(self) -> float:
@@ -134,7 +134,7 @@ def certified_threshold(
     def bound(
         signals: tuple[str, ...], *, rtol: float = 0.0, atol: float = 0.0, boxes: int | None = None
     ) -> tuple[RobustPeakNorm, float]:
-        """Bound the residual for some signals, no smaller than rounding; and what it would be without cancellation."""
+        """Bound the residual for some signals, no smaller than rounding; and return its size without cancellation."""
         system = residual_over_set(loop, residual_filter, state_map, signals=signals)
         scale = rounding_scale(plant, residual_filter, signals)
         # the user may want a method for what it proves of the whole: parameters that vary in time

@@ -1,4 +1,4 @@
-"""All estimators of an uncertain loop that the nuisance faults do not reach: what is fixed, and what is free."""
+"""All estimators of an uncertain loop that the nuisance faults do not reach: their fixed and their free numbers."""
 
 from __future__ import annotations
 
@@ -59,17 +59,17 @@ class EstimatorFamily:
 
     @property
     def rows(self) -> int:
-        """How many independent combinations of the outputs are free of the nuisance faults."""
+        """Number of independent combinations of the outputs that are free of the nuisance faults."""
         return len(self.C)
 
     @property
     def full(self) -> bool:
-        """Whether the estimators are full-order observers: nothing had to be divided out."""
+        """True if the estimators are full-order observers: nothing had to be divided out."""
         return self.order == self.plant.n_states
 
     @property
     def size(self) -> int:
-        """How many numbers are free: the gain, and the direction where there is a choice."""
+        """Number of free numbers: the gain, and the direction where there is a choice."""
         return self.order * self.rows + (self.rows if self.rows > 1 else 0)
 
     def split(self, points: Matrix) -> tuple[Matrix, Matrix]:

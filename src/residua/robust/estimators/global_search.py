@@ -1,4 +1,4 @@
-"""Global searches over a box: what they have in common, and differential evolution, SciPy's."""
+"""Global searches over a box: their common parts, and SciPy's differential evolution."""
 
 from __future__ import annotations
 

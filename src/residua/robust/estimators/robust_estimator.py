@@ -93,7 +93,7 @@ class RobustEstimator:
 
     @property
     def leakage(self) -> dict[str, float]:
-        """What other faults of size one add to the residual at most: nothing in the nominal loop."""
+        """Bound of the effect of other faults of size one on the residual: zero in the nominal loop."""
         return self.certificate.leakage
 
     @property
@@ -128,7 +128,7 @@ class RobustEstimator:
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """What every estimator of the bank is designed with.
+    """Options that all estimators of a bank have in common.
 
     ``radii`` are largest spectral radii, in the order in which they are tried until a threshold is certified.
     """

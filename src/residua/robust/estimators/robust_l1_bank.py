@@ -61,7 +61,7 @@ class RobustL1Bank(Bank):
 
     @property
     def member_bounds(self) -> dict[str, tuple[float, float, dict[str, float]]]:
-        """Of every member: bound of what disturbances cause, least response to its fault, bounds of what others cause.
+        """For every member the bound of the effect of disturbances, the least response to its fault, and the leakage.
 
         The faults are of size one.
         """
@@ -312,7 +312,7 @@ def _search(search: Search | str | None, seed: int) -> Search:
 
 
 def _generator(loop: UncertainPlant, one: RobustEstimator, note: str) -> ResidualGenerator:
-    """Return one estimator as a residual generator of the nominal loop, after checking what it ignores."""
+    """Return one estimator as a residual generator of the nominal loop, after checking that it ignores the others."""
     poles = one.filter.poles()
     evidence = Evidence(
         method=_METHOD,

@@ -54,7 +54,7 @@ class Weights:
 
 @dataclass(frozen=True, eq=False)
 class Norms:
-    """What is known of many estimators, one entry each.
+    """Norms of many estimators, one entry each.
 
     Attributes
     ----------
@@ -107,7 +107,7 @@ class SampledCost:
         return self.ranked(self.norms(points))
 
     def ranked(self, norms: Norms) -> NDArray[np.float64]:
-        """Return the cost of estimators with known norms; what is of use costs less than what is not, however much."""
+        """Return the cost of estimators with known norms; any that is of use costs less than one that is not."""
         slowness = np.log(self.radius) / np.log(np.clip(norms.radius, 1e-6, 1 - 1e-12))
         cost = self.weights.cost(norms.disturbance, norms.fault) * (1 + _HASTE * slowness) / self.unit
         useful = np.isfinite(cost) & (norms.radius <= self.radius)
@@ -180,7 +180,7 @@ class SampledCost:
 
 @dataclass(frozen=True, eq=False)
 class _MemberParts:
-    """What one member of the set does to the error of every estimator of a family.
+    """The effect of one member of the set on the error of every estimator of a family.
 
     ``x' = A x + B w``, ``e' = F e + (driven - Z seen) x + (start - Z direct) w``, ``r = g (C e + seen x + direct w)``;
     ``seen`` and ``driven`` are what the member differs from the nominal loop by. ``faults`` holds for every frequency

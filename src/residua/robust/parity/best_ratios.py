@@ -1,4 +1,4 @@
-"""The combinations of rows that answer most to one group of signals for what they answer to another."""
+"""Combinations of rows with the largest response to one group of signals, relative to that to another."""
 
 from __future__ import annotations
 

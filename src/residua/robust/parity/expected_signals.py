@@ -123,7 +123,7 @@ class DrivenPlant:
         return np.vstack(rows)
 
     def spread_of(self, system: StateSpace, name: str) -> NDArray[np.float64] | None:
-        """Return the root mean square of what a filter from ``(u, y)`` makes of it; ``None`` without a stationary one.
+        """Return the root mean square of the output of a filter of ``(u, y)``; ``None`` without a stationary one.
 
         Each output of the filter on its own.
         """

@@ -34,7 +34,7 @@ _APART = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class ParameterState:
-    """What running remembers: filter state, mean squares, their weights (a row per plant), and samples so far."""
+    """State of a run: filter state, mean squares, their weights (a row per plant), and samples so far."""
 
     x: NDArray[np.float64]
     squares: NDArray[np.float64]
@@ -44,7 +44,7 @@ class ParameterState:
 
 @dataclass(frozen=True, eq=False)
 class ParameterResiduals:
-    """What came of a block of samples.
+    """Residuals and decisions of a block of samples.
 
     Attributes
     ----------

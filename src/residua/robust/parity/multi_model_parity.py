@@ -321,7 +321,7 @@ def plant_family(
 
 
 def _constant_faults(family: Sequence[Plant], pi: NDArray[np.float64], order: int) -> NDArray[np.float64]:
-    """Return what faults that last over a window do to its samples, on every model; the inputs are known."""
+    """Return the effect of faults that last over a window on its samples, for every model; the inputs are known."""
     columns = []
     for share, plant in zip(pi, family, strict=True):
         x, rows = np.zeros_like(plant.Bf), []
@@ -348,7 +348,7 @@ def _by_faults(
 
 
 def _steady(outputs: NDArray[np.float64], poles: NDArray[np.complex128], plant: Plant) -> NDArray[np.float64]:
-    """Return what the residual settles to for constant faults on a model; NaN if the model does not settle.
+    """Return the steady residual under constant faults on a model; NaN if the model does not settle.
 
     Exactly zero where that is rounding of terms that cancel.
     """

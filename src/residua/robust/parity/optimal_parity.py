@@ -63,7 +63,7 @@ class OptimalParity(Shown):
 
     @property
     def perfect(self) -> bool:
-        """Whether the disturbances are decoupled exactly."""
+        """True if the disturbances are decoupled exactly."""
         return bool(np.isinf(self.index))
 
     @property
@@ -82,7 +82,7 @@ class OptimalParity(Shown):
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """What is wanted and what is unwanted, in expected sizes, as ``B`` and ``D`` of the balanced plant."""
+    """Faults and disturbances in expected sizes, as ``B`` and ``D`` of the balanced plant."""
 
     model: RelationModel
     wanted: Columns
@@ -118,7 +118,7 @@ def optimal_parity(
     relations: int = 1,
     poles: Poles | None = None,
 ) -> OptimalParity:
-    r"""Design the parity relations that see most of the faults for what they see of the disturbances.
+    r"""Design the parity relations with the largest response to faults, relative to that to disturbances.
 
     Of all vectors with :math:`w^T R = 0`, eq. (3-10), those that maximise
 
@@ -235,7 +235,7 @@ def _task(
     sizes: Mapping[str, float] | None,
     extra: list[NDArray[np.float64]],
 ) -> _Task:
-    """Return what is wanted and unwanted, scaled."""
+    """Return the task: wanted and unwanted signals, scaled."""
     plant = model.plant
     ignored = [plant.faults[i] for i in arrays.positions(insensitive_to, plant.faults, "fault")]
     left = [name for name in plant.faults if name not in ignored]
@@ -342,7 +342,7 @@ def _responses(p: NDArray, q: NDArray, columns: Columns, task: _Task | None = No
 
 
 def _size_of(task: _Task, p: NDArray, q: NDArray) -> NDArray[np.float64]:
-    """Return what the size of a relation is: its response to the noise, or its weights in units of the outputs."""
+    """Return the size of a relation: its response to the noise, or its weights in units of the outputs."""
     if task.noise[0].shape[1]:
         noise = _responses(p, q, task.noise)
         if np.linalg.matrix_rank(noise) == len(p):
@@ -357,7 +357,7 @@ def _made(
     gains: NDArray[np.float64],
     poles: Poles | None,
 ) -> OptimalParity:
-    """Return the relations as a generator of the plant, with what they do not see."""
+    """Return the relations as a generator of the plant, with the faults that they do not see."""
     perfect = bool(np.isinf(indices[0]))
     model = task.model
     made = relations_of(model.plant, rows).with_poles(poles, method=_METHOD, notes=model.notes)

@@ -200,7 +200,7 @@ def select_equations(
 
 
 def _steady(generator: ResidualGenerator, inputs: ArrayLike | Mapping[str, float] | None) -> Respond:
-    """Return the function from a plant to what the residuals settle to under constant inputs."""
+    """Return the function from a plant to the steady residuals under constant inputs."""
     names = generator.plant.inputs
     if isinstance(inputs, Mapping):
         unknown = sorted(set(inputs) - set(names))

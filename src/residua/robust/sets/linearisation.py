@@ -30,7 +30,7 @@ _DIRECTIONS = ("Bd", "Dd", "Bf", "Df")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Linearisation(Shown):
-    """What an affine form of a plant leaves out, over all points at which both were evaluated.
+    """Error of an affine form of a plant, over all points at which both were evaluated.
 
     Attributes
     ----------

@@ -153,7 +153,7 @@ def residual_over_set(
     signals: Iterable[str] | None = None,
     sizes: Mapping[str, float] | None = None,
 ) -> UncertainSystem:
-    r"""Return what disturbances and faults of an uncertain loop do to the residual of any filter.
+    r"""Return the effect of disturbances and faults of an uncertain loop on the residual of any filter.
 
     The filter :math:`\xi_{k+1} = F \xi_k + K y_k,\; r_k = H \xi_k + J y_k` and a map ``T`` with :math:`\xi = T x`
     while nothing happens to the nominal loop. With :math:`e = T x - \xi` and the states :math:`[x; e]`,
