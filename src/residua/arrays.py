@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from functools import lru_cache
-from typing import NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -53,7 +51,13 @@ def matrix(value: ArrayLike, name: str, shape: tuple[int | None, int | None], *,
         hint = f" ({what})" if what else ""
         raise ModelError(f"{name} must be {wanted}{hint}, got {M.shape[0]} x {M.shape[1]}")
     if not np.maximum.reduce(np.abs(M), axis=None, initial=0.0) <= LARGEST:  # or not a number
-        _refuse_entries(M, name)
+        if not np.isfinite(M).all():
+            i, j = np.argwhere(~np.isfinite(M))[0]
+            raise ModelError(f"{name}[{i}, {j}] is {M[i, j]}: every entry of a model must be finite")
+        i, j = np.argwhere(np.abs(M) > LARGEST)[0]
+        raise ModelError(
+            f"{name}[{i}, {j}] is {M[i, j]:.3g}: every entry of a model must be at most {LARGEST:g} in size"
+        )
     return frozen(M)
 
 
@@ -67,15 +71,6 @@ def _numbers(value: ArrayLike, name: str) -> NDArray[np.float64]:
         raise
     except (TypeError, ValueError, OverflowError) as error:
         raise ModelError(f"{name} must be a matrix of numbers: {error}") from error
-
-
-def _refuse_entries(M: NDArray[np.float64], name: str) -> NoReturn:
-    """Raise with the first entry that is not finite, or else the first that is too large."""
-    if not np.isfinite(M).all():
-        i, j = np.argwhere(~np.isfinite(M))[0]
-        raise ModelError(f"{name}[{i}, {j}] is {M[i, j]}: every entry of a model must be finite")
-    i, j = np.argwhere(np.abs(M) > LARGEST)[0]
-    raise ModelError(f"{name}[{i}, {j}] is {M[i, j]:.3g}: every entry of a model must be at most {LARGEST:g} in size")
 
 
 def sample_step(dt: float) -> float:
@@ -92,24 +87,7 @@ def sample_step(dt: float) -> float:
 def names(given: Iterable[str] | str | None, count: int, prefix: str, what: str) -> tuple[str, ...]:
     """Return ``count`` unique names: those given, or ``prefix1, prefix2, ...``."""
     if given is None:
-        return _numbered(count, prefix)
-    if isinstance(given, tuple) and all(type(name) is str for name in given):
-        return _checked_names(given, count, what)
-    return _names(given, count, what)
-
-
-@lru_cache(maxsize=1024)
-def _numbered(count: int, prefix: str) -> tuple[str, ...]:
-    return tuple(f"{prefix}{i + 1}" for i in range(count))
-
-
-# Every system that is made of another takes its names along.
-@lru_cache(maxsize=1024)
-def _checked_names(given: tuple[str, ...], count: int, what: str) -> tuple[str, ...]:
-    return _names(given, count, what)
-
-
-def _names(given: Iterable[str] | str, count: int, what: str) -> tuple[str, ...]:
+        return tuple(f"{prefix}{i + 1}" for i in range(count))
     out = (given,) if isinstance(given, str) else tuple(given)
     for name in out:
         if not isinstance(name, str) or not name.strip():

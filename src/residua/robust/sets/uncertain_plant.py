@@ -45,7 +45,7 @@ class UncertainParameter:
 
 @dataclass(frozen=True, init=False, eq=False)
 class Perturbation:
-    r"""Change of a matrix of the plant with parameters: :math:`\Delta A = -H F G`, ``F`` diagonal, ``low <= F <= high``.
+    r"""Change of a matrix of the plant by parameters: :math:`\Delta A = -H F G`, ``F`` diagonal, ``low <= F <= high``.
 
     The minus sign is that of the literature; give ``-H`` for a plus.
 
