@@ -64,6 +64,3 @@ def hand_on(facade: str, names: Mapping[str, tuple[str, ...]], modules: Iterable
     for name in made.__dict__["_places"]:
         if isinstance(made.__dict__.get(name), ModuleType):  # that another thread has imported just before
             del made.__dict__[name]
-
-
-__all__ = ["hand_on"]

@@ -88,6 +88,3 @@ def _let_all_go() -> None:
 
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(before=_take_all, after_in_parent=_let_all_go, after_in_child=_let_all_go)
-
-
-__all__ = ["forkable_lock"]

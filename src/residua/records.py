@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import FileFormatError
-from residua.json_files import dumps, loads
 from residua.number_kinds import FINITE, FLAG, INDEX, USUAL, NumberKind, kind_of, number_in, numbers_in
 from residua.visible import echo
 
@@ -270,26 +269,3 @@ def _as_narrow(array: NDArray, kind: np.dtype) -> NDArray:
 def field_names(cls: Any) -> list[str]:
     """Return the names of the fields of a dataclass."""
     return [field.name for field in fields(cls)]
-
-
-__all__ = [
-    "Record",
-    "array_in",
-    "array_out",
-    "dumps",
-    "field_names",
-    "flag_in",
-    "float_in",
-    "float_out",
-    "joined",
-    "list_in",
-    "loads",
-    "record",
-    "state_in",
-    "table_in",
-    "text_in",
-    "texts_in",
-    "values_in",
-    "values_out",
-    "whole_in",
-]

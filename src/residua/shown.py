@@ -221,6 +221,3 @@ def _svg(width: float, height: float, label: str, parts: Iterable[str]) -> str:
         f'height="{height}" viewBox="0 0 {width} {height}" role="img" aria-label="{escaped(label)}" font-size="11" '
         f'fill="currentColor" style="max-width:100%;height:auto">{"".join(parts)}</svg></figure>'
     )
-
-
-__all__ = ["Bar", "Shown", "escaped", "grid", "line_chart", "notes", "printed", "table"]

@@ -152,6 +152,3 @@ def _instead_of_call(function: Callable[..., Any], args: Any, options: Any, owne
         known = [instead_of(f"{owner}({name})") for name in options]
         return next(filter(None, [*known, instead_of(f"{owner}()")]), "")
     return ""
-
-
-__all__ = ["INSTEAD", "Guessed", "guessed", "instead_of_name"]

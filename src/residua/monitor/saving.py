@@ -22,7 +22,7 @@ from residua.decide.test import TestSettings, Watched
 from residua.design import ResidualGenerator
 from residua.errors import FileFormatError, ResiduaError
 from residua.files import other_version, read_bytes, write_text
-from residua.json_files import CHECKSUM, check_checksum
+from residua.json_files import CHECKSUM, check_checksum, dumps, loads
 from residua.monitor.design_records import generator_in, generator_out, sampled_in, sampled_out
 from residua.monitor.fault_learning import whitens
 from residua.monitor.fit_check import FitCheck
@@ -36,12 +36,10 @@ from residua.number_kinds import ANY, ENTRY, INDEX, POSITIVE
 from residua.records import (
     array_in,
     array_out,
-    dumps,
     float_in,
     float_out,
     joined,
     list_in,
-    loads,
     record,
     state_in,
     table_in,

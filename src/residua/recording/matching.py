@@ -168,6 +168,3 @@ def _similar(channel: str, columns: Sequence[str]) -> list[str]:
     holding = [column for column in columns if re.search(rf"(?<!\w){re.escape(name)}(?!\w)", bare[column])]
     near = difflib.get_close_matches(name, dict.fromkeys(bare.values()), n=3)
     return list(dict.fromkeys([*holding, *(column for one in near for column in columns if bare[column] == one)]))
-
-
-__all__ = ["matched_names", "missing_columns", "named_columns", "required_columns", "spelling_notes"]

@@ -133,6 +133,3 @@ def _number(text: str) -> float | None:
     except ValueError:
         return None
     return value if np.isfinite(value) else None
-
-
-__all__ = ["EMPTY", "MARKS", "Marks", "Tally"]

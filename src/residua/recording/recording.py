@@ -30,8 +30,6 @@ from residua.recording.time_axis import seconds_from_dates
 from residua.recording.unpacked import too_large, unpacked_limit
 from residua.visible import echo
 
-__all__ = ["Recording", "read_recording", "recording_from_frame"]
-
 
 def read_recording(
     path: str | Path,

@@ -323,6 +323,3 @@ def _beginning(file: IO[bytes], part: zipfile.ZipInfo) -> int:
     if header[:4] != b"PK\x03\x04":
         raise NotServedError("a member has no header")
     return part.header_offset + 30 + int.from_bytes(header[26:28], "little") + int.from_bytes(header[28:30], "little")
-
-
-__all__ = ["NotServedError", "Piece", "Stream", "open_stream"]

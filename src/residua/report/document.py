@@ -14,12 +14,12 @@ from residua.decide.isolation import NoNames
 from residua.decide.statement import Statement
 from residua.design import ResidualGenerator
 from residua.errors import DataError, FileFormatError, ResiduaError
-from residua.json_files import check_checksum
+from residua.json_files import check_checksum, dumps, loads
 from residua.monitor.design_records import generator_in, generator_out
 from residua.monitor.diagnosis import Diagnosis
 from residua.number_kinds import REPORTED
 from residua.recording.clock import Clock
-from residua.records import dumps, field_names, float_in, list_in, loads, plain, record, values_in, values_out
+from residua.records import field_names, float_in, list_in, plain, record, values_in, values_out
 from residua.report.verdict import verdict
 from residua.visible import echo, shortened
 

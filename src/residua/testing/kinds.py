@@ -237,6 +237,3 @@ def _check_same(whole: Decisions, parts: list[Decisions], told: str, plant: int 
                 joined = np.concatenate([getattr(getattr(part, name), one.name)[plant] for part in parts])
                 if not np.array_equal(joined, value[0], equal_nan=value.dtype.kind == "f"):
                     raise AccuracyError(f"{told} does not give the same {one.name} to the last bit")
-
-
-__all__ = ["check_isolation", "check_test"]
