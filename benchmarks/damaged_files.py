@@ -298,7 +298,7 @@ class MatWorker:
     """The process that reads .mat files, kept for the next one as long as it lives: starting it takes the longest."""
 
     def __init__(self) -> None:
-        self.process: subprocess.Popen[bytes] | None = None
+        self.process: subprocess.Popen[str] | None = None
         self.ended = 0
 
     def read(self, path: Path) -> dict[str, np.ndarray]:
@@ -306,18 +306,19 @@ class MatWorker:
         if self.process is None:
             command = [sys.executable, __file__, "--read-mat-files"]
             pipe = subprocess.PIPE
-            self.process = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL)
+            self.process = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, text=True)
         process = self.process
         assert process.stdin is not None
         assert process.stdout is not None
-        process.stdin.write(f"{path}\n".encode())
+        target = path.with_name("arrays.npz")
+        process.stdin.write(f"{path}\t{target}\n")
         process.stdin.flush()
-        found = mat_files.received(mat_files._Pipe(process.stdout), path.name, MAX_UNPACKED)
-        if found is None:
+        answer = process.stdout.readline()
+        if not answer:
             self.close()
             self.ended += 1
             return mat_files.read_mat(path)  # which says how it ended, as every user's call does
-        return found
+        return mat_files.arrays_of(target, answer.strip(), path.name)
 
     def close(self) -> None:
         """End the process."""
@@ -345,8 +346,8 @@ def read_mat_files() -> None:
     """Answer for one path after the other: the program of :class:`MatWorker`."""
     array_child._die_quietly()
     for line in sys.stdin:
-        array_child.answer(line.rstrip("\n"), MAX_UNPACKED, sys.stdout.buffer)
-        sys.stdout.buffer.flush()
+        path, target = line.rstrip("\n").split("\t")
+        print(ascii(array_child.answer(path, MAX_UNPACKED, target))[1:-1], flush=True)
 
 
 def read_both_ways(path: Path, whole: bytes) -> str:

@@ -104,7 +104,7 @@ def test_a_mat_file_is_read_to_the_last_bit(tmp_path: Path) -> None:
     assert np.array_equal(found.y, FILES.SHORT[1])
 
 
-CRASHES = 'import os, signal, sys; sys.stdout.write(\'{"name": "u", "array": true}\\n\'); sys.stdout.flush(); '
+CRASHES = "import os, signal, sys; "
 
 
 @pytest.mark.parametrize(

@@ -1,19 +1,17 @@
-"""Child process that reads the arrays of a .mat file with SciPy and writes them to a pipe.
+"""Child process that reads the arrays of a .mat file with SciPy and writes them as .npz.
 
 SciPy's reader is compiled code that a damaged file can end with a signal; here nothing but this process ends. It
-imports nothing of residua, so that it starts as fast as SciPy's reader is loaded. What it writes is data, in order: for
-each array a line of JSON with its name and whether it is an array of numbers or text, and if so the array in the format
-of .npy files; at last a line that says ``end``, or one with what went wrong.
+imports nothing of residua, so that it starts as fast as SciPy's reader is loaded. It prints nothing, or the reason why
+it has written no file.
 """
 
 from __future__ import annotations
 
-import json
 import os
 import struct
 import sys
 import zlib
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 #: Bytes that the reader may need for each byte that a file unpacks to, and besides.
 _SHARE, _BASE = 8, 2**29
@@ -24,21 +22,21 @@ _NUMBERS = ("int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uin
 _READ = (*_NUMBERS, "char")
 
 
-def answer(path: str, limit: int, out: BinaryIO) -> None:
-    """Write the arrays of a file, or its error."""
+def answer(path: str, limit: int, target: str) -> str:
+    """Write the arrays of a file as .npz; return the reason if that fails, else nothing."""
     try:
         size = unpacked_size(path, limit)
         if size > limit:
-            _say(out, error="size")
-            return
+            return "size"
         _bound_memory(size)
-        _write(path, out)
+        _write(path, target)
     except NotImplementedError:  # HDF5
-        _say(out, error="7.3")
+        return "7.3"
     except MemoryError:
-        _say(out, error="memory")
+        return "memory"
     except Exception as error:  # whatever a reader of damaged data ends with
-        _say(out, error="damaged", what=f"{type(error).__name__}: {error}"[:500])
+        return f"{type(error).__name__}: {error}"[:500]
+    return ""
 
 
 def unpacked_size(path: str, limit: int) -> int:
@@ -89,8 +87,9 @@ def _bound_memory(size: int) -> None:
         pass
 
 
-def _write(path: str, out: BinaryIO) -> None:
+def _write(path: str, target: str) -> None:
     import warnings
+    import zipfile
 
     import numpy as np
     from scipy.io import loadmat, whosmat
@@ -99,18 +98,13 @@ def _write(path: str, out: BinaryIO) -> None:
         warnings.simplefilter("ignore")  # of variables that are there twice and the like; what is read is checked
         classes = {name: kind for name, _, kind in whosmat(path, appendmat=False)}
         content = loadmat(path, appendmat=False, variable_names=[n for n, kind in classes.items() if kind in _READ])
-    for name, kind in classes.items():
-        value = content.get(name)
-        if isinstance(value, np.ndarray) and value.dtype.kind in "fiubcU":
-            _say(out, name=name, array=True)
-            np.lib.format.write_array(out, np.ascontiguousarray(value).reshape(value.shape), allow_pickle=False)
-        else:
-            _say(out, name=name, array=False, what=kind)
-    _say(out, end=True)
-
-
-def _say(out: BinaryIO, **entries: Any) -> None:
-    out.write(json.dumps(entries).encode("ascii") + b"\n")
+    with zipfile.ZipFile(target, "w") as archive:
+        for name in classes:
+            value = content.get(name)
+            if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiubcU":
+                value = np.zeros(0, dtype="V1")  # no numbers: a cell array, a structure
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, np.ascontiguousarray(value).reshape(value.shape), allow_pickle=False)
 
 
 def _die_quietly() -> None:
@@ -129,5 +123,4 @@ def _die_quietly() -> None:
 
 if __name__ == "__main__":
     _die_quietly()
-    answer(sys.argv[1], int(sys.argv[2]), sys.stdout.buffer)
-    sys.stdout.buffer.flush()
+    print(ascii(answer(sys.argv[1], int(sys.argv[2]), sys.argv[3]))[1:-1])

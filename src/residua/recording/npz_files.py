@@ -18,30 +18,33 @@ from residua.visible import echo
 _ZIP, _NPY = (b"PK\x03\x04", b"PK\x05\x06"), b"\x93NUMPY"
 
 
-def read_npz(path: Path) -> dict[str, NDArray]:
-    """Return the arrays of a .npz file; Python objects are refused, and sizes beyond the file."""
-    limit = unpacked_limit()
+def read_npz(path: Path, source: str = "") -> dict[str, NDArray]:
+    """Return the arrays of a .npz file; Python objects are refused, and sizes beyond the file.
+
+    Messages name the ``source``, by default the file.
+    """
+    limit, source = unpacked_limit(), source or path.name
     with path.open("rb") as file:
         head = file.read(len(_NPY))
     if head == _NPY:
-        raise FileFormatError(f"{path.name}: this is a single array (.npy); save named arrays with numpy.savez")
+        raise FileFormatError(f"{source}: this is a single array (.npy); save named arrays with numpy.savez")
     if not head.startswith(_ZIP):
         raise FileFormatError(
-            f"{path.name}: this is not a .npz file, or it holds Python objects; only arrays of numbers are read"
+            f"{source}: this is not a .npz file, or it holds Python objects; only arrays of numbers are read"
         )
     try:
         with zipfile.ZipFile(path) as archive:
             parts = archive.infolist()
             if sum(part.file_size for part in parts) > limit:
-                raise too_large(path.name, limit)
-            return {_name(part): _array(archive, part, path.name) for part in parts}
+                raise too_large(source, limit)
+            return {_name(part): _array(archive, part, source) for part in parts}
     except FileFormatError:
         raise
     except (
         Exception
     ) as error:  # whatever a reader of damaged data ends with: zlib.error, TokenError, AttributeError, ...
         raise FileFormatError(
-            f"{path.name}: not a readable .npz file: {type(error).__name__}: {echo(str(error))}"
+            f"{source}: not a readable .npz file: {type(error).__name__}: {echo(str(error))}"
         ) from error
 
 
