@@ -6,8 +6,6 @@ otherwise raises :class:`NotServedError`, and is then read by that function, whi
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -21,7 +19,7 @@ from residua.recording.array_files import table_from_arrays
 from residua.recording.columns import ReadOptions
 from residua.recording.csv_table import open_csv
 from residua.recording.missing import Marks, Tally
-from residua.recording.npz_files import array_header
+from residua.recording.npz_files import read_npz
 from residua.recording.recording import check_kind, reads_as_number
 from residua.recording.unpacked import unpacked_limit
 
@@ -277,7 +275,7 @@ def _lines(file: IO[bytes], above: int) -> Iterator[bytes]:
 
 def _npz(path: Path, options: ReadOptions) -> Stream:
     try:
-        arrays = _mapped(path)
+        arrays = read_npz(path, mapped=True)
     except Exception as error:  # whatever a reader of damaged data ends with
         raise NotServedError(str(error)) from error
     table = table_from_arrays(arrays, options, path.name)
@@ -294,32 +292,3 @@ def _npz(path: Path, options: ReadOptions) -> Stream:
             yield {name: np.array(table[name][start:stop]) for name in names}, stop / rows
 
     return replace(stream, reader=slices)
-
-
-def _mapped(path: Path) -> dict[str, NDArray]:
-    """Return the arrays of a .npz file as memory maps, with checked checksums."""
-    out: dict[str, NDArray] = {}
-    with zipfile.ZipFile(path) as archive, path.open("rb") as file:
-        for part in archive.infolist():
-            if part.compress_type != zipfile.ZIP_STORED or not part.filename.endswith(".npy"):
-                raise NotServedError("its arrays are compressed")
-            with archive.open(part) as member:
-                shape, fortran, dtype = array_header(member)
-                start = member.tell()
-            if not shape or dtype.hasobject or int(np.prod(shape)) * dtype.itemsize + start != part.file_size:
-                raise NotServedError("an array is not what its header says")
-            raw = np.memmap(path, np.uint8, "r", _beginning(file, part), (part.file_size,))
-            if zlib.crc32(raw) != part.CRC:
-                raise NotServedError("an array is damaged")
-            order = "F" if fortran else "C"
-            out[part.filename.removesuffix(".npy")] = raw[start:].view(dtype).reshape(shape, order=order)
-    return out
-
-
-def _beginning(file: IO[bytes], part: zipfile.ZipInfo) -> int:
-    """Return the offset of a member's content, behind its own header."""
-    file.seek(part.header_offset)
-    header = file.read(30)
-    if header[:4] != b"PK\x03\x04":
-        raise NotServedError("a member has no header")
-    return part.header_offset + 30 + int.from_bytes(header[26:28], "little") + int.from_bytes(header[28:30], "little")
