@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from residua.decide.consistency import code_likelihoods, consistent_faults
+from residua.decide.fired_patterns import code_likelihoods, consistent_faults
 from residua.errors import DataError, SettingError
 
 CODES = np.array([[1, 1, 0, 0], [1, 1, 0, 0], [1, 0, 1, 0], [1, 0, 1, 0], [1, 0, 0, 0]], dtype=bool)

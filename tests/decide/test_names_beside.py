@@ -21,7 +21,7 @@ from residua.decide import (
     whitening_matrix,
 )
 from residua.decide.isolation import Scores
-from residua.decide.matched_responses import empty_match, match_block, summed
+from residua.decide.matched_recursion import empty_match, match_block, summed
 from residua.decide.test import Block, Tested
 from residua.decide.window import empty_window, moving_sum
 from residua.errors import FileFormatError, SettingError

@@ -76,13 +76,13 @@ class ChannelNames(Isolation):
         candidates = scored(alarm)
         if alarm.word is not None or not candidates:
             return alarm.word
-        made = Word(EITHER, (candidates[0].faults,), after=alarm.samples)
+        word = Word(EITHER, (candidates[0].faults,), after=alarm.samples)
         if alarm.samples < _EARLY:
-            return replace(made, kind=TOO_EARLY, why=too_short(_EARLY))
+            return replace(word, kind=TOO_EARLY, why=too_short(_EARLY))
         if not any(name != MODEL for name in alarm.fired):
-            return replace(made, kind=POOR, why="no single channel deviates, only the model's prediction")
+            return replace(word, kind=POOR, why="no single channel deviates, only the model's prediction")
         near = tuple(one.faults for one in candidates if one.score >= _AS_FAR)
-        return replace(made, faults=near, unlisted=ANYTHING)
+        return replace(word, faults=near, unlisted=ANYTHING)
 
     def agreed(self, alarm: Alarm, word: Word) -> Word:
         """Return a good match as "either" if another channel deviates more than its own: the model may be wrong.
@@ -94,8 +94,8 @@ class ChannelNames(Isolation):
             return replace(word, faults=(candidates[0].faults,), share=math.nan, size=math.nan, deviation=math.nan)
         if word.kind != GOOD:
             return word
-        own = max((one.score for one in alarm.candidates if set(one.faults) & set(word.faults[0])), default=0.0)
-        further = tuple(one.faults for one in candidates if one.score > own)
+        least = max((one.score for one in alarm.candidates if set(one.faults) & set(word.faults[0])), default=0.0)
+        further = tuple(one.faults for one in candidates if one.score > least)
         return replace(word, kind=EITHER, faults=(*word.faults, *further[:2])) if further else word
 
     def statement(self, alarm: Alarm, clock: Clock, window: int) -> Statement:
@@ -104,15 +104,15 @@ class ChannelNames(Isolation):
         if word is None or word.fitted or not candidates:
             return statement_by_score(alarm, clock, word)
         others = [one for one in alarm.fired if one != MODEL]
-        said = (
+        sentence = (
             f"Deviation from the other channels: {listing(others[:_TOLD])}"
             if others
             else "Deviation from the model's prediction only"
         )
         if len(candidates) > 1:
             following = candidates[1]
-            said += f"; {candidates[0].name} deviates most, {following.name} {100 * following.score:.0f} % as far"
-        return statement_by_word(alarm, word, clock, (f"{said}.",), _RULES, alarm.margin)
+            sentence += f"; {candidates[0].name} deviates most, {following.name} {100 * following.score:.0f} % as far"
+        return statement_by_word(alarm, word, clock, (f"{sentence}.",), _RULES, alarm.margin)
 
     @property
     def has_words(self) -> bool:

@@ -281,16 +281,16 @@ class ChannelRelationsTest(ResidualTest):
                 before = np.concatenate([[last[plant, j] if begun else values[0]], values[:-1]])
                 steps = values - before
                 lengths = _run_lengths(steps == 0, int(same[plant, j]) if begun else -1)
-                said = np.zeros(len(at))
+                degree = np.zeros(len(at))
                 if self.frozen[j]:
-                    said = lengths / self.frozen[j]
+                    degree = lengths / self.frozen[j]
                 whole = np.concatenate([past, steps * steps])
                 number = np.minimum(counted[plant, j] + np.arange(1, len(at) + 1), _QUIET_ROWS)
                 if self.quiet[j] > 0:
                     mean = np.lib.stride_tricks.sliding_window_view(whole, _QUIET_ROWS).sum(axis=1) / _QUIET_ROWS
                     size = np.sqrt(np.maximum(mean, (0.1 * self.quiet[j]) ** 2))
-                    said = np.where(number >= _QUIET_ROWS, np.maximum(said, self.quiet[j] / size), said)
-                ratio[plant, at, j] = said
+                    degree = np.where(number >= _QUIET_ROWS, np.maximum(degree, self.quiet[j] / size), degree)
+                ratio[plant, at, j] = degree
                 last[plant, j], same[plant, j], counted[plant, j] = values[-1], lengths[-1], number[-1]
                 changes[plant, :, j] = whole[len(whole) - (_QUIET_ROWS - 1) :]
         return ratio, last, same, changes, counted
@@ -662,8 +662,8 @@ def _wander(series: NDArray[np.float64], time: float) -> float:
     """Return the deviation of drifts slower than the series shows, by the means of its blocks."""
     blocks = np.array_split(series, _BLOCKS)
     within = float(np.mean([block.var() for block in blocks]))
-    own = 2 * time * within / (len(series) / _BLOCKS)
-    return float(np.sqrt(max(_WANDER * np.var([block.mean() for block in blocks], ddof=1) - own, 0.0)))
+    by_chance = 2 * time * within / (len(series) / _BLOCKS)
+    return float(np.sqrt(max(_WANDER * np.var([block.mean() for block in blocks], ddof=1) - by_chance, 0.0)))
 
 
 def _standstills(y: NDArray[np.float64], recordings: Sequence[slice]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:

@@ -192,7 +192,7 @@ class Explainer:
         apart = _APART + _PART * float(evidence[best])
         other = listed + int(np.argmax(level[listed:])) if len(names) > listed else None
         beyond = float(np.sum(white**2)) - float(usable.sum()) * white.shape[1]
-        made = Word(
+        word = Word(
             GOOD,
             (names[best],),
             after=after,
@@ -202,24 +202,24 @@ class Explainer:
             deviation=float(fits.deviations[best] * np.sqrt(variance[20])),
         )
         if before < BEFORE or int(usable[:before].sum()) < _LEAST_BEFORE:
-            return replace(made, kind=TOO_EARLY, from_start=True)
+            return replace(word, kind=TOO_EARLY, from_start=True)
         excess, rareness = _left(fits.left[best], usable, variance)
         count = int(usable.sum()) * white.shape[1]
         if (float(np.sum(fits.left[best] ** 2)) - mean_square * count) / np.sqrt(2 * max(count, 1)) < _LESS:
-            return replace(made, kind=POOR, quieter=True)
+            return replace(word, kind=POOR, quieter=True)
         unlisted = "" if other is None or level[other] < level[best] - apart else names[other][0]
         if other is not None and level[other] > level[best] + apart:
             kind = POOR if level[other] > _EVIDENCE else TOO_EARLY
-            return replace(made, kind=kind, unlisted=unlisted)
+            return replace(word, kind=kind, unlisted=unlisted)
         if ((rareness > _MORE) & (excess > _PART * evidence[best])).any():
-            return replace(made, kind=POOR, unlisted=unlisted)
+            return replace(word, kind=POOR, unlisted=unlisted)
         close = [g for g in order if level[g] >= level[best] - apart]
         if level[best] < _EVIDENCE or fits.is_spike[best] or len(close) > _MOST_CLOSE:
-            return replace(made, kind=TOO_EARLY, unlisted=unlisted)
+            return replace(word, kind=TOO_EARLY, unlisted=unlisted)
         rivals = level[listed:] > level[best] - np.where(states, 0.0, apart)  # a state must explain more
         if rivals.any() or len(close) > 1:
-            made = replace(made, kind=EITHER, faults=tuple(names[g] for g in close), unlisted=unlisted)
-        return made if after >= FIRST else replace(made, kind=TOO_EARLY)
+            word = replace(word, kind=EITHER, faults=tuple(names[g] for g in close), unlisted=unlisted)
+        return word if after >= FIRST else replace(word, kind=TOO_EARLY)
 
 
 @dataclass(frozen=True, eq=False)

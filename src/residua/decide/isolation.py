@@ -19,7 +19,7 @@ from residua.decide.alarm import Alarm, Candidate, LearntMatch, PresentFault, Si
 from residua.decide.code_reading import CodeReading
 from residua.decide.compiled import CompiledCodes, CompiledIsolation
 from residua.decide.learnt_faults import LearntFault
-from residua.decide.matched_hold import Match
+from residua.decide.matched_recursion import Match
 from residua.decide.member_bounds import MemberBounds
 from residua.decide.sizes import sizes_over, with_sizes
 from residua.decide.statement import Statement, statement_by_score, word_by_score

@@ -138,20 +138,29 @@ def learnt_direction(
     mean = np.mean([sign * one.mean for sign, one in zip(signs, seen, strict=True)], axis=0)
     error = np.sum([one.error for one in seen], axis=0) / len(seen) ** 2
     noise = np.mean([one.noise for one in seen], axis=0)
-    between = _between(mean, [one.mean for one in seen])
-    cone = cone_angle(mean, error, between, len(seen), sum(one.independent for one in seen))
+    samples, independent = sum(one.samples for one in seen), sum(one.independent for one in seen)
+    size = float(np.linalg.norm(mean))
+    # the covariance of single shifts about their mean, each scaled to its size
+    along = [(one.mean, float(one.mean @ mean)) for one in seen]
+    away = [shift * size**2 / product - mean for shift, product in along if product != 0.0 and len(seen) > 1]
+    between = np.zeros_like(space) + sum(np.outer(one, one) for one in away) / max(len(seen) - 1, 1)
+    cone = 90.0
+    if size > 0:
+        sideways = across(mean / size, error)
+        occurrence = occurrence_square(between, len(seen), CONE_SHARE, new=False)
+        radius = max(square_at(sideways, CONE_SHARE, independent), occurrence)
+        length = size**2 - float(np.trace(sideways))  # errors lengthen the measured shift
+        cone = math.degrees(math.atan2(math.sqrt(radius), math.sqrt(max(length, 0.0))))
     if not cone <= WIDEST:
         raise DataError(
             f"the direction of {name!r} is known to {cone:.0f}° only (95 % confidence), no more than {WIDEST:g}° is "
-            f"taken: {sum(one.samples for one in seen)} samples are worth {sum(one.independent for one in seen):.3g} "
-            "independent ones. Give a longer recording, a larger fault, or several recordings"
+            f"taken: {samples} samples are worth {independent:.3g} independent ones. Give a longer recording, a larger "
+            "fault, or several recordings"
         )
     back = np.linalg.inv(space)
     error, noise, between = (back.T @ M @ back for M in (error, noise, between))
-    independent = sum(one.independent for one in seen)
-    code = np.zeros(0, dtype=bool)
-    samples = sum(one.samples for one in seen)
-    return LearntFault(name, len(seen), samples, independent, mean @ back, error, noise, between, cone, code)
+    no_code = np.zeros(0, dtype=bool)
+    return LearntFault(name, len(seen), samples, independent, mean @ back, error, noise, between, cone, no_code)
 
 
 def _occurrence(name: str, q: NDArray[np.float64], window: int, number: int, of: int) -> _Occurrence:
@@ -202,15 +211,6 @@ def _times(columns: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.minimum(np.where(times > 1, times / (1 - lost), times), float(count))
 
 
-def _between(mean: NDArray[np.float64], shifts: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Return the covariance of single shifts about their mean, each scaled to its size; zero for one shift."""
-    if len(shifts) < 2:
-        return np.zeros((len(mean), len(mean)))
-    square = float(mean @ mean)
-    away = [shift * square / float(shift @ mean) - mean for shift in shifts if float(shift @ mean) != 0.0]
-    return np.sum([np.outer(one, one) for one in away], axis=0) / (len(shifts) - 1)
-
-
 def across(direction: NDArray[np.float64], covariance: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the part of a covariance that is at right angles to a direction of length 1."""
     P = np.eye(len(direction)) - np.outer(direction, direction)
@@ -250,25 +250,6 @@ def occurrence_square(between: NDArray[np.float64], recordings: int, share: floa
     if freedom < _LEAST_FREEDOM:
         return each * float(chdtri(across_dimensions, 1 - share))
     return each * across_dimensions * float(fdtri(across_dimensions, freedom, share))
-
-
-def cone_angle(
-    mean: NDArray[np.float64],
-    error: NDArray[np.float64],
-    between: NDArray[np.float64],
-    recordings: int,
-    independent: float,
-) -> float:
-    """Return the half-angle in degrees of the cone about a mean that holds its direction with 95 % confidence."""
-    size = float(np.linalg.norm(mean))
-    if not size > 0:
-        return 90.0
-    sideways = across(mean / size, error)
-    radius = max(
-        square_at(sideways, CONE_SHARE, independent), occurrence_square(between, recordings, CONE_SHARE, new=False)
-    )
-    length = size**2 - float(np.trace(sideways))  # errors lengthen the measured shift
-    return math.degrees(math.atan2(math.sqrt(radius), math.sqrt(max(length, 0.0))))
 
 
 def angle_between(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:

@@ -114,29 +114,26 @@ class LearntDirections(Isolation):
         return tuple(learnt_label(fault.name, modelled) for fault in self.faults)
 
     @cached_property
-    def directions(self) -> NDArray[np.float64]:
-        """The learnt directions in the whitened space, as columns of length 1."""
-        shifts = ordered_product(np.array([[fault.shift for fault in self.faults]]), self.space)[0]
-        return (shifts / row_norms(shifts)[:, None]).T
+    def _shifts(self) -> NDArray[np.float64]:
+        """The learnt shifts in the whitened space, shape (faults, k)."""
+        return ordered_product(np.array([[fault.shift for fault in self.faults]]), self.space)[0]
 
     @cached_property
-    def sizes(self) -> NDArray[np.float64]:
-        """Lengths of the learnt shifts, in the whitened space."""
-        return row_norms(ordered_product(np.array([[fault.shift for fault in self.faults]]), self.space)[0])
+    def directions(self) -> NDArray[np.float64]:
+        """The learnt directions in the whitened space, as columns of length 1."""
+        return (self._shifts / row_norms(self._shifts)[:, None]).T
 
     @cached_property
     def _squares(self) -> list[tuple[float, float]]:
         """For each fault the squares, across its direction, of the noise of a window and of the error of the shift."""
         out = []
-        for j, fault in enumerate(self.faults):
+        for line, fault in zip(self.directions.T, self.faults, strict=True):
             noise, error, between = (
-                across(self.directions[:, j], self.space.T @ M @ self.space)
-                for M in (fault.noise, fault.error, fault.between)
+                across(line, self.space.T @ M @ self.space) for M in (fault.noise, fault.error, fault.between)
             )
             occurrence = occurrence_square(between, fault.recordings, WINDOW_SHARE, new=True)
-            out.append(
-                (square_at(noise, WINDOW_SHARE), max(square_at(error, WINDOW_SHARE, fault.independent), occurrence))
-            )
+            error = max(square_at(error, WINDOW_SHARE, fault.independent), occurrence)
+            out.append((square_at(noise, WINDOW_SHARE), error))
         return out
 
     # ------------------------------------------------------------------------ running
@@ -158,59 +155,58 @@ class LearntDirections(Isolation):
         joint = np.concatenate([scores.scores, cosines], axis=2)
         return LearntState(base, window), replace(scores, scores=joint, size=size / self.window)
 
-    def matches(self, scores: NDArray[np.float64], size: float) -> tuple[LearntMatch, ...]:
-        """Return the angle of a window's mean to each learnt direction, and the allowed angle."""
-        out = []
-        for j, label in enumerate(self.labels):
-            cosine = float(scores[len(self.base.groups) + j])
-            if not (math.isfinite(cosine) and math.isfinite(size) and size > 0):
+    def _matches(self, scores: NDArray[np.float64], length: float) -> tuple[LearntMatch, ...]:
+        """Return the angle of a window's mean of this length to each learnt direction, and the allowed angle."""
+        if not (math.isfinite(length) and length > 0):
+            return ()
+        out, cosines = [], scores[len(self.base.groups) :].tolist()
+        sizes = zip(self.labels, cosines, row_norms(self._shifts).tolist(), self._squares, strict=True)
+        for label, cosine, size, (noise, error) in sizes:
+            if not math.isfinite(cosine):
                 continue
-            noise, error = self._squares[j]
-            ratio = (size * cosine / float(self.sizes[j])) ** 2
-            allowed = math.sqrt(max(1.0, ratio) * noise + ratio * error) / size
+            ratio = (length * cosine / size) ** 2
+            allowed = math.sqrt(max(1.0, ratio) * noise + ratio * error) / length
             degrees = min(math.degrees(math.asin(min(1.0, allowed))), FARTHEST)
             out.append(LearntMatch(label, cosine, math.degrees(math.acos(cosine)), degrees))
         return tuple(out)
 
-    def _with_learnt(self, named: Named, scores: NDArray[np.float64], size: float) -> Named:
+    def _of_base(self, seen: Seen) -> Seen:
+        """Return what the isolation of the model's faults has seen."""
+        scores = replace(seen.scores, scores=seen.scores.scores[..., : len(self.base.groups)])
+        return replace(seen, scores=scores, state=None if seen.state is None else seen.state.base)
+
+    def _with_learnt(self, named: Named, seen: Seen, at: int) -> Named:
         """Return an attribution with the learnt faults; without a name if nothing explains the residual.
 
         A predicted direction has no cone: it is accepted if it explains the residual well, and no learnt fault
         that is excluded explains more. A learnt fault goes before one of the model that it cannot be told from here.
         """
-        matches = self.matches(scores, size)
+        assert seen.scores.size is not None
+        matches = self._matches(seen.scores.scores[at], float(seen.scores.size[at]))
         if not matches:
             return named
         agree = {m.fault: m for m in matches if m.agrees}
-        own = [Candidate((m.fault,), m.score, math.sqrt(max(0.0, 1 - m.score**2))) for m in agree.values()]
-        ranked = sorted((*named.candidates, *own), key=lambda c: -round(c.score, 3) if c.score == c.score else 1.0)
-        excluded = max((m.score for m in matches if not m.agrees), default=0.0)
+        learnt = [Candidate((m.fault,), m.score, math.sqrt(max(0.0, 1 - m.score**2))) for m in agree.values()]
+        ranked = sorted((*named.candidates, *learnt), key=lambda c: -round(c.score, 3) if c.score == c.score else 1.0)
         first = next((c for c in ranked if c.faults[0] in agree), None)
         if first is not None and ranked[0] is not first:
             apart = dict(self.angles(self.labels.index(first.faults[0])))
             if apart.get(ranked[0].name, 90.0) <= agree[first.faults[0]].allowed:
                 ranked = [first, *(c for c in ranked if c is not first)]
-        best = ranked[0] if ranked else None
-        believed = best is not None and (
-            best.faults[0] in agree or (best.score >= _BELIEVED and best.score > excluded - CLOSE_MARGIN)
-        )
+        believed = False
+        if ranked:
+            best, excluded = ranked[0], max((m.score for m in matches if not m.agrees), default=0.0)
+            explains_most = best.score >= _BELIEVED and best.score > excluded - CLOSE_MARGIN
+            believed = best.faults[0] in agree or explains_most
         return replace(named, candidates=tuple(ranked) if believed else (), learnt=matches)
-
-    def _base_seen(self, seen: Seen) -> Seen:
-        own = replace(seen.scores, scores=seen.scores.scores[..., : len(self.base.groups)])
-        return replace(seen, scores=own, state=None if seen.state is None else seen.state.base)
 
     def name(self, seen: Seen, start: int, stop: int, last: int) -> Named:
         """Return the attribution of an alarm of a recording."""
-        assert seen.scores.size is not None
-        named = self.base.name(self._base_seen(seen), start, stop, last)
-        return self._with_learnt(named, seen.scores.scores[last], float(seen.scores.size[last]))
+        return self._with_learnt(self.base.name(self._of_base(seen), start, stop, last), seen, last)
 
     def name_now(self, seen: Seen) -> Named:
         """Return the attribution of the standing alarm."""
-        assert seen.scores.size is not None
-        named = self.base.name_now(self._base_seen(seen))
-        return self._with_learnt(named, seen.scores.scores[0], float(seen.scores.size[0]))
+        return self._with_learnt(self.base.name_now(self._of_base(seen)), seen, 0)
 
     # ----------------------------------------------- interface to the rest of a monitor
 
@@ -261,41 +257,50 @@ class LearntDirections(Isolation):
 
     def words(self, step: float) -> dict[str, str]:
         """Describe how faults are named."""
-        own = f"directions of {counted(len(self.faults), 'learnt fault')} over {self.window} samples"
-        base = self.base.words(step).get("isolation")
+        words = self.base.words(step)
+        learnt = f"directions of {counted(len(self.faults), 'learnt fault')} over {self.window} samples"
+        names = f"{words['isolation']}; {learnt}" if words.get("isolation") else learnt
         faults = "; ".join(f"{label}: {f.basis}" for label, f in zip(self.labels, self.faults, strict=True))
-        return {**self.base.words(step), "isolation": f"{base}; {own}" if base else own, "learnt faults": faults}
+        return words | {"isolation": names, "learnt faults": faults}
 
     def statement(self, alarm: Alarm, clock: Clock, window: int) -> Statement:
         """Return the statement about an alarm: the name, the data it was learnt from, and the faults it excludes."""
         if not alarm.learnt:
             return self.base.statement(alarm, clock, window)
-        word = self.word(alarm, window)
+        word, nearest = self.word(alarm, window), min(alarm.learnt, key=lambda m: m.angle)
         if word is not None and not alarm.candidates:
-            return _unknown(alarm, clock, word)
-        said = statement_by_score(alarm, clock, word, lambda score: f"{math.degrees(math.acos(score)):.2g}°", _MEANING)
+            sentences = tuple(f"{m.fault}: {m.text}." for m in sorted(alarm.learnt, key=lambda m: m.angle))
+            statement = statement_by_word(alarm, word, clock, sentences, _MEANING)
+            return replace(statement, lines=(f"{word.line}; nearest is {nearest.fault}, {nearest.text}",))
+        statement = statement_by_score(
+            alarm, clock, word, lambda score: f"{math.degrees(math.acos(score)):.2g}°", _MEANING
+        )
+        if not any(m.agrees for m in alarm.learnt):
+            line = f"{_none_of(alarm)}: nearest is {nearest.fault}, {nearest.text}"
+            return replace(
+                statement, sentences=(*statement.sentences, f"It is {line}."), lines=(*statement.lines, line)
+            )
         basis = dict(zip(self.labels, self.faults, strict=True))
         about = [m for m in alarm.learnt if m.fault in alarm.candidates[0].faults]
-        more = tuple(f"{m.fault} was learnt from {basis[m.fault].basis}; {m.text}." for m in about)
+        lines = [f"learnt from {basis[m.fault].basis}; {m.text}" for m in about]
+        sentences = [f"{m.fault} was {line}." for m, line in zip(about, lines, strict=True)]
         if about and basis[about[0].fault].recordings == 1:
-            more += ("How much one occurrence of it differs from another is not known: one recording shows none.",)
-        lines = tuple(f"learnt from {basis[m.fault].basis}; {m.text}" for m in about)
+            unknown = "How much one occurrence of it differs from another is not known: one recording shows none."
+            sentences.append(unknown)
         best = max(alarm.candidates, key=lambda c: c.score if c.score == c.score else -1.0)
         if about and round(best.score, 3) > round(alarm.candidates[0].score, 3):
             why = f"goes before {best.name}, of a higher score, from which it cannot be distinguished here"
-            lines, more = (*lines, why), (*more, f"{about[0].fault} {why}.")
-        if not any(m.agrees for m in alarm.learnt):
-            lines = (f"{_none_of(alarm)}: nearest is {_nearest(alarm).fault}, {_nearest(alarm).text}",)
-            more = (f"It is {lines[0]}.",)
-        return replace(said, sentences=(*said.sentences, *more), lines=(*said.lines, *lines))
+            lines.append(why)
+            sentences.append(f"{about[0].fault} {why}.")
+        return replace(statement, sentences=(*statement.sentences, *sentences), lines=(*statement.lines, *lines))
 
     def word(self, alarm: Alarm, window: int) -> Word | None:
         """Return the word if one learnt fault alone explains an alarm; else from the base, or by score."""
         if not alarm.learnt:
             return self.base.word(alarm, window)
         if not alarm.candidates:
-            made = Word(POOR, (), why=f"an unknown fault, {_none_of(alarm)}", after=alarm.samples)
-            return made if alarm.samples >= window else replace(made, kind=TOO_EARLY, why=too_short(window))
+            word = Word(POOR, (), why=f"an unknown fault, {_none_of(alarm)}", after=alarm.samples)
+            return word if alarm.samples >= window else replace(word, kind=TOO_EARLY, why=too_short(window))
         word = word_by_score(alarm, window)
         best, *others = alarm.candidates
         agree = {m.fault: m for m in alarm.learnt if m.agrees}
@@ -343,17 +348,6 @@ class LearntCodes(CodeTest):
         return super().words(step) | {"learnt faults": "; ".join(f"{f.name}: {f.basis}" for f in self.faults)}
 
 
-def _unknown(alarm: Alarm, clock: Clock, word: Word) -> Statement:
-    """Return the words for an alarm that no fault, learnt or of the model, explains."""
-    line = f"{word.line}; nearest is {_nearest(alarm).fault}, {_nearest(alarm).text}"
-    sentences = tuple(f"{m.fault}: {m.text}." for m in sorted(alarm.learnt, key=lambda m: m.angle))
-    return replace(statement_by_word(alarm, word, clock, sentences, _MEANING), lines=(line,))
-
-
-def _nearest(alarm: Alarm) -> LearntMatch:
-    return min(alarm.learnt, key=lambda m: m.angle)
-
-
 def _none_of(alarm: Alarm) -> str:
     return f"none of {counted(len(alarm.learnt), 'learnt fault')}" if len(alarm.learnt) > 1 else "not the learnt fault"
 
@@ -370,7 +364,7 @@ def with_learnt(
     space: Callable[[], NDArray[np.float64]],
     window: int,
 ) -> Isolation:
-    """Return an isolation that also names learnt faults.
+    """Return an isolation that also names learnt faults; a learnt code equal to another one joins its group.
 
     Raises
     ------
@@ -379,13 +373,8 @@ def with_learnt(
     """
     if not faults:
         return base
-    if isinstance(base, CodeTest):
-        return _with_codes(base, faults)
-    return LearntDirections(base, tuple(faults), test.center, space(), test.metric, window)
-
-
-def _with_codes(base: CodeTest, faults: Sequence[LearntFault]) -> CodeTest:
-    """Return codes extended by learnt ones; one equal to another joins its group."""
+    if not isinstance(base, CodeTest):
+        return LearntDirections(base, tuple(faults), test.center, space(), test.metric, window)
     modelled = {name for group in base.groups for name in group} | set(base.unjudged)
     groups, codes = [list(group) for group in base.groups], [base.codes[:, g] for g in range(len(base.groups))]
     settled = list(base.settled)

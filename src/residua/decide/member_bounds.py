@@ -116,10 +116,10 @@ def _explained(
         excess = peaks[name] - bounds[name].disturbances
         for other, leak in bounds[name].leakage.items():
             needed = excess / leak if excess > 0 and leak > 0 else np.inf
-            own = bounds.get(other)  # members are named by their faults
-            allowed = np.inf if own is None else (peaks[other] + own.disturbances) / own.response
+            of_other = bounds.get(other)  # members are named by their faults
+            allowed = np.inf if of_other is None else (peaks[other] + of_other.disturbances) / of_other.response
             if np.isfinite(needed) and needed <= allowed:
                 room = f"its own residual allows up to {allowed:.3g} of a lasting one"
-                reason = "no member sees it" if own is None else room
+                reason = "no member sees it" if of_other is None else room
                 text = f"what fires {name!r} may be {other!r} alone, if that reaches {needed:.3g} or more ({reason})"
                 yield needed / allowed, text

@@ -160,11 +160,11 @@ class Relations(Record):
                 continue
             if not count[plant]:
                 averages[plant] = entering[plant, at[0]]
-            held = np.maximum.accumulate(np.where(known[plant], np.arange(time), -1))
-            rows = np.cumsum(known[plant])[held] - 1
+            latest = np.maximum.accumulate(np.where(known[plant], np.arange(time), -1))
+            rows = np.cumsum(known[plant])[latest] - 1
             for k, weight in enumerate(LAG_WEIGHTS):
                 after, last = averaged(weight, averages[plant, k][None], entering[plant, at][None])
-                means[plant, :, k] = np.where((held >= 0)[:, None], after[0][rows], averages[plant, k])
+                means[plant, :, k] = np.where((latest >= 0)[:, None], after[0][rows], averages[plant, k])
                 averages[plant, k] = last[0]
             count[plant] += len(at)
         features = np.concatenate([z, means.reshape(plants, time, len(LAG_WEIGHTS) * q)], axis=2)
@@ -249,11 +249,11 @@ def fit_relations(
     )  # fmt: skip
     if form == HORIZON:
         size = np.sqrt(np.nanmean(innovations[used] ** 2, axis=0))
-        made = replace(blank, ahead=_ahead(system, inputs, size), outputs=_outputs_of(system, inputs))
+        relations = replace(blank, ahead=_ahead(system, inputs, size), outputs=_outputs_of(system, inputs))
         left = np.concatenate(
-            [made.run(made.start(1), signals[None, p], innovations[None, p])[1][0] for p in recordings]
+            [relations.run(relations.start(1), signals[None, p], innovations[None, p])[1][0] for p in recordings]
         )
-        return made, np.where(used[:, None], left, np.nan)
+        return relations, np.where(used[:, None], left, np.nan)
     features = z
     if form == LAGS:
         whole = _in_spreads(signals, middle, spread)
@@ -294,10 +294,10 @@ def _regressions(
     moving = np.concatenate([[True], np.diag(total)[1:] > 0])
     for i in range(q):
         mine = np.flatnonzero((owner != i) & moving)
-        square, held = np.ix_(mine, mine), np.diag((mine > 0) * 1.0)
+        square, penalised = np.ix_(mine, mine), np.diag((mine > 0) * 1.0)
         best = np.inf
         for penalty in _PENALTIES:
-            ridge = penalty * count * held
+            ridge = penalty * count * penalised
             errors = np.empty(count)
             for f in range(_FOLDS):
                 weights = np.linalg.solve((total - grams[f])[square] + ridge, (whole - right[f])[mine, i])
@@ -369,12 +369,12 @@ def _foretold(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return cross-validated least-squares errors of targets, fold by fold, and the weights of all rows."""
     grams, right = _normal_equations(basis, targets, folds)
-    total, whole, held = grams.sum(axis=0), right.sum(axis=0), DATA_ROUNDING * len(basis) * np.eye(basis.shape[1])
+    total, whole, ridge = grams.sum(axis=0), right.sum(axis=0), DATA_ROUNDING * len(basis) * np.eye(basis.shape[1])
     errors = np.empty_like(targets)
     for f in range(_FOLDS):
-        weights = np.linalg.solve(total - grams[f] + held, whole - right[f])
+        weights = np.linalg.solve(total - grams[f] + ridge, whole - right[f])
         errors[folds == f] = targets[folds == f] - basis[folds == f] @ weights
-    return errors, np.linalg.solve(total + held, whole)
+    return errors, np.linalg.solve(total + ridge, whole)
 
 
 def _ahead(system: StateSpace, inputs: int, size: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -227,8 +227,8 @@ def findings_of(
         facts.append(one)
         left.append(e)
     moved = [j for j in range(len(names)) if moves[j]]
-    made = treated(data, "auto", CUSUM().harmless_offset)
-    parts, independent, notes = made.parts, made.moving, made.notes
+    treatment = treated(data, "auto", CUSUM().harmless_offset)
+    parts, independent, notes = treatment.parts, treatment.moving, treatment.notes
     bursts = _bursts(left, facts, moved)
     found = [
         *_memory(data, facts, moved, white, bursts),
@@ -479,8 +479,8 @@ def _copies(names: Sequence[str], moves: NDArray[np.bool_], independent: int, no
     if still:
         found.append(f"{some(still, _LISTED)} never move{'s' * (len(still) == 1)}")
     if independent < int(moves.sum()):
-        said = [one for one in notes if "independent" in one or "predicted exactly" in one]
-        found.append("; ".join(said) or f"{independent} of the {len(names)} residuals are independent")
+        reasons = [one for one in notes if "independent" in one or "predicted exactly" in one]
+        found.append("; ".join(reasons) or f"{independent} of the {len(names)} residuals are independent")
     return [Finding("copies", (), "; ".join(found), 0.0)] if found else []
 
 

@@ -114,11 +114,11 @@ class Word:
         """Sentences on the basis of the word."""
         if not self.names or not self.fitted:
             return ()
-        said = f"After {self.after} samples of the alarm, {self.names[0]} explains {100 * self.share:.0f} % of the "
-        said += "residual beyond noise"
+        text = f"After {self.after} samples of the alarm, {self.names[0]} explains {100 * self.share:.0f} % of the "
+        text += "residual beyond noise"
         if math.isfinite(self.size) and math.isfinite(self.deviation):
-            said += f"; as a step, its size is {number(self.size, 3)} ± {number(self.deviation, 2)}"
-        return (f"{said}.",)
+            text += f"; as a step, its size is {number(self.size, 3)} ± {number(self.deviation, 2)}"
+        return (f"{text}.",)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""

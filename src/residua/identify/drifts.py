@@ -88,8 +88,8 @@ class Drifts:
         return f"{name!r} drifts: {how}{often}"
 
     def __repr__(self) -> str:
-        said = "".join(f"\n  {self.sentence(name)}" for name in self.drifting)
-        return f"Drifts({len(self.drifting)} of {counted(len(self.names), 'channel')}){':' * bool(said)}{said}"
+        head = f"Drifts({len(self.drifting)} of {counted(len(self.names), 'channel')}){':' * bool(self.drifting)}"
+        return "\n  ".join([head, *map(self.sentence, self.drifting)])
 
 
 def drifting_channels(
@@ -208,8 +208,8 @@ def drifts_in(gathered: Gathered, facts: ChannelFacts) -> Drifts:
                 shift = float(other.mean() - one.mean())
                 # the means of stretches of many rows leave out the rows within them
                 sides = max(deviation[j] ** 2 - part * (1 - part) * shift**2, 0.0)
-                own = np.concatenate([one - one.mean(), other - other.mean()])
-                change[k, j] = shift / float(np.sqrt(max(sides, np.mean(own**2))))
+                rest = np.concatenate([one - one.mean(), other - other.mean()])
+                change[k, j] = shift / float(np.sqrt(max(sides, np.mean(rest**2))))
     found = Drifts(gathered.channels, (), rows, change, place, worth)
     judged = rows * found.judged
     share = judged @ found.moves / judged.sum()

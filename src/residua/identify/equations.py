@@ -214,8 +214,8 @@ class Equations:
     def plant(self, **options: object) -> tuple[Plant, Matrix]:
         """Return the plant in the units of the recordings, and the covariance of the equation errors."""
         around = (self.inputs, self.outputs, self.dt, self.reference, self.units)
-        made, _, V = plant_of(self.innovations(), *around, **options)
-        return with_input_delays(made, self.delays), V
+        plant, _, V = plant_of(self.innovations(), *around, **options)
+        return with_input_delays(plant, self.delays), V
 
     def directions(self, most: int) -> tuple[Matrix, list[dict[str, Matrix]]]:
         """Return the largest standard deviations of the coefficients, and their effects on the plant's matrices."""
@@ -229,7 +229,7 @@ class Equations:
         keep = min(most, decision.rank)
         sizes = np.sqrt(decision.singular_values[:keep])
         cuts = np.cumsum([len(one.terms) for one in self.each])[:-1]
-        made = []
+        effects = []
         for size, direction in zip(sizes, root.T, strict=False):
             step, ends = size if size > 0 else 1.0, []
             for sign in (1, -1):
@@ -237,8 +237,8 @@ class Equations:
                 each = (replace(one, values=one.values + part) for one, part in zip(self.each, parts, strict=True))
                 ends.append(replace(self, each=tuple(each)).plant()[0])
             up, down = ends
-            made.append({name: (getattr(up, name) - getattr(down, name)) / (2 * step) for name in ("A", "B", "C", "D")})
-        return sizes, made
+            effects.append({name: (getattr(up, name) - getattr(down, name)) / (2 * step) for name in "ABCD"})
+        return sizes, effects
 
     def model(self, *, name: str, units: Mapping[str, str] | None, plant: Plant) -> InputOutputModel:
         """Return the equations as polynomials, in the units of the recordings."""

@@ -563,9 +563,9 @@ def _remarks(
     if ratio.max() > _APART or ratio.min() < 1 / _APART:
         times = " to ".join(dict.fromkeys(number(float(r), 2) for r in (ratio.min(), ratio.max())))
         out.append(f"standard errors are {times} times those for white errors (over {counted(lags, 'lag')})")
-    said = predictor(task.plant_at.plant(task.values(found.z)), task.dt).innovation_covariance
-    if said is not None:
-        variances = np.diag(found.covariance) / np.diag(said)
+    modelled = predictor(task.plant_at.plant(task.values(found.z)), task.dt).innovation_covariance
+    if modelled is not None:
+        variances = np.diag(found.covariance) / np.diag(modelled)
         names = task.plant_at.like.outputs if task.plant_at.like else ()
         off = [
             f"{n} {number(float(v), 2)}"

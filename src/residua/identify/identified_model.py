@@ -322,7 +322,7 @@ def with_input_delays(plant: Plant, delays: Mapping[str, int]) -> Plant:
         B[:n, j], B[first, j] = 0.0, 1.0
         A[range(first + 1, last + 1), range(first, last)] = 1.0
         first += rows
-    made = Plant(
+    delayed = Plant(
         A,
         B,
         C,
@@ -335,8 +335,8 @@ def with_input_delays(plant: Plant, delays: Mapping[str, int]) -> Plant:
         units=plant.units,
     )
     if not plant.Bw.shape[1]:
-        return made
-    return made.with_noise_input(np.vstack([plant.Bw, np.zeros((total, plant.Bw.shape[1]))]), plant.Dw)
+        return delayed
+    return delayed.with_noise_input(np.vstack([plant.Bw, np.zeros((total, plant.Bw.shape[1]))]), plant.Dw)
 
 
 def with_channel_faults(plant: Plant, *, sensors: bool, actuators: bool) -> Plant:

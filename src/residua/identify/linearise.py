@@ -255,17 +255,16 @@ def tangent_model(
     values = np.asarray(model.everything(z), dtype=float)
     drift, terms = values[:n] - (x0 if model.dt else 0.0), slopes.terms[:n]
     residual = float((np.abs(drift) / np.where(terms > 0, terms, 1.0)).max(initial=0.0))
-    notes, own = slopes.notes, slopes.sizes[:n]
-    if n and own.max() >= _UNLIKE * own.min():
-        most, least = int(own.argmax()), int(own.argmin())
+    notes, size = slopes.notes, slopes.sizes[:n]
+    if n and size.max() >= _UNLIKE * size.min():
+        extremes = (f"{model.states[k]} {number(size[k], 2)}" for k in (size.argmax(), size.argmin()))
         notes += (
-            f"states are of very different sizes: {model.states[most]} {number(own[most], 2)}, {model.states[least]} "
-            f"{number(own[least], 2)}; designs work in units of their own, but tables are easier to read in other "
-            "units",
+            f"states are of very different sizes: {', '.join(extremes)}; designs work in units of their own, but tables "
+            "are easier to read in other units",
         )
     if hold == "point" and np.any(drift):
-        said = some(f"{state} by {number(v, 3)}" for state, v in zip(model.states, drift, strict=True) if v)
-        notes += (f"the states do not rest at the point, which was taken as it is; they drift {said} per unit of time",)
+        rates = some(f"{state} by {number(v, 3)}" for state, v in zip(model.states, drift, strict=True) if v)
+        notes += (f"the states do not rest at the point, which was taken as is; they drift {rates} per unit of time",)
     way = "a complex step" if slopes.complex_step else "differences"
     about = (
         f"Linearised at {_point(_named(model.states, x0))} and {_point(_named(model.inputs, u0))} by {way}, slopes "

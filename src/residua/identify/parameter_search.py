@@ -230,7 +230,7 @@ def search(task: Task, starts: int, tell: Progress) -> Found:
     """
     from scipy.optimize import least_squares  # slow to import, and not needed to run a monitor
 
-    z, said = _best_start(task, starts, tell)
+    z, start_notes = _best_start(task, starts, tell)
     signal = np.sqrt(
         np.mean(np.concatenate([np.diff(d[:, -task.n_outputs :], axis=0) ** 2 for d in task.data]), axis=0)
     )
@@ -273,7 +273,7 @@ def search(task: Task, starts: int, tell: Progress) -> Found:
     near = ((z - low <= _AT_BOUND) & (fit.grad > 0)) | ((high - z <= _AT_BOUND) & (fit.grad < 0))
     z = np.where(near & (fit.grad > 0), low, np.where(near, high, z))
     covariance = _covariance(task, z)
-    return Found(z, weights_of(covariance, signal)[0], covariance, near, (*said, *notes))
+    return Found(z, weights_of(covariance, signal)[0], covariance, near, (*start_notes, *notes))
 
 
 def _covariance(task: Task, z: Vector) -> Matrix:

@@ -61,18 +61,18 @@ class ModeSignals:
 
     def label(self, key: Key) -> str:
         """Return a mode in words."""
-        said = []
+        parts = []
         for name, value, edges in zip(self.names, key, self.edges, strict=True):
             k = int(value) if edges is not None else 0
             if edges is None:
-                said.append(f"{name} = {_text(value)}")
+                parts.append(f"{name} = {_text(value)}")
             elif k == 0:
-                said.append(f"{name} < {_text(edges[0])}")
+                parts.append(f"{name} < {_text(edges[0])}")
             elif k == len(edges):
-                said.append(f"{name} >= {_text(edges[-1])}")
+                parts.append(f"{name} >= {_text(edges[-1])}")
             else:
-                said.append(f"{_text(edges[k - 1])} <= {name} < {_text(edges[k])}")
-        return ", ".join(said)
+                parts.append(f"{_text(edges[k - 1])} <= {name} < {_text(edges[k])}")
+        return ", ".join(parts)
 
 
 def _text(value: float) -> str:
@@ -386,11 +386,11 @@ def regimes(
     without: dict[str, str] = {}
     for key in distinct(keys.values()):
         name = signals.label(key)
-        made = _mode(visited, key, name, method, wait, enough)
-        if isinstance(made, str):
-            without[name] = made
+        mode = _mode(visited, key, name, method, wait, enough)
+        if isinstance(mode, str):
+            without[name] = mode
         else:
-            modes[name] = made
+            modes[name] = mode
     if not modes:
         reasons = "; ".join(f"{name}: {why}" for name, why in without.items())
         raise DataError(f"no operating mode has a model: {reasons}")
@@ -447,9 +447,9 @@ def _mode(
     y = [gathered.channels.index(one) for one in theirs]
     pairs = [(data[:, u], data[:, y]) for data in settled.data()]
     try:
-        made = method(pairs, inputs=ours or None, outputs=theirs, dt=gathered.dt)
-        if isinstance(made, (ArxModel, IdentifiedModel)):
-            made = kalman_filter(made.plant.with_sensor_faults())
+        design = method(pairs, inputs=ours or None, outputs=theirs, dt=gathered.dt)
+        if isinstance(design, (ArxModel, IdentifiedModel)):
+            design = kalman_filter(design.plant.with_sensor_faults())
     except (DataError, ModelError, DesignError, AccuracyError) as error:  # of this mode; the others may have a model
         return f"{counted(rows, 'row')}: {error}"
-    return OperatingMode(key, name, for_monitor(made), rows, transient, still)
+    return OperatingMode(key, name, for_monitor(design), rows, transient, still)

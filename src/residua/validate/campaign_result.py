@@ -214,8 +214,8 @@ class Campaign(Shown):
             f = self.figures
             return roc_of(f.peak[case], f.quiet_peak[case], self.threshold, self.confidence)
         names = [one.name for one in self.cases]
-        own = [name if names.count(name) == 1 else f"{name} (case {c})" for c, name in enumerate(names)]
-        return {name: self.roc(c) for c, name in enumerate(own)}  # pyright: ignore[reportReturnType]
+        labels = [name if names.count(name) == 1 else f"{name} (case {c})" for c, name in enumerate(names)]
+        return {name: self.roc(c) for c, name in enumerate(labels)}  # pyright: ignore[reportReturnType]
 
     def detection_probabilities(self) -> tuple[DetectionProbability, ...]:
         """Return the probability of detection by size for each scenario: fit, a90 and a90/95, or why there is none."""

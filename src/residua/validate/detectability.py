@@ -610,12 +610,12 @@ def _delays(within: float | Iterable[float] | None, dt: float, window: int) -> t
             counts.append(10 * counts[-2])
         return tuple(counts)
     try:
-        asked = np.atleast_1d(np.asarray(within, dtype=float)).ravel()
+        seconds = np.atleast_1d(np.asarray(within, dtype=float)).ravel()
     except (TypeError, ValueError):
-        asked = np.zeros(0)
-    if not asked.size or not np.isfinite(asked).all() or not (asked >= dt * (1 - SAME)).all():
+        seconds = np.zeros(0)
+    if not seconds.size or not np.isfinite(seconds).all() or not (seconds >= dt * (1 - SAME)).all():
         raise SettingError(f"within must be one step ({dt:g} s) or more, in seconds, got {echo(within)}")
-    return tuple(sorted({round(one / dt) for one in asked.tolist()}))
+    return tuple(sorted({round(one / dt) for one in seconds.tolist()}))
 
 
 def _course(shape: Shape | None, dt: float, samples: int) -> NDArray[np.float64]:

@@ -268,8 +268,8 @@ def _levels(
         statistic, usable = quiet_statistics(plan, first, min(first + plan.runs_at_once, runs))
         for one, counts in zip(statistic, usable, strict=True):
             for persistence in persistences:
-                made = alarm_levels(one[counts], persistence, persistence)
-                levels[persistence].append(made[settings.window - 1 :])  # once windows are full
+                needed = alarm_levels(one[counts], persistence, persistence)
+                levels[persistence].append(needed[settings.window - 1 :])  # once windows are full
     return {persistence: np.concatenate(parts) for persistence, parts in levels.items()}
 
 
@@ -292,15 +292,15 @@ def _candidate(
 ) -> TuningCandidate:
     """Return a setting with its campaign."""
     watch = _with(monitor, settings)
-    made = campaign(watch, scenarios, runs=runs, samples=samples, seed=seed, progress=False, **simulated)
-    if not made.cases:
+    checked = campaign(watch, scenarios, runs=runs, samples=samples, seed=seed, progress=False, **simulated)
+    if not checked.cases:
         raise SettingError("tune needs a scenario: without one every candidate is as good as any other")
-    f = made.figures
+    f = checked.figures
     late = np.where(f.detected >= 0, f.detected, f.stop) - f.onset
-    delay = bootstrap(made.dt * late.mean(axis=0), lambda drawn: drawn.mean(axis=1), seed, made.confidence)
+    delay = bootstrap(checked.dt * late.mean(axis=0), lambda drawn: drawn.mean(axis=1), seed, checked.confidence)
     assert settings.threshold is not None
     return TuningCandidate(
-        settings.window, settings.persistence, settings.threshold, made.false_alarm_rate(), delay, watch, made
+        settings.window, settings.persistence, settings.threshold, checked.false_alarm_rate(), delay, watch, checked
     )
 
 
