@@ -7,15 +7,15 @@ import pytest
 from scipy.special import chdtri
 
 import residua as rs
-from residua.decide.clear_mean import WEIGHTS, clear_means, clear_square, no_means
+from residua.decide.directional import MEAN_WEIGHTS, clear_means, clear_square, no_means
 
 
 def by_hand(rows: np.ndarray, judged: np.ndarray, clear: float) -> np.ndarray:
     """The slowest mean that is longer than noise makes it, else the longest, in deviations."""
-    means, out = [np.zeros(rows.shape[1]) for _ in WEIGHTS], np.zeros_like(rows)
+    means, out = [np.zeros(rows.shape[1]) for _ in MEAN_WEIGHTS], np.zeros_like(rows)
     for k in np.flatnonzero(judged):
         chosen, longest = rows[k], float(rows[k] @ rows[k])
-        for j, weight in enumerate(WEIGHTS):
+        for j, weight in enumerate(MEAN_WEIGHTS):
             means[j] = (1 - weight) * means[j] + weight * rows[k]
             square = float(means[j] @ means[j]) / (weight / (2 - weight))
             if square > clear or square >= longest:

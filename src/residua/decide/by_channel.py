@@ -27,7 +27,7 @@ _COMPARED = 100
 #: A channel may be the one if it is that part as far off as the furthest.
 _AS_FAR = 0.6
 #: Samples of an alarm below which a name is too early, and channels that a sentence lists.
-_EARLY, _TOLD = 5, 5
+_EARLY, _LISTED = 5, 5
 _RULES = (
     "The score is the deviation of a channel in its own thresholds, relative to the largest. Channels are compared "
     "only with each other: even if one deviates by far the most, something that is not listed may be the cause. "
@@ -105,7 +105,7 @@ class ChannelNames(Isolation):
             return statement_by_score(alarm, clock, word)
         others = [one for one in alarm.fired if one != MODEL]
         sentence = (
-            f"Deviation from the other channels: {listing(others[:_TOLD])}"
+            f"Deviation from the other channels: {listing(others[:_LISTED])}"
             if others
             else "Deviation from the model's prediction only"
         )

@@ -381,8 +381,8 @@ class ChannelRelationsTest(ResidualTest):
         """Describe the statistic, and the start and end of an alarm."""
         return {
             "threshold": f"1, in units of each part's own ({self.basis})",
-            "test": f"{self.model.title} of the residual; and of each channel {_SAID[self.relations.form]}, by means "
-            f"with weights 1, 1/8, 1/64; frozen and quiet sensors",
+            "test": f"{self.model.title} of the residual; and of each channel, unexplained by "
+            f"{_UNEXPLAINED[self.relations.form]}, by means with weights 1, 1/8, 1/64; frozen and quiet sensors",
             "alarm": f"while any part is in alarm: raised over its threshold, ended at {_RELEASE:g} of it, of the "
             f"slowest mean at {_SLOW_RELEASE:g}",
         }
@@ -428,11 +428,11 @@ class ChannelRelationsTest(ResidualTest):
         self.model.check_state(state.model)
 
 
-_SAID = {
-    STATIC: "unexplained by the other channels",
-    CURVE: "unexplained by a curve of one or two others",
-    LAGS: "unexplained by the others and their past",
-    HORIZON: "unexplained by a prediction 50 rows ahead",
+_UNEXPLAINED = {
+    STATIC: "the other channels",
+    CURVE: "a curve of one or two others",
+    LAGS: "the others and their past",
+    HORIZON: "a prediction 50 rows ahead",
 }
 
 
@@ -563,11 +563,14 @@ class ChannelRelations(TestSettings):
             raise SettingError(
                 f"raised: {echo(unknown[0])} is not a channel; the channels are {', '.join((MODEL, *channels))}"
             )
-        rest = replace(run, usable=run.usable & ~_first_part(run, self.unseen))
+        recordings = FaultFree(run.residuals, run.usable, 1, run.seams).parts
+        unlike = np.zeros(len(run.usable), dtype=bool)  # the first part of each recording, that the model is from
+        for part in recordings:
+            unlike[part.start : part.start + int(self.unseen * (part.stop - part.start))] = True
+        rest = replace(run, usable=run.usable & ~unlike)
         model = _raised(
             MultiscaleEWMA(source="data").fitted(watched, rest, rate / 2), _MODEL_MARGIN * factors.get(MODEL, 1.0)
         )
-        recordings = FaultFree(run.residuals, run.usable, 1, run.seams).parts
         used = rest.usable if self.form == HORIZON else run.usable
         signals = np.where(used[:, None], run.signals, np.nan)
         innovations = np.where(run.usable[:, None], run.residuals, np.nan)
@@ -614,14 +617,6 @@ def _raised(model: MultiscaleEWMATest, factor: float) -> MultiscaleEWMATest:
     )  # fmt: skip
 
 
-def _first_part(run: FaultFreeRun, share: float) -> NDArray[np.bool_]:
-    """Return the first part of the rows of each recording."""
-    first = np.zeros(len(run.usable), dtype=bool)
-    for part in FaultFree(run.residuals, run.usable, 1, run.seams).parts:
-        first[part.start : part.start + int(share * (part.stop - part.start))] = True
-    return first
-
-
 def _limits(
     left: NDArray[np.float64], recordings: Sequence[slice], moving: NDArray[np.bool_], rate: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
@@ -640,7 +635,11 @@ def _limits(
         stretches = [slice(a, b) for a, b in pairwise(ends)]
         spread = max(float(series.std()), TINY)
         time = float(correlation_times(series[:, None], stretches)[0])
-        wander = float(-stdtrit(_BLOCKS - 1, rate / max(k, 1))) * _wander(series, time)
+        # drifts slower than the series shows, by the means of its blocks
+        blocks = np.array_split(series, _BLOCKS)
+        by_chance = 2 * time * float(np.mean([block.var() for block in blocks])) / (len(series) / _BLOCKS)
+        excess = _WANDER * np.var([block.mean() for block in blocks], ddof=1) - by_chance
+        wander = float(-stdtrit(_BLOCKS - 1, rate / max(k, 1))) * float(np.sqrt(max(excess, 0.0)))
         for scale, weight in enumerate(WEIGHTS):
             if weight == 1:
                 values = series
@@ -656,14 +655,6 @@ def _limits(
             if weight == 1:
                 clips[i] = max(_CLIP * spread, _CLIP_THRESHOLDS * limits[0, i])
     return limits, noise, clips
-
-
-def _wander(series: NDArray[np.float64], time: float) -> float:
-    """Return the deviation of drifts slower than the series shows, by the means of its blocks."""
-    blocks = np.array_split(series, _BLOCKS)
-    within = float(np.mean([block.var() for block in blocks]))
-    by_chance = 2 * time * within / (len(series) / _BLOCKS)
-    return float(np.sqrt(max(_WANDER * np.var([block.mean() for block in blocks], ddof=1) - by_chance, 0.0)))
 
 
 def _standstills(y: NDArray[np.float64], recordings: Sequence[slice]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:

@@ -14,8 +14,8 @@ from residua.errors import FileFormatError
 from residua.number_kinds import BOUND, POSITIVE
 from residua.records import float_in, float_out, joined, record, table_in
 
-#: Pairs of faults that a caution tells at most.
-_TOLD = 4
+#: Pairs of faults that a caution lists at most.
+_LISTED = 4
 
 
 @dataclass(frozen=True)
@@ -97,9 +97,9 @@ def leakage_cautions(
                 "design has certified"
             )
         if cautions:
-            more = f"; and {len(cautions) - _TOLD} more" if len(cautions) > _TOLD else ""
+            more = f"; and {len(cautions) - _LISTED} more" if len(cautions) > _LISTED else ""
             where = f"in alarm {k} " if len(alarms) > 1 else ""
-            out.append(f"other faults leak: {where}{'; '.join(text for _, text in cautions[:_TOLD])}{more}")
+            out.append(f"other faults leak: {where}{'; '.join(text for _, text in cautions[:_LISTED])}{more}")
     return tuple(out)
 
 

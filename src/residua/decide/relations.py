@@ -318,11 +318,12 @@ def _curves(z: NDArray[np.float64], folds: NDArray[np.int64]) -> tuple[dict[str,
     """Return each channel as a piecewise linear curve of one other, or a sum of two, chosen by cross-validation."""
     count, q = z.shape
     knots = [np.unique(np.quantile(z[:, j], np.linspace(0, 1, _KNOTS))) for j in range(q)]
-    hats = [_hats(z[:, j], own) for j, own in enumerate(knots)]
+    # weights of the knots in piecewise linear interpolation, a row for each value
+    hats = [np.stack([np.interp(z[:, j], at, one) for one in np.eye(len(at))], axis=1) for j, at in enumerate(knots)]
     alone = np.full((q, q), np.inf)
     for j in range(q):
         if len(knots[j]) > 1:
-            alone[:, j] = np.mean(_foretold(hats[j], z, folds)[0] ** 2, axis=0)
+            alone[:, j] = np.mean(_cross_validated(hats[j], z, folds)[0] ** 2, axis=0)
     np.fill_diagonal(alone, np.inf)
     drivers, curves, scales = np.full((q, 2), -1), np.zeros((q, 2, _KNOTS)), np.ones((q, _KNOTS))
     off, reach = np.full((count, q), np.nan), np.zeros((q, q))
@@ -331,11 +332,11 @@ def _curves(z: NDArray[np.float64], folds: NDArray[np.int64]) -> tuple[dict[str,
             continue
         order = np.argsort(alone[i], kind="stable")
         first = int(order[0])
-        chosen, (errors, weights) = [first], _foretold(hats[first], z[:, [i]], folds)
+        chosen, (errors, weights) = [first], _cross_validated(hats[first], z[:, [i]], folds)
         best = alone[i, first]
         for other in order[1 : 1 + _TRIED].tolist():
             if np.isfinite(alone[i, other]):
-                found = _foretold(np.hstack([hats[first], hats[other]]), z[:, [i]], folds)
+                found = _cross_validated(np.hstack([hats[first], hats[other]]), z[:, [i]], folds)
                 error = float(np.mean(found[0] ** 2))
                 if error < min(best, alone[i, first] * (1 - _SAVES) ** 2):
                     best, chosen, (errors, weights) = error, [first, other], found
@@ -359,12 +360,7 @@ def _padded(values: NDArray[np.float64], step: float = 0.0) -> NDArray[np.float6
     return np.concatenate([values, values[-1] + step * np.arange(1, more + 1)])
 
 
-def _hats(x: NDArray[np.float64], knots: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the weights of the knots in piecewise linear interpolation, a row for each value."""
-    return np.stack([np.interp(x, knots, one) for one in np.eye(len(knots))], axis=1)
-
-
-def _foretold(
+def _cross_validated(
     basis: NDArray[np.float64], targets: NDArray[np.float64], folds: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return cross-validated least-squares errors of targets, fold by fold, and the weights of all rows."""

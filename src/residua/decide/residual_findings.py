@@ -286,7 +286,10 @@ def _facts(
         order, e = model.order, _left(model.coefficients, column, data)
     e = (e - e.mean()) / max(float(e.std()), np.finfo(float).tiny)
     skewness, kurtosis, normality = _moments(e)
-    tail, tail_error = _tail(np.abs(e))
+    size = np.abs(e)
+    start = float(np.quantile(size, 1 - _TAIL))
+    over = size[size > start] - start
+    tail, tail_error = ParetoTail(start, over, _TAIL, float(max(len(over), 1))).shape
     worth = count / float(correlation_times(column, data.parts)[0])
     return ResidualFacts(
         name, unit, mean, deviation, expected, worth, largest + 1, float(rho[largest]), p, order,
@@ -327,13 +330,6 @@ def _moments(e: NDArray[np.float64]) -> tuple[float, float, float]:
     from scipy.stats import kurtosistest, skewtest  # slow to import, and needed only here
 
     return skewness, kurtosis, float(min(1.0, 2 * min(skewtest(e).pvalue, kurtosistest(e).pvalue)))
-
-
-def _tail(size: NDArray[np.float64]) -> tuple[float, float]:
-    """Return the shape of the tail of the sizes of samples, and its standard deviation."""
-    start = float(np.quantile(size, 1 - _TAIL))
-    over = size[size > start] - start
-    return ParetoTail(start, over, _TAIL, float(max(len(over), 1))).shape
 
 
 def _squares(data: FaultFree) -> NDArray[np.float64]:

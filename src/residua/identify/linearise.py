@@ -259,8 +259,8 @@ def tangent_model(
     if n and size.max() >= _UNLIKE * size.min():
         extremes = (f"{model.states[k]} {number(size[k], 2)}" for k in (size.argmax(), size.argmin()))
         notes += (
-            f"states are of very different sizes: {', '.join(extremes)}; designs work in units of their own, but tables "
-            "are easier to read in other units",
+            f"states are of very different sizes: {', '.join(extremes)}; designs work in units of their own, but "
+            "tables are easier to read in other units",
         )
     if hold == "point" and np.any(drift):
         rates = some(f"{state} by {number(v, 3)}" for state, v in zip(model.states, drift, strict=True) if v)

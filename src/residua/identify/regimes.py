@@ -13,10 +13,9 @@ from residua.arrays import runs
 from residua.design import kalman_filter
 from residua.design.core.brought import for_monitor
 from residua.errors import AccuracyError, DataError, DesignError, ModelError, SettingError
-from residua.identify.arx import ArxModel
 from residua.identify.channel_facts import channel_facts
 from residua.identify.channel_filter import KNOWN
-from residua.identify.identified_model import IdentifiedModel
+from residua.identify.identified_model import RecordedModel
 from residua.identify.principal_components import principal_components
 from residua.identify.segments import Gathered, Names, Segment, checked_count, gather
 from residua.shown import Shown
@@ -448,7 +447,7 @@ def _mode(
     pairs = [(data[:, u], data[:, y]) for data in settled.data()]
     try:
         design = method(pairs, inputs=ours or None, outputs=theirs, dt=gathered.dt)
-        if isinstance(design, (ArxModel, IdentifiedModel)):
+        if isinstance(design, RecordedModel):
             design = kalman_filter(design.plant.with_sensor_faults())
     except (DataError, ModelError, DesignError, AccuracyError) as error:  # of this mode; the others may have a model
         return f"{counted(rows, 'row')}: {error}"
