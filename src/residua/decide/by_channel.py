@@ -125,7 +125,7 @@ class ChannelNames(Isolation):
         return True
 
     def words(self, step: float) -> dict[str, str]:
-        """Describe how faults are named."""
+        """Describe the naming of faults."""
         return {"isolation": f"the channel with the largest deviation in thresholds, over {_COMPARED} samples at most"}
 
     @property

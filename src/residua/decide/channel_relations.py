@@ -68,7 +68,7 @@ class ChannelsState(Record):
     means : ndarray, shape (plants, 2, channels)
         Those of weights 1/8 and 1/64.
     armed : ndarray of bool, shape (plants, channels)
-        Whether a slow mean restarts once the fast ones are small again.
+        True if a slow mean restarts once the fast ones are small again.
     last : ndarray, shape (plants, sensors)
     same : ndarray of int, shape (plants, sensors)
         Samples in a row that were equal to the one before; -1 before the first.
@@ -437,7 +437,7 @@ _UNEXPLAINED = {
 
 
 def _run_lengths(flags: NDArray[np.bool_], before: int) -> NDArray[np.int64]:
-    """Return how many flags in a row end at each sample; ``before`` ended at the sample before the first."""
+    """Return the number of flags in a row that end at each sample; ``before`` ended at the sample before the first."""
     at = np.arange(len(flags))
     latest = np.maximum.accumulate(np.where(flags, -1, at))
     return np.where(latest < 0, at + 1 + before, at - latest)

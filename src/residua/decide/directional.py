@@ -202,7 +202,7 @@ class DirectionTest(Isolation):
         return self.bases
 
     def words(self, step: float) -> dict[str, str]:
-        """Describe how faults are named."""
+        """Describe the naming of faults."""
         if self.window:
             over = f"{self.window} samples ({self.window * step:g} s)"
             return {"isolation": f"direction of the residual averaged over {over}"}

@@ -235,7 +235,7 @@ class _Fits:
     sizes, deviations : ndarray
         Of the best single step, and the standard error in white noise.
     is_spike : ndarray of bool
-        Whether one sample has more than half of the evidence.
+        True if one sample has more than half of the evidence.
     """
 
     evidence: NDArray[np.float64]

@@ -439,7 +439,7 @@ class HittingSets(Shown):
     ----------
     sets : tuple of HittingSet
     complete : bool
-        Whether these are all: no set was left out for its size.
+        True if these are all: no set was left out for its size.
     most_faults : int or None
         The bound on the size.
     """

@@ -239,7 +239,7 @@ class Isolation(Record, ABC):
         return None
 
     def words(self, step: float) -> dict[str, str]:
-        """Describe how faults are named, and override descriptions of the test.
+        """Describe the naming of faults, and override descriptions of the test.
 
         Parameters
         ----------

@@ -171,7 +171,7 @@ class LearntDirections(Isolation):
         return tuple(out)
 
     def _of_base(self, seen: Seen) -> Seen:
-        """Return what the isolation of the model's faults has seen."""
+        """Return the data for the isolation of the model's faults."""
         scores = replace(seen.scores, scores=seen.scores.scores[..., : len(self.base.groups)])
         return replace(seen, scores=scores, state=None if seen.state is None else seen.state.base)
 
@@ -256,7 +256,7 @@ class LearntDirections(Isolation):
         return tuple(out)
 
     def words(self, step: float) -> dict[str, str]:
-        """Describe how faults are named."""
+        """Describe the naming of faults."""
         words = self.base.words(step)
         learnt = f"directions of {counted(len(self.faults), 'learnt fault')} over {self.window} samples"
         names = f"{words['isolation']}; {learnt}" if words.get("isolation") else learnt
@@ -344,7 +344,7 @@ class LearntCodes(CodeTest):
         return self.faults
 
     def words(self, step: float) -> dict[str, str]:
-        """Describe how faults are named."""
+        """Describe the naming of faults."""
         return super().words(step) | {"learnt faults": "; ".join(f"{f.name}: {f.basis}" for f in self.faults)}
 
 

@@ -369,7 +369,7 @@ class LikelihoodNames(Isolation):
         return tuple(row[:, None] for row in self.directions)
 
     def words(self, step: float) -> dict[str, str]:
-        """Describe how faults are named."""
+        """Describe the naming of faults."""
         over = f"{self.window} samples ({self.window * step:g} s)"
         return {"isolation": f"probability of each fault, by the likelihood of steps, told apart by age up to {over}"}
 

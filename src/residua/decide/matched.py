@@ -210,7 +210,7 @@ class MatchedNames(Isolation):
         return tuple(d / np.linalg.norm(d) if d.any() else d[:, :0] for d in directions)
 
     def words(self, step: float) -> dict[str, str]:
-        """Describe how faults are named."""
+        """Describe the naming of faults."""
         window = self.matched.window
         if not len(self.matched.responses):
             return {

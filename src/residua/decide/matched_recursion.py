@@ -354,7 +354,7 @@ class HeldState(Record):
         Fault, arrival, the sample from which they come, whether they are final, the sample of its raising and the
         largest likelihood ratio so far; NaN without one.
     on : ndarray of bool, shape (plants,)
-        Whether one stands.
+        True if one stands.
     """
 
     NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {"held": KNOWN_OR_NOT}
@@ -409,7 +409,7 @@ def hold_block(
     likelihoods : dict
         From :func:`match_block`.
     alarm, over : ndarray of bool, shape (plants, time)
-        Whether the alarm is on, and whether the statistic of a usable sample is over its threshold.
+        Masks of samples in alarm, and of those at which the statistic of a usable sample is over its threshold.
     count : int, or ndarray of int, shape (plants,)
         Samples before the block.
     """

@@ -201,7 +201,7 @@ def findings_of(
     covariance : ndarray, shape (k, k), optional
         By the noise model.
     white : bool, optional
-        Whether the residual is white by the noise model; omitted without one.
+        True if the residual is white by the noise model; omitted without one.
     """
     whole, count = FaultFree(run.residuals, run.usable, 1, run.seams), int(run.usable.sum())
     check_enough(count, run.residuals.shape[1], 1)

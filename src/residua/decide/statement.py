@@ -91,7 +91,7 @@ def statement_by_score(
 def statement_by_word(
     alarm: Alarm, word: Word, clock: Clock, sentences: Sequence[str], rules: str, margin: float | None = None
 ) -> Statement:
-    """Return the statement about an alarm that has a word, with its basis and how to read it."""
+    """Return the statement about an alarm that has a word, with its basis and the reading of its numbers."""
     basis = (*sentences, *(line for group in word.faults[:1] for line in not_apart(group)))
     return Statement(word.headline(raised_text(alarm, clock)), word.kind, margin, basis, (word.line,), rules=rules)
 

@@ -97,7 +97,7 @@ class CodeTest(Isolation):
     settled : tuple of tuple of str
         For each group, those of its faults that have this code only once they are constant.
     at_once : bool
-        Whether a member that fires counts as fired at once, in a dedicated bank: its test has a window of its own.
+        True if a member that fires counts as fired at once, in a dedicated bank: its test has a window of its own.
     """
 
     NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {"window": WINDOW, "share": SHARE}
@@ -281,7 +281,7 @@ class CodeTest(Isolation):
         return 1 if self.at_once and self.dedicated else self.window
 
     def words(self, step: float) -> dict[str, str]:
-        """Describe how faults are named."""
+        """Describe the naming of faults."""
         if self.dedicated and self.at_once:
             return {
                 "isolation": "every fault has a member of its own: each member that fires in an alarm names its fault"
@@ -295,7 +295,7 @@ class CodeTest(Isolation):
         return {"isolation": f"{sentence}; nearest codes up to {self.distance} off"}
 
     def word(self, alarm: Alarm, window: int) -> Word:
-        """Return how well the code of a listed fault explains the members that fired."""
+        """Return the word for an alarm: the fit of the codes of listed faults to the members that fired."""
         reading = alarm.reading
         assert reading is not None
         word = Word(GOOD, reading.named, why="by its code", after=alarm.samples)

@@ -1,4 +1,4 @@
-"""Word of a verdict: whether a listed fault explains an alarm, and its wording."""
+"""Word of a verdict: the fit of listed faults to an alarm, and its wording."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ class Word:
     why : str
         Reason for a good match, or for another word; empty if faults were fitted to the residual.
     together : bool
-        Whether the faults are present at once, rather than one of them.
+        True if the faults are present at once, rather than one of them.
     quieter : bool
-        Whether the rest is less than the noise of the fit: a frozen sensor, or other units.
+        True if the rest is less than the noise of the fit: a frozen sensor, or other units.
     from_start : bool
-        Whether it was present when judging began, or too soon after for a comparison with earlier samples.
+        True if it was present when judging began, or too soon after for a comparison with earlier samples.
     after : int
         Samples of the alarm that it rests on.
     evidence : float

@@ -100,7 +100,7 @@ def drifting_channels(
     outputs: Names = None,
     dt: float | None = None,
 ) -> Drifts:
-    r"""Return which channels of fault-free recordings do not keep their level.
+    r"""Find the channels of fault-free recordings that do not keep their level.
 
     A monitor compares with the mean of the recordings. Of a channel that warms up, or wanders for longer than they
     last, they do not tell it, and the channel raises alarms later, whatever happens. It drifts in a recording if

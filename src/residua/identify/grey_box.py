@@ -81,7 +81,7 @@ class Identifiability:
         return float(s[0] / s[-1]) if s[-1] > 0 else float("inf")
 
     def moves(self, i: int) -> dict[str, float]:
-        """Return how parameters move along a combination, the largest share of the bounds being that of a whole one.
+        """Return the moves of the parameters along a combination, the largest share of the bounds being a whole one.
 
         Of parameters with even bounds the largest moves by 1; what moves by next to nothing is left out.
         """

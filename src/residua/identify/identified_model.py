@@ -1,4 +1,4 @@
-"""A model identified from recordings: the plant with its noise, the report, and how uncertain its matrices are."""
+"""Models identified from recordings: the plant with its noise, the report, predictions and uncertainty."""
 
 from __future__ import annotations
 

@@ -206,7 +206,7 @@ def tangent_model(
     name: str = "plant",
     description: str = "",
 ) -> TangentModel:
-    r"""Return the plant of :func:`linearise`, with the point and with how accurate it is.
+    r"""Return the plant of :func:`linearise`, with the point and its accuracy.
 
     .. math:: f(x_0 + \delta x, u_0 + \delta u) = f(x_0, u_0) + A\, \delta x + B\, \delta u + \ldots
 
@@ -391,7 +391,7 @@ def _model(
 def _named_call(
     function: Equations, what: str, states: tuple[str, ...], inputs: tuple[str, ...], faults: tuple[str, ...]
 ) -> Equations:
-    """Return the function of a user with an error that says at which point it was called, if it raises one."""
+    """Return the function of a user, whose errors name the point at which it was called."""
 
     def called(*arguments: Vector) -> Any:
         at = [np.array(one) for one in arguments]  # the function may change its arguments

@@ -349,7 +349,7 @@ class Weights:
 
     @property
     def effective(self) -> float:
-        """As many equal weights would know a mean as well."""
+        """Number of equal weights that would know a mean as well."""
         return self.total**2 / self.squares
 
     def and_new(self, count: int, forgetting: float) -> Weights:

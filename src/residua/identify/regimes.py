@@ -118,7 +118,7 @@ def distinct(keys: Iterable[NDArray[np.float64]]) -> list[Key]:
 
 
 def rows_in(keys: NDArray[np.float64], key: Key) -> NDArray[np.bool_]:
-    """Return which rows are in a mode."""
+    """Return the mask of the rows in a mode."""
     return np.asarray((keys == np.array(key)).all(axis=1))
 
 
@@ -235,7 +235,7 @@ class Regimes(Shown):
 
     @property
     def generator(self) -> NoReturn:
-        """There is none: each mode has a generator of its own.
+        """Refuse: each mode has a generator of its own.
 
         Raises
         ------

@@ -18,10 +18,10 @@ from residua.files import check_output, other_version, read_bytes, replacing
 from residua.number_kinds import KNOWN_OR_NOT, NumberKind
 from residua.records import Record, values_in, values_out
 from residua.shown import Shown, notes
-from residua.validate.comparison import Comparison, compared
+from residua.validate.comparison import Comparison, PairedCase, mcnemar
 from residua.validate.delays import Delays, delays_of
 from residua.validate.figure_table import FigureTable
-from residua.validate.intervals import CONFIDENCE, Estimate, clustered_share, events_apart, wilson
+from residua.validate.intervals import CONFIDENCE, Estimate, bootstrap, clustered_share, events_apart, wilson
 from residua.validate.runs import NO_ALARM, SEVERAL, UNKNOWN, RunFigures
 from residua.validate.separation import Roc, roc_of
 from residua.validate.size_fit import DetectionProbability, detection_probability
@@ -242,15 +242,26 @@ class Campaign(Shown):
                 "the campaigns are not on the same draws: give both the same plants, scenarios, runs, samples, seed, "
                 "noise, inputs, disturbances, controller and within"
             )
-        return compared(
-            [(case.fault, case.shape, case.size) for case in self.cases],
-            self.figures,
-            other.figures,
-            [[campaign._named_right(c) for c in range(len(self.cases))] for campaign in (self, other)],
-            dt=self.dt,
-            seed=self.seed,
-            confidence=self.confidence,
-        )
+        first, second = self.figures, other.figures
+
+        def mean(values: NDArray[np.generic]) -> Estimate:
+            return bootstrap(values.astype(float), lambda drawn: drawn.mean(axis=1), self.seed, self.confidence)
+
+        def difference_of_rates(drawn: NDArray[np.float64]) -> NDArray[np.float64]:
+            sums = drawn.sum(axis=1)
+            return sums[:, 0] / np.maximum(sums[:, 1], 1) - sums[:, 2] / np.maximum(sums[:, 3], 1)
+
+        cases = []
+        for c, case in enumerate(self.cases):
+            one, two = first.detected[c] >= 0, second.detected[c] >= 0
+            alone = int((one & ~two).sum()), int((two & ~one).sum())
+            detected = mean(one.astype(float) - two)
+            named = mean(self._named_right(c).astype(float) - other._named_right(c))
+            delay = mean(self.dt * (first.detected[c] - second.detected[c])[one & two])
+            facts = (case.fault, case.shape, case.size)
+            cases.append(PairedCase(*facts, *alone, detected, mcnemar(*alone), named, delay))
+        rows = np.column_stack([first.alarmed, first.decided, second.alarmed, second.decided]).astype(float)
+        return Comparison(bootstrap(rows, difference_of_rates, self.seed, self.confidence), tuple(cases))
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-
-import numpy as np
-from numpy.typing import NDArray
 
 from residua.shown import Shown
 from residua.validate.figure_table import FigureTable
-from residua.validate.intervals import Estimate, bootstrap
-from residua.validate.runs import RunFigures
+from residua.validate.intervals import Estimate
 
 
 @dataclass(frozen=True)
@@ -77,39 +72,6 @@ class Comparison(Shown):
         return f"{first}\n\n{self.table()}" if self.cases else first
 
 
-def compared(
-    cases: Sequence[tuple[str, str, float]],
-    first: RunFigures,
-    second: RunFigures,
-    right: Sequence[Sequence[NDArray[np.bool_]]],
-    *,
-    dt: float,
-    seed: int,
-    confidence: float,
-) -> Comparison:
-    """Return the comparison of the figures of the same runs; ``right``: of both, by case, masks of right names."""
-
-    def mean(values: NDArray[np.float64]) -> Estimate:
-        return bootstrap(values, lambda drawn: drawn.mean(axis=1), seed, confidence)
-
-    out = []
-    for c, (fault, shape, size) in enumerate(cases):
-        one, two = first.detected[c] >= 0, second.detected[c] >= 0
-        both = one & two
-        alone = int((one & ~two).sum()), int((two & ~one).sum())
-        delay = mean(dt * (first.detected[c] - second.detected[c])[both].astype(float))
-        named = mean(right[0][c].astype(float) - right[1][c].astype(float))
-        detected = mean(one.astype(float) - two.astype(float))
-        out.append(PairedCase(fault, shape, size, *alone, detected, mcnemar(*alone), named, delay))
-    rows = np.column_stack([first.alarmed, first.decided, second.alarmed, second.decided]).astype(float)
-
-    def rates(drawn: NDArray[np.float64]) -> NDArray[np.float64]:
-        sums = drawn.sum(axis=1)
-        return sums[:, 0] / np.maximum(sums[:, 1], 1) - sums[:, 2] / np.maximum(sums[:, 3], 1)
-
-    return Comparison(bootstrap(rows, rates, seed, confidence), tuple(out))
-
-
 def mcnemar(first: int, second: int) -> float:
     """Return the exact two-sided p-value of a split of discordant pairs.
 
@@ -125,4 +87,4 @@ def mcnemar(first: int, second: int) -> float:
     return min(1.0, 2 * float(bdtr(min(first, second), pairs, 0.5))) if pairs else 1.0
 
 
-__all__ = ["Comparison", "PairedCase", "compared"]
+__all__ = ["Comparison", "PairedCase", "mcnemar"]

@@ -92,7 +92,7 @@ class Detectability(Shown):
     mean_time : float or None
         Seconds between false alarms that Lorden's delays are for.
     summed : bool
-        Whether that is the time of single samples, and sums over a window have false alarms more seldom.
+        True if that is the time of single samples, and sums over a window have false alarms more seldom.
     before : int
         Samples of a stream before the fault arrives.
     units : mapping of str to str
@@ -348,7 +348,7 @@ class _Trials:
     residuals : ndarray, shape (runs, samples, k)
         Fault-free, from that moment on.
     quiet : ndarray of bool, shape (runs,)
-        Whether no false alarm stands at that moment; others are left out.
+        True if no false alarm stands at that moment; others are left out.
     alarms, before : int
         False alarms that were raised before, and the samples of all runs.
     """

@@ -35,7 +35,7 @@ class Truth:
     offset : ndarray, shape (channels,)
         Operating point of inputs and outputs.
     looped : bool
-        Whether there is a controller.
+        True if there is a controller.
     faults : tuple of str
         The columns of ``Bf``.
     """
