@@ -209,7 +209,7 @@ def test_the_uncertain_plant_varies_as_the_coefficients_do() -> None:
     assert np.allclose(np.sqrt(A), errors[[1, 3]], rtol=1e-6)
     assert np.allclose(np.sqrt(B) * made.plant.C[0, 0], errors[[0, 2]], rtol=1e-6)
     assert len(uncertain.names) == 4
-    with pytest.raises(SettingError, match="probability"):
+    with pytest.raises(SettingError, match="level must lie between 0 and 1"):
         made.uncertain_plant(level=1.0)
     with pytest.raises(SettingError, match="plant of this model"):
         made.uncertain_plant(rs.Plant([[0.5]], [[1.0]], [[1.0]], dt=1))

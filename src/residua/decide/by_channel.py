@@ -50,6 +50,8 @@ class ChannelNames(Isolation):
     """
 
     NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {"parts": INDEX}
+    has_words: ClassVar[bool] = True
+    names_early: ClassVar[bool] = True
 
     groups: tuple[tuple[str, ...], ...]
     parts: NDArray[np.int64]
@@ -113,16 +115,6 @@ class ChannelNames(Isolation):
             following = candidates[1]
             sentence += f"; {candidates[0].name} deviates most, {following.name} {100 * following.score:.0f} % as far"
         return statement_by_word(alarm, word, clock, (f"{sentence}.",), _RULES, alarm.margin)
-
-    @property
-    def has_words(self) -> bool:
-        """True: the responses of the residual to faults give a word, if they are large enough."""
-        return True
-
-    @property
-    def names_early(self) -> bool:
-        """True."""
-        return True
 
     def words(self, step: float) -> dict[str, str]:
         """Describe the naming of faults."""

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from residua.decide.alarm import Alarm, Candidate
 from residua.decide.checks import check_samples
 from residua.decide.compiled import CompiledIsolation
-from residua.decide.isolation import Isolation, IsolationSettings, Scores, check_groups
+from residua.decide.isolation import Isolation, IsolationSettings, Scores, by_cosine, check_groups
 from residua.decide.multiscale_fit import averaged, lengths_at
 from residua.decide.row_norms import row_norms, row_squares
 from residua.decide.statement import Statement, angle, statement_by_score
@@ -131,6 +131,7 @@ class DirectionTest(Isolation):
     """
 
     NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {"window": _WINDOW, "bases": FINITE}
+    has_words: ClassVar[bool] = True
 
     window: int
     groups: tuple[tuple[str, ...], ...]
@@ -190,11 +191,6 @@ class DirectionTest(Isolation):
     def samples(self) -> int:
         """Largest number of samples over which the residual is averaged."""
         return self.window or _MEMORY
-
-    @property
-    def has_words(self) -> bool:
-        """True."""
-        return True
 
     @property
     def signatures(self) -> tuple[NDArray[np.float64], ...]:
@@ -299,7 +295,7 @@ def candidates_at(
     if scores.size == 0 or np.isnan(scores).all():
         return ()
     order = np.lexsort((-scores, np.asarray(dimensions), -np.round(scores, 3)))
-    return tuple(Candidate(groups[g], float(scores[g]), float(np.sqrt(max(0.0, 1.0 - scores[g] ** 2)))) for g in order)
+    return tuple(by_cosine(groups[g], float(scores[g])) for g in order)
 
 
 def correlation(residual: ArrayLike, signature: ArrayLike, *, rtol: float = 1e-9) -> float:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residua.decide.checks import PRIOR_RATE, is_number
+from residua.decide.checks import PRIOR_RATE, check_probability, is_number
 from residua.decide.code_reading import NAMED, CodeReading, booleans, distinct_rows, quoted
 from residua.decide.structured import CodeTest, Structured, code_test
 from residua.errors import DataError, SettingError
@@ -213,8 +213,7 @@ class Explanation(Shown):
 
     def credible(self, level: float = 0.95) -> tuple[ConsistentFault, ...]:
         """Return the fewest most likely candidates that together reach this probability."""
-        if not 0 < level < 1:
-            raise SettingError(f"level must lie between 0 and 1, got {echo(level)}")
+        check_probability(level, "level")
         total, out = 0.0, []
         for one in self.candidates:
             if total >= level:
@@ -588,8 +587,7 @@ def checked_rates(prior_rates: float | Mapping[str, float], names: tuple[str, ..
     if strange:
         raise SettingError(f"prior_rates has {listing(map(echo, strange))}, which no residual is sensitive to")
     for name, rate in rates.items():
-        if not is_number(rate) or not 0 < rate < 1:
-            raise SettingError(f"the prior rate of {echo(name)} must lie between 0 and 1, got {echo(rate)}")
+        check_probability(rate, f"the prior rate of {echo(name)}")
     return {name: float(rates.get(name, PRIOR_RATE)) for name in names}
 
 

@@ -28,7 +28,7 @@ from residua.decide.word import Word
 from residua.design import ResidualGenerator
 from residua.errors import FileFormatError
 from residua.recording.clock import Clock
-from residua.records import Record, values_in, values_out
+from residua.records import Record, field_names, values_in, values_out
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,10 +116,8 @@ class Named:
 
     def of_alarm(self) -> dict[str, Any]:
         """Return the fields that an :class:`residua.monitor.Alarm` takes over."""
-        names = ("candidates", "sizes", "arrival", "reading", "read_share", "present", "fired", "learnt")
-        names = (*names, "unknown", "no_fault")
-        fields = {name: getattr(self, name) for name in names}
-        return fields if self.onset is None else fields | {"onset": self.onset}
+        shared = {name: getattr(self, name) for name in field_names(self) if name not in ("onset", "arrived", "blamed")}
+        return shared if self.onset is None else shared | {"onset": self.onset}
 
 
 #: Returns the attribution of an alarm from its first sample, the sample after it, and the last over the threshold.
@@ -136,6 +134,11 @@ class Isolation(Record, ABC):
     unjudged : tuple of str
         Faults that are never named.
     """
+
+    #: True if alarms get a word by the responses to faults, as with names by direction or response.
+    has_words: ClassVar[bool] = False
+    #: True if it names alarms that move the residual too little for a word, from other evidence.
+    names_early: ClassVar[bool] = False
 
     groups: tuple[tuple[str, ...], ...]
     unjudged: tuple[str, ...]
@@ -218,16 +221,6 @@ class Isolation(Record, ABC):
     def learnt(self) -> tuple[LearntFault, ...]:
         """The faults that were learnt from recordings; empty without."""
         return ()
-
-    @property
-    def has_words(self) -> bool:
-        """True if alarms get a word by the responses to faults, as with names by direction or response."""
-        return False
-
-    @property
-    def names_early(self) -> bool:
-        """True if it names alarms that move the residual too little for a word, from other evidence."""
-        return False
 
     def agreed(self, alarm: Alarm, word: Word) -> Word:
         """Return the word for an alarm from the responses to faults, as far as the other evidence agrees."""
@@ -405,6 +398,11 @@ def check_groups(groups: Sequence[Sequence[str]], unjudged: Sequence[str], where
         raise FileFormatError(f"{where}: groups and unjudged must be the faults of the plant, each once")
 
 
+def by_cosine(faults: tuple[str, ...], score: float, **facts: Any) -> Candidate:
+    """Return a candidate whose score is a cosine: its distance is the sine."""
+    return Candidate(faults, score, float(np.sqrt(max(0.0, 1.0 - score**2))), **facts)
+
+
 def leader(alarm: Alarm) -> tuple[str, ...]:
     """Return the best candidate of an alarm; empty if nobody is named."""
     return alarm.candidates[0].faults if alarm.candidates else ()
@@ -430,6 +428,7 @@ __all__ = [
     "NoIsolation",
     "Scores",
     "Seen",
+    "by_cosine",
     "check_groups",
     "last_over",
     "leader",

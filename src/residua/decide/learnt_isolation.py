@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.decide.alarm import CLOSE_MARGIN, Alarm, Candidate, LearntMatch
-from residua.decide.isolation import Isolation, Named, Scores, Seen
+from residua.decide.alarm import CLOSE_MARGIN, Alarm, LearntMatch
+from residua.decide.isolation import Isolation, Named, Scores, Seen, by_cosine
 from residua.decide.learnt_faults import (
     WINDOW_SHARE,
     LearntFault,
@@ -186,7 +186,7 @@ class LearntDirections(Isolation):
         if not matches:
             return named
         agree = {m.fault: m for m in matches if m.agrees}
-        learnt = [Candidate((m.fault,), m.score, math.sqrt(max(0.0, 1 - m.score**2))) for m in agree.values()]
+        learnt = [by_cosine((m.fault,), m.score) for m in agree.values()]
         ranked = sorted((*named.candidates, *learnt), key=lambda c: -round(c.score, 3) if c.score == c.score else 1.0)
         first = next((c for c in ranked if c.faults[0] in agree), None)
         if first is not None and ranked[0] is not first:

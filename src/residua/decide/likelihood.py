@@ -10,11 +10,11 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.decide.alarm import Alarm, Candidate
+from residua.decide.alarm import Alarm
 from residua.decide.autoregression import Past, unforetold
 from residua.decide.checks import PRIOR_RATE, check_samples, is_number
 from residua.decide.directional import Directional, direction_test
-from residua.decide.isolation import Isolation, IsolationSettings, Named, Scores, Seen, check_groups
+from residua.decide.isolation import Isolation, IsolationSettings, Named, Scores, Seen, by_cosine, check_groups
 from residua.decide.multiscale_ewma import MultiscaleEWMA
 from residua.decide.sizes import with_sizes
 from residua.decide.statement import Statement, not_isolated, scored, statement_by_word
@@ -345,10 +345,9 @@ class LikelihoodNames(Isolation):
             line = self.lines[:, g]
             score = min(abs(float(line @ z)) / length, 1.0) if length > 0 else 0.0
             candidates.append(
-                Candidate(
+                by_cosine(
                     self.groups[g],
                     score,
-                    float(np.sqrt(max(0.0, 1.0 - score**2))),
                     probability=float(probability[g]),
                     p_value=fit_p_value(z, line),
                     pair_p_value=None if g == ranks[0] else pair_p_value(z, line, best),

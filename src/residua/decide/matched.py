@@ -18,6 +18,7 @@ from residua.decide.isolation import (
     Naming,
     Scores,
     Seen,
+    by_cosine,
     last_over,
     leader,
     longest,
@@ -68,6 +69,8 @@ class MatchedNames(Isolation):
     ----------
     matched : MatchedTest
     """
+
+    has_words: ClassVar[bool] = True
 
     matched: MatchedTest
 
@@ -171,10 +174,9 @@ class MatchedNames(Isolation):
         for g, columns in enumerate(test.columns):
             best = max(columns, key=lambda j: ratios[j])
             age, score = int(match.ages[sources[best], best]), float(seen.scores.scores[shown, g])
-            distance = float(np.sqrt(max(0.0, 1.0 - score**2)))
             arrival = clock(int(sources[best]) - age) if age >= 0 else None
             of_group = tuple(sizes[j] for j in columns)
-            out.append(Candidate(test.groups[g], score, distance, of_group, arrival, float(ratios[best])))
+            out.append(by_cosine(test.groups[g], score, sizes=of_group, arrival=arrival, ratio=float(ratios[best])))
         return tuple(sorted(out, key=lambda c: -(c.ratio or 0.0)))
 
     def name_of_several(self, parts: Sequence[Alarm], exceeded: NDArray[np.bool_], name: Naming) -> Named:
@@ -220,11 +222,6 @@ class MatchedNames(Isolation):
             "isolation": f"the fault and arrival, up to {window} samples ({window * step:g} s) ago, that explain the "
             "innovations best; held once that arrival has left the window"
         }
-
-    @property
-    def has_words(self) -> bool:
-        """True."""
-        return True
 
     def statement(self, alarm: Alarm, clock: Clock, window: int) -> Statement:
         """Return the statement about an alarm: the lead of the likelihood, and the arrival of the fault."""

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.arrays import frozen, positions
+from residua.decide.checks import check_probability
 from residua.errors import DataError, SettingError
 from residua.identify.parameter_search import Found, Parameter, PlantAt, Task, parameters_of, search
 from residua.identify.prediction import ljung_box
@@ -249,8 +250,7 @@ class GreyBox(Shown):
         """
         from scipy.special import ndtri  # slow to import, and needed only here
 
-        if not (isinstance(level, (int, float)) and 0 < level < 1):
-            raise SettingError(f"level must lie between 0 and 1, got {echo(level)}")
+        check_probability(level, "level")
         out = (1 - level) / (2 * len(self.parameters) if together else 2)
         width = -float(ndtri(out))
         return {

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from residua.decide.checks import check_probability
 from residua.errors import DataError, SettingError
 from residua.identify.fit_report import IdentificationReport
 from residua.identify.prediction import Innovations, one_step_predictor
@@ -173,8 +174,7 @@ class RecordedModel(ABC):
         if nominal.A.shape != self.plant.A.shape or not np.array_equal(nominal.A, self.plant.A):
             raise SettingError("plant must be the plant of this model, with faults added")
         sizes, vectors = self._directions(directions)
-        if not 0 < level < 1:
-            raise SettingError(f"level must be a probability between 0 and 1, got {level!r}")
+        check_probability(level, "level")
         quantile = float(-ndtri((1 - level ** (1 / max(len(sizes), 1))) / 2))
         deltas: list[Perturbation] = []
         for k, (size, matrices) in enumerate(zip(sizes, vectors, strict=True), 1):

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from residua.decide.checks import check_samples, check_whole, is_number
+from residua.decide.checks import check_probability, check_samples, check_whole, is_number
 from residua.errors import NotFittedError, SettingError, missing_extra
 from residua.files import check_output
 from residua.linear import StateSpace
@@ -25,7 +25,7 @@ from residua.robust.sets.uncertain_plant import UncertainPlant
 from residua.tolerances import SAME
 from residua.validate.campaign_result import Campaign, CaseFacts, read_campaign
 from residua.validate.given_signals import control_inputs, disturbance_signals
-from residua.validate.intervals import CONFIDENCE, check_confidence
+from residua.validate.intervals import CONFIDENCE
 from residua.validate.noise import NoiseModel, Resampled, white
 from residua.validate.runs import Plan, RunFigures, figures_of
 from residua.validate.scenario import Scenario, cases_of
@@ -148,12 +148,10 @@ def campaign(
     >>> made.false_alarm_rate().value < 0.02, made.detected(0).value > 0.9
     (True, True)
     """
-    check_confidence(confidence)
+    check_probability(confidence, "confidence")
     check_samples(samples, "samples")
-    for name, value in (("runs", runs), ("workers", workers)):
-        check_whole(value, name)
-    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
-        raise SettingError(f"seed must be a whole number, 0 or more, got {echo(seed)}")
+    for name, value, least in (("runs", runs, 1), ("workers", workers, 1), ("seed", seed, 0)):
+        check_whole(value, name, least=least)
     plan, words = plan_of(
         monitor, scenarios, int(samples), int(seed), noise, inputs, disturbances, plants, controller, within
     )

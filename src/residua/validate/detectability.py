@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residua.decide.checks import check_whole, is_number
+from residua.decide.checks import check_probability, check_whole
 from residua.decide.sizes import fault_unit
 from residua.decide.stream_settings import is_white
 from residua.decide.test import Block, ResidualTest
@@ -23,7 +23,7 @@ from residua.progress import Progress, progress_of
 from residua.shown import Shown, line_chart, notes
 from residua.tolerances import SAME
 from residua.validate.figure_table import FigureTable
-from residua.validate.intervals import CONFIDENCE, UNKNOWN, Estimate, bootstrap, check_confidence, wilson
+from residua.validate.intervals import CONFIDENCE, UNKNOWN, Estimate, bootstrap, wilson
 from residua.validate.noise import Resampled, resampled
 from residua.validate.shapes import Shape, step
 from residua.visible import echo, listed
@@ -275,11 +275,10 @@ def detectability(
         raise SettingError(f"detectability takes a Monitor, got {type(monitor).__name__}")
     if not monitor.is_fitted:
         raise NotFittedError("this monitor has no threshold: fit it, or give its plant noise, first")
-    check_confidence(confidence)
+    check_probability(confidence, "confidence")
     check_whole(runs, "runs", least=_FEWEST)
     check_whole(seed, "seed", least=0)
-    if not is_number(miss_rate) or not 0 < miss_rate < 1:
-        raise SettingError(f"miss_rate must lie between 0 and 1, got {echo(miss_rate)}")
+    check_probability(miss_rate, "miss_rate")
     generator, test = monitor.generator, monitor._specification().test
     if test.reads_signals:
         raise SettingError(
