@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from residua.decide.by_channel import ByChannel
     from residua.decide.channel_relations import ChannelRelations
     from residua.decide.chi_squared import ChiSquared
+    from residua.decide.code_reading import CodeReading
     from residua.decide.cusum import CUSUM
     from residua.decide.directional import Directional, correlation, projection_distance
     from residua.decide.ewma import EWMA
@@ -40,7 +41,7 @@ if TYPE_CHECKING:
     from residua.decide.residual_findings import Finding, ResidualFacts, ResidualReport
     from residua.decide.sprt import SPRT
     from residua.decide.statement import Statement
-    from residua.decide.structured import CodeReading, CodeTest, Structured
+    from residua.decide.structured import CodeTest, Structured
     from residua.decide.test import Block, FaultFreeRun, ResidualTest, Tested, TestSettings, Watched
     from residua.decide.whitening import whitening_matrix
     from residua.decide.window import WindowState, empty_window, moving_sum
@@ -120,6 +121,7 @@ hand_on(
         "residua.decide.by_channel": ("ByChannel",),
         "residua.decide.channel_relations": ("ChannelRelations",),
         "residua.decide.chi_squared": ("ChiSquared",),
+        "residua.decide.code_reading": ("CodeReading",),
         "residua.decide.cusum": ("CUSUM",),
         "residua.decide.directional": ("Directional", "correlation", "projection_distance"),
         "residua.decide.ewma": ("EWMA",),
@@ -150,7 +152,7 @@ hand_on(
         "residua.decide.residual_findings": ("Finding", "ResidualFacts", "ResidualReport"),
         "residua.decide.sprt": ("SPRT",),
         "residua.decide.statement": ("Statement",),
-        "residua.decide.structured": ("CodeReading", "CodeTest", "Structured"),
+        "residua.decide.structured": ("CodeTest", "Structured"),
         "residua.decide.test": ("Block", "FaultFreeRun", "ResidualTest", "Tested", "TestSettings", "Watched"),
         "residua.decide.whitening": ("whitening_matrix",),
         "residua.decide.word": ("Word",),

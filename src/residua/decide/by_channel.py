@@ -184,6 +184,3 @@ def channel_faults(generator: ResidualGenerator) -> dict[str, str]:
     plant = generator.plant
     facts = zip(plant.faults, plant.fault_kinds, plant.fault_components, strict=True)
     return {fault: component for fault, kind, component in facts if kind in ("sensor", "actuator")}
-
-
-__all__ = ["ByChannel", "ChannelNames"]

@@ -675,6 +675,3 @@ def _standstills(y: NDArray[np.float64], recordings: Sequence[slice]) -> tuple[N
             frozen[j] = _FROZEN * longest + _FROZEN_ROWS
             quiet[j] = _QUIET * least
     return frozen, quiet
-
-
-__all__ = ["MODEL", "ChannelRelations", "ChannelRelationsTest", "ChannelsState"]

@@ -336,6 +336,3 @@ def with_unlisted(plant: Plant) -> Plant:
         return plant
     states = {f"state {name}": {name: 1.0} for name in plant.states if f"state {name}" not in listed}
     return plant.with_faults(states)
-
-
-__all__ = ["BEFORE", "BLOCKS", "FINAL", "FIRST", "Explainer", "colour_of", "with_unlisted"]

@@ -589,16 +589,3 @@ def checked_rates(prior_rates: float | Mapping[str, float], names: tuple[str, ..
     for name, rate in rates.items():
         check_probability(rate, f"the prior rate of {echo(name)}")
     return {name: float(rates.get(name, PRIOR_RATE)) for name in names}
-
-
-__all__ = [
-    "ConsistentFault",
-    "Explanation",
-    "HittingSet",
-    "HittingSets",
-    "code_likelihoods",
-    "consistent_faults",
-    "minimal_hitting_sets",
-    "read_code",
-    "read_codes",
-]

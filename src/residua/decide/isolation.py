@@ -418,19 +418,3 @@ def last_over(exceeded: NDArray[np.bool_], start: int, stop: int) -> int:
     over = exceeded[start:stop][::-1]
     back = int(np.argmax(over)) if len(over) else 0
     return stop - 1 - back if len(over) and over[back] else start
-
-
-__all__ = [
-    "Isolation",
-    "IsolationSettings",
-    "Named",
-    "Naming",
-    "NoIsolation",
-    "Scores",
-    "Seen",
-    "by_cosine",
-    "check_groups",
-    "last_over",
-    "leader",
-    "longest",
-]

@@ -284,17 +284,3 @@ def learnt_code(
     return LearntFault(
         name, len(patterns), samples, float(samples), np.zeros(0), none, none, none, 0.0, code.copy(), share
     )
-
-
-__all__ = [
-    "CONE_SHARE",
-    "WIDEST",
-    "WINDOW_SHARE",
-    "LearntFault",
-    "across",
-    "angle_between",
-    "learnt_code",
-    "learnt_direction",
-    "occurrence_square",
-    "square_at",
-]

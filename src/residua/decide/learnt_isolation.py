@@ -405,6 +405,3 @@ def with_learnt(
         base.at_once,
         tuple(faults),
     )
-
-
-__all__ = ["LearntCodes", "LearntDirections", "LearntState", "learnt_label", "with_learnt"]

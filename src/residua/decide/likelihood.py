@@ -669,6 +669,3 @@ def moving(test: StreamTest) -> NDArray[np.bool_]:
     first = sizes * 2 * VARIANCE_FLOOR < sizes.min()
     again = np.sum(test.rewhitening**2, axis=0)
     return first & (again * _STILL < again[first].min(initial=np.inf))
-
-
-__all__ = ["Likelihood", "LikelihoodNames", "LikelihoodState", "Posterior", "fit_p_value", "pair_p_value"]

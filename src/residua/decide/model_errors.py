@@ -192,6 +192,3 @@ def _change(system: StateSpace) -> StateSpace:
     A = np.block([[system.A, np.zeros((n, p))], [system.C, np.zeros((p, p))]])
     B = np.vstack([system.B, system.D])
     return StateSpace(A, B, np.hstack([system.C, -np.eye(p)]), system.D, dt=system.dt)
-
-
-__all__ = ["OutputError", "ParameterBox", "errors_of_gains", "errors_of_parameters", "residual_errors"]

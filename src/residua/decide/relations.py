@@ -397,6 +397,3 @@ def _outputs_of(system: StateSpace, inputs: int) -> NDArray[np.int64]:
     if now.shape[0] != now.shape[1] or not np.array_equal(now, np.eye(len(now))):
         raise DataError("a horizon needs residuals that are outputs less their predictions, as of a Kalman filter")
     return inputs + np.arange(len(now))
-
-
-__all__ = ["CURVE", "FORMS", "HORIZON", "LAGS", "STATIC", "Relations", "RelationsState", "fit_relations"]

@@ -515,6 +515,3 @@ def _advice(found: Sequence[Finding], order: int, samples: int) -> tuple[str, ..
             "a designed test holds: CUSUM(mean_time_between_false_alarms=...), or NormThreshold for single samples"
         )
     return tuple(out)
-
-
-__all__ = ["LEVEL", "Finding", "ResidualFacts", "ResidualReport", "findings_of"]

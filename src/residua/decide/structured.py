@@ -592,6 +592,3 @@ def alarms_since(fired: NDArray[np.bool_], state: CodeState, count: int | NDArra
     standing = fired & (samples > last_off[:, None])[..., None]
     first = np.where(standing.any(axis=1), np.reshape(count, (-1, 1)) + 1 + standing.argmax(axis=1), 0)
     return np.where((last_off == -1)[:, None] & (before > 0), before, first)
-
-
-__all__ = ["CodeReading", "CodeTest", "Structured", "code_test"]

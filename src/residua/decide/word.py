@@ -131,6 +131,3 @@ class Word:
             "after": self.after,
             **{name: value if math.isfinite(value) else None for name, value in values.items()},
         }
-
-
-__all__ = ["ANYTHING", "EITHER", "GOOD", "POOR", "RULES", "TOO_EARLY", "Word"]

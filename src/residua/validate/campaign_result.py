@@ -380,6 +380,3 @@ def read_campaign(path: str | Path) -> Campaign:
     if len(campaign.cases) != len(arrays["onset"]):
         raise FileFormatError(f"{path}: head.cases must be {len(arrays['onset'])}, as the figures are")
     return campaign
-
-
-__all__ = ["Campaign", "CaseFacts", "read_campaign"]

@@ -395,6 +395,3 @@ def _feed(sha: Any, value: Any) -> None:
         sha.update(repr(value).encode())
     else:
         sha.update(getattr(value, "__qualname__", type(value).__qualname__).encode())
-
-
-__all__ = ["campaign", "plan_of"]

@@ -85,6 +85,3 @@ def mcnemar(first: int, second: int) -> float:
 
     pairs = first + second
     return min(1.0, 2 * float(bdtr(min(first, second), pairs, 0.5))) if pairs else 1.0
-
-
-__all__ = ["Comparison", "PairedCase", "mcnemar"]

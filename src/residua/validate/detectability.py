@@ -651,6 +651,3 @@ def _notes(trials: _Trials, generator: ResidualGenerator, test: ResidualTest, no
         verb = "is" if left == 1 else "are"
         notes.append(f"{left} of {len(trials.quiet):,} runs {verb} left out: a false alarm stands as the fault arrives")
     return tuple(notes)
-
-
-__all__ = ["Detectability", "SmallestFault", "detectability"]

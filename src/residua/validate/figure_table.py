@@ -85,6 +85,3 @@ def _shown(name: str, value: Any) -> Any:
 
 def _text(value: Any) -> str:
     return number(value) if isinstance(value, float) else str(value)
-
-
-__all__ = ["FigureTable"]

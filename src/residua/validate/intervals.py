@@ -173,6 +173,3 @@ def bootstrap(
         drawn.append(statistic(values[rows]))
     low, high = np.quantile(np.concatenate(drawn), [side, 1 - side])
     return Estimate(float(statistic(values[None])[0]), float(low), float(high))
-
-
-__all__ = ["CONFIDENCE", "UNKNOWN", "Estimate", "bootstrap", "clustered_share", "events_apart"]

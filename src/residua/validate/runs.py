@@ -378,6 +378,3 @@ def _longest_alarm(alarm: NDArray[np.bool_], first: int, stop: int) -> tuple[int
     start, end = pairs[longest].tolist()
     before = np.flatnonzero(~alarm[:start])
     return (int(before[-1]) + 1 if before.size else 0) if start == first else start, end
-
-
-__all__ = ["NO_ALARM", "SEVERAL", "UNKNOWN", "Plan", "RunFigures", "figures_of", "quiet_statistics"]

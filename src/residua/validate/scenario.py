@@ -223,6 +223,3 @@ def _scenario(table: Any, where: str) -> Scenario:
         return Scenario(fault, SHAPES[shape](**entries), 1.0 if size is None else size)
     except (SettingError, TypeError, ValueError) as error:
         raise FileFormatError(f"{where}: {error}") from error
-
-
-__all__ = ["Case", "Scenario", "cases_of", "channel_of", "load_scenarios"]

@@ -413,17 +413,3 @@ def _checked_onset(at: object) -> Onset:
     if onset < 0:
         raise SettingError(f"at must be 0 s or later, got {onset:g} s")
     return onset
-
-
-__all__ = [
-    "SHAPES",
-    "Shape",
-    "drift",
-    "intermittent",
-    "loss_of_effectiveness",
-    "noise_growth",
-    "oscillation",
-    "ramp",
-    "step",
-    "stuck_at",
-]

@@ -181,6 +181,3 @@ def _bound(beta: NDArray[np.float64], covariance: NDArray[np.float64], wanted: f
 
 def _logistic(eta: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.exp(-np.logaddexp(0.0, -eta))
-
-
-__all__ = ["DetectionProbability", "detection_probability"]

@@ -212,6 +212,3 @@ def check_same_channels(plant: Plant, model: Plant) -> None:
                 f"plant {plant.name!r} has the {what} {', '.join(own) or 'none'}, the monitor watches "
                 f"{', '.join(wanted) or 'none'}: a plant to simulate has the same channels in the same order"
             )
-
-
-__all__ = ["ActingFault", "Truth", "check_same_channels", "truth_of", "with_acting_fault"]

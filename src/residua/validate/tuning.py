@@ -299,6 +299,3 @@ def _candidate(
     return TuningCandidate(
         settings.window, settings.persistence, settings.threshold, checked.false_alarm_rate(), delay, watch, checked
     )
-
-
-__all__ = ["Tuning", "TuningCandidate", "tune"]
