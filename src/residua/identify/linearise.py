@@ -243,10 +243,27 @@ def tangent_model(
     >>> round(model.states["level"], 9), model.complex_step
     (2.0, True)
     """
-    model = _model(
-        rate, output, at, tuple([faults] if isinstance(faults, str) else faults), dt, inputs, outputs, states
-    )
-    n, m = len(model.states), len(model.inputs)
+    if not callable(rate) or not (output is None or callable(output)):
+        raise ModelError("rate and output must be functions of (x, u), or of (x, u, f) with faults")
+    if not isinstance(at, (tuple, list)) or len(at) != 2:
+        raise ModelError(f"at must be a pair (states, inputs) of vectors or mappings, got {echo(at)}")
+    x, states = _values(at[0], states, "x", "states")
+    u, inputs = _values(at[1], inputs, "u", "inputs")
+    faults = tuple([faults] if isinstance(faults, str) else faults)
+    faults = names(faults, len(faults), "f", "faults")
+    rate = _named_call(rate, "rate", states, inputs, faults)
+    output = None if output is None else _named_call(output, "output", states, inputs, faults)
+    if outputs is None and output is None:
+        outputs = states
+        if set(states) & set(inputs):
+            raise ModelError("give names for the outputs: the states are measured, and inputs have the same names")
+    else:
+        arguments = (x.copy(), u.copy(), *((np.zeros(len(faults)),) if faults else ()))
+        count = len(x) if output is None else int(np.size(output(*arguments)))  # pyright: ignore[reportArgumentType]
+        outputs = names(outputs, count, "y", "outputs")
+    unique((*states, *inputs, *faults), "states, inputs and faults")
+    model = _Model(rate, output, np.concatenate([x, u]), states, inputs, outputs, faults, sample_step(dt))
+    n, m = len(states), len(inputs)
     point = model.start if hold == "point" else model.rest(hold, sizes)
     x0, u0, z = point[:n], point[n:], np.concatenate([point, np.zeros(len(model.faults))])
     rows = (*(f"the rate of {echo(x)}" for x in model.states), *(f"the output {echo(y)}" for y in model.outputs))
@@ -354,38 +371,6 @@ class _Model:
         rows = (*(f"the rate of {x}" for x in self.states), *(f"the miss of {self.outputs[i]}" for i in targets))
         known = {k: v for k, v in (sizes or {}).items() if k not in self.faults}
         return steady_state(left, start, free, rows, (*self.states, *self.inputs), known)
-
-
-def _model(
-    rate: Equations,
-    output: Equations | None,
-    at: tuple[Any, Any],
-    faults: tuple[str, ...],
-    dt: float,
-    inputs: Iterable[str] | str | None,
-    outputs: Iterable[str] | str | None,
-    states: Iterable[str] | str | None,
-) -> _Model:
-    """Return the functions with names for their arguments and values, or raise where something does not fit."""
-    if not callable(rate) or not (output is None or callable(output)):
-        raise ModelError("rate and output must be functions of (x, u), or of (x, u, f) with faults")
-    if not isinstance(at, (tuple, list)) or len(at) != 2:
-        raise ModelError(f"at must be a pair (states, inputs) of vectors or mappings, got {echo(at)}")
-    x, states = _values(at[0], states, "x", "states")
-    u, inputs = _values(at[1], inputs, "u", "inputs")
-    faults = names(faults, len(faults), "f", "faults")
-    rate = _named_call(rate, "rate", states, inputs, faults)
-    output = None if output is None else _named_call(output, "output", states, inputs, faults)
-    if outputs is None and output is None:
-        known = states
-        if set(states) & set(inputs):
-            raise ModelError("give names for the outputs: the states are measured, and inputs have the same names")
-    else:
-        arguments = (x.copy(), u.copy(), *((np.zeros(len(faults)),) if faults else ()))
-        count = len(x) if output is None else int(np.size(output(*arguments)))  # pyright: ignore[reportArgumentType]
-        known = names(outputs, count, "y", "outputs")
-    unique((*states, *inputs, *faults), "states, inputs and faults")
-    return _Model(rate, output, np.concatenate([x, u]), states, inputs, known, faults, sample_step(dt))
 
 
 def _named_call(
