@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from residua.decide.alarm import Alarm, Candidate, LearntMatch, PresentFault, Size
 from residua.decide.code_reading import CodeReading
 from residua.decide.compiled import CompiledCodes, CompiledIsolation
-from residua.decide.learnt_faults import LearntFault
 from residua.decide.matched_recursion import Match
 from residua.decide.member_bounds import MemberBounds
 from residua.decide.sizes import sizes_over, with_sizes
@@ -218,8 +217,8 @@ class Isolation(Record, ABC):
         return ()
 
     @property
-    def learnt(self) -> tuple[LearntFault, ...]:
-        """The faults that were learnt from recordings; empty without."""
+    def learnt(self) -> tuple[Any, ...]:
+        """The faults that were learnt from recordings, :class:`residua.decide.learnt_faults.LearntFault`; or empty."""
         return ()
 
     def agreed(self, alarm: Alarm, word: Word) -> Word:
