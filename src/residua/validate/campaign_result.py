@@ -5,10 +5,10 @@ from __future__ import annotations
 import io
 import json
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -163,13 +163,12 @@ class Campaign(Shown):
 
     def table(self) -> FigureTable:
         """Return a row for each case: the share detected, by chance, the delay in seconds, and the named faults."""
-        header = ("fault", "shape", "size", "detected", "by chance", "median delay [s]", "90 % delay [s]", "named")
-        rows = []
-        for c, case in enumerate(self.cases):
-            median, ninety = self.delay(c).quantiles((0.5, 0.9))
-            figures = (self.detected(c), self.by_chance(c), median, ninety, self.named(c))
-            rows.append((case.fault, case.shape, case.size, *figures))
-        return FigureTable(header, tuple(rows))
+        header = ("detected", "by chance", "median delay [s]", "90 % delay [s]", "named")
+
+        def figures(c: int) -> tuple[Estimate, ...]:
+            return self.detected(c), self.by_chance(c), *self.delay(c).quantiles((0.5, 0.9)), self.named(c)
+
+        return self._by_case(header, figures)
 
     def delays(self) -> FigureTable:
         """Return a row for each case: the delay in seconds by which shares of the runs were detected.
@@ -177,14 +176,13 @@ class Campaign(Shown):
         Infinite where the runs do not show it: fewer were detected before their end. The mean is that of the detected
         runs alone, with its bootstrap interval.
         """
-        header = ("fault", "shape", "size", "censored", "mean of detected [s]")
-        header += tuple(f"{100 * share:g} % [s]" for share in _QUANTILES)
-        rows = []
-        for c, case in enumerate(self.cases):
+        header = ("censored", "mean of detected [s]", *(f"{100 * share:g} % [s]" for share in _QUANTILES))
+
+        def figures(c: int) -> tuple[int | Estimate, ...]:
             delay = self.delay(c)
-            figures = (delay.censored, delay.mean(self.seed), *delay.quantiles(_QUANTILES))
-            rows.append((case.fault, case.shape, case.size, *figures))
-        return FigureTable(header, tuple(rows))
+            return delay.censored, delay.mean(self.seed), *delay.quantiles(_QUANTILES)
+
+        return self._by_case(header, figures)
 
     def confusion(self) -> FigureTable:
         """Return the share of a case's runs in which each group was named, a row for each case.
@@ -197,13 +195,18 @@ class Campaign(Shown):
         if not (self.figures.named == SEVERAL).any():
             shown.remove(SEVERAL)
         words = {SEVERAL: "several", UNKNOWN: "unknown", NO_ALARM: "none"}
-        header = ("fault", "shape", "size", *(words.get(g) or " or ".join(self.groups[g]) for g in shown))
-        rows = []
-        for c, case in enumerate(self.cases):
+        header = tuple(words.get(g) or " or ".join(self.groups[g]) for g in shown)
+
+        def figures(c: int) -> tuple[Estimate, ...]:
             counts = [int((self.figures.named[c] == g).sum()) for g in shown]
-            shares = [wilson(count, self.runs, self.confidence) for count in counts]
-            rows.append((case.fault, case.shape, case.size, *shares))
-        return FigureTable(header, tuple(rows))
+            return tuple(wilson(count, self.runs, self.confidence) for count in counts)
+
+        return self._by_case(header, figures)
+
+    def _by_case(self, header: tuple[str, ...], figures: Callable[[int], tuple[Any, ...]]) -> FigureTable:
+        """Return a table with a row for each case."""
+        rows = tuple((case.fault, case.shape, case.size, *figures(c)) for c, case in enumerate(self.cases))
+        return FigureTable(("fault", "shape", "size", *header), rows)
 
     def roc(self, case: int | None = None) -> dict[str, Roc] | Roc:
         """Return the curves of detections against false alarms over all thresholds, by case; or that of one case.
