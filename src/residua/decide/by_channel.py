@@ -66,12 +66,12 @@ class ChannelNames(Isolation):
 
     def name(self, seen: Seen, start: int, stop: int, last: int) -> Named:
         """Return the channels ranked by their mean deviation since the beginning of the alarm."""
-        named = super().name(seen, start, stop, last)
+        around = super().name(seen, start, stop, last)
         rows = seen.tested.part_statistics[start : min(start + _COMPARED, max(last, start) + 1)][:, self.parts]
-        known = np.isfinite(rows)
-        mean = np.where(known, rows, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
-        mean = np.where(known.any(axis=0), mean, np.nan)
-        return Named(candidates=self.candidates(_relative(mean)), sizes=named.sizes, fired=named.fired)
+        judged = np.isfinite(rows)
+        mean = np.where(judged, rows, 0.0).sum(axis=0) / np.maximum(judged.sum(axis=0), 1)
+        mean = np.where(judged.any(axis=0), mean, np.nan)
+        return Named(candidates=self.candidates(_relative(mean)), sizes=around.sizes, fired=around.fired)
 
     def word(self, alarm: Alarm, window: int) -> Word | None:
         """Return the word for an alarm from the residual of the model, else from the channels that deviate."""
@@ -136,10 +136,10 @@ class ChannelNames(Isolation):
 
 def _relative(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return values relative to the largest of each row; all NaN if none is known."""
-    known = np.isfinite(values)
-    largest = np.where(known, values, 0.0).max(axis=-1, keepdims=True, initial=0.0)
-    parts = np.where(known, values, 0.0) / np.where(largest > 0, largest, 1.0)
-    return np.where((largest > 0) & known.any(axis=-1, keepdims=True), parts, np.nan)
+    judged = np.isfinite(values)
+    largest = np.where(judged, values, 0.0).max(axis=-1, keepdims=True, initial=0.0)
+    parts = np.where(judged, values, 0.0) / np.where(largest > 0, largest, 1.0)
+    return np.where((largest > 0) & judged.any(axis=-1, keepdims=True), parts, np.nan)
 
 
 @dataclass(frozen=True)

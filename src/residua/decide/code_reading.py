@@ -100,7 +100,7 @@ class CodeReading:
             return UNKNOWN + together
         if self.nearest:
             several = "codes" if len(self.nearest) > 1 else "code"
-            return f"{UNKNOWN}: nearest {several} {_listed(map(quoted, self.nearest))}, {off} off"
+            return f"{UNKNOWN}: nearest {several} {_some_of(map(quoted, self.nearest))}, {off} off"
         return UNKNOWN
 
     @property
@@ -123,7 +123,7 @@ class CodeReading:
             return ""
         if all(self.pattern) and len(self.pairs) > NAMED:  # most pairs fire everything: their names say nothing
             return f"{before}{len(self.pairs)} pairs"
-        return before + _listed(f"{quoted(a)} and {quoted(b)}" for a, b in self.pairs)
+        return before + _some_of(f"{quoted(a)} and {quoted(b)}" for a, b in self.pairs)
 
     def __str__(self) -> str:
         everyone = len(self.members) > NAMED and len(self.fired) == len(self.members)
@@ -138,7 +138,7 @@ def quoted(faults: Sequence[str], settled: Sequence[str] = ()) -> str:
     return f"{at_once}{', or of ' if at_once else ''}{later} once constant" if later else at_once
 
 
-def _listed(items: Iterable[str]) -> str:
+def _some_of(items: Iterable[str]) -> str:
     entries = list(items)
     more = len(entries) - NAMED
     return "; ".join(entries[:NAMED]) + (f"; and {more} more" if more > 0 else "")

@@ -108,9 +108,9 @@ def clear_means(
         for j, weight in enumerate(MEAN_WEIGHTS):
             means, after[who, j] = averaged(weight, state.means[who, j], values[at])
             squares = row_squares(means) * ((2 - weight) / weight)
-            taken = (squares > clear) | (squares >= longest[at])
-            longest[at] = np.where(taken, squares, longest[at])
-            chosen[at] = np.where(taken[..., None], means, chosen[at])
+            clearer = (squares > clear) | (squares >= longest[at])
+            longest[at] = np.where(clearer, squares, longest[at])
+            chosen[at] = np.where(clearer[..., None], means, chosen[at])
     return chosen, MeansState(after)
 
 

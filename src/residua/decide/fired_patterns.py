@@ -426,8 +426,8 @@ class HittingSet:
     silent: int
 
     def __str__(self) -> str:
-        beside = f", {counted(self.silent, 'residual')} of theirs silent" if self.silent else ""
-        return f"{' and '.join(self.faults)}{beside}"
+        silent = f", {counted(self.silent, 'residual')} of theirs silent" if self.silent else ""
+        return f"{' and '.join(self.faults)}{silent}"
 
 
 @dataclass(frozen=True, repr=False)
@@ -564,14 +564,14 @@ def _names_of(sets: object, name: str) -> list[list[Any]]:
 
 def _hit(found: list[frozenset[str]], conflict: tuple[str, ...], most: int | None) -> tuple[list[frozenset[str]], bool]:
     """Return the minimal sets that hit one more conflict set, and a flag for any left out for its size."""
-    kept = [one for one in found if not one.isdisjoint(conflict)]
-    out, cut = list(kept), False
+    hitting = [one for one in found if not one.isdisjoint(conflict)]
+    out, cut = list(hitting), False
     for one in found:
         if not one.isdisjoint(conflict):
             continue
         for name in conflict:
             larger = one | {name}
-            if any(name in other and other <= larger for other in kept):
+            if any(name in other and other <= larger for other in hitting):
                 continue
             if most is not None and len(larger) > most:
                 cut = True

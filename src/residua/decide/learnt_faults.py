@@ -277,11 +277,11 @@ def occurrence_square(between: NDArray[np.float64], recordings: int, share: floa
     across_dimensions = len(between) - 1
     if recordings < 2 or across_dimensions < 1:
         return 0.0
-    each = float(np.trace(between)) / across_dimensions * (1 / recordings + (1.0 if new else 0.0))
+    variance = float(np.trace(between)) / across_dimensions * (1 / recordings + (1.0 if new else 0.0))
     freedom = (recordings - 1) * across_dimensions
     if freedom < _LEAST_FREEDOM:
-        return each * float(chdtri(across_dimensions, 1 - share))
-    return each * across_dimensions * float(fdtri(across_dimensions, freedom, share))
+        return variance * float(chdtri(across_dimensions, 1 - share))
+    return variance * across_dimensions * float(fdtri(across_dimensions, freedom, share))
 
 
 def angle_between(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
@@ -455,8 +455,8 @@ class LearntDirections(Isolation):
         ranked = sorted((*named.candidates, *learnt), key=lambda c: -round(c.score, 3) if c.score == c.score else 1.0)
         first = next((c for c in ranked if c.faults[0] in agree), None)
         if first is not None and ranked[0] is not first:
-            apart = dict(self.angles(self.labels.index(first.faults[0])))
-            if apart.get(ranked[0].name, 90.0) <= agree[first.faults[0]].allowed:
+            angles = dict(self.angles(self.labels.index(first.faults[0])))
+            if angles.get(ranked[0].name, 90.0) <= agree[first.faults[0]].allowed:
                 ranked = [first, *(c for c in ranked if c is not first)]
         believed = False
         if ranked:

@@ -154,14 +154,14 @@ class FaultFilter:
         arrived[:, :, 1:] = belief.ages[:, :, :-1] + goes_on
         sums = before + added
         ages = arrived + evidence(sums, slice(1, None)) - evidence(before, slice(None, -1))
-        kept = belief.sums[:, :, -1:] * (1.0 - 1.0 / self.window)
-        last = kept + added[:, :, -1:]
+        old = belief.sums[:, :, -1:] * (1.0 - 1.0 / self.window)
+        last = old + added[:, :, -1:]
         stays = belief.ages[:, :, -1:] + goes_on
-        stays = stays + evidence(last, slice(-1, None)) - evidence(kept, slice(-2, -1))
-        both = np.logaddexp(ages[:, :, -1:], stays)
-        share = np.exp(stays - both)[..., None]
+        stays = stays + evidence(last, slice(-1, None)) - evidence(old, slice(-2, -1))
+        total = np.logaddexp(ages[:, :, -1:], stays)
+        share = np.exp(stays - total)[..., None]
         sums[:, :, -1:] += share * (last - sums[:, :, -1:])
-        ages[:, :, -1:] = both
+        ages[:, :, -1:] = total
         ended = _log_sum(belief.ages.reshape(len(e), -1)) - np.log(self.duration)
         quiet = np.logaddexp(belief.none + np.log1p(-self.rates.sum()), ended)
         whole = np.logaddexp(quiet, _log_sum(ages.reshape(len(e), -1)))
@@ -278,8 +278,8 @@ class LikelihoodNames(Isolation):
     def filter(self) -> FaultFilter:
         """The filter over faults, with the step responses after the autoregression."""
         k, live = len(self.center), self.live
-        left = np.cumsum(np.concatenate([np.eye(k)[None], -self.coefficients]), axis=0)
-        steps = (left @ self.rewhitening)[:, :, live]
+        sums = np.cumsum(np.concatenate([np.eye(k)[None], -self.coefficients]), axis=0)
+        steps = (sums @ self.rewhitening)[:, :, live]
         responses = np.einsum("gk,akm->gam", self.directions, steps)
         return FaultFilter(responses, steps[:, live], self.rates, self.duration, self.size, self.window)
 
@@ -320,7 +320,7 @@ class LikelihoodNames(Isolation):
         posterior, around = seen.scores.posterior, super().name(seen, start, stop, last)
         assert posterior is not None
         judged = slice(max(start, last - self.window + 1), last + 1)
-        named = self._named(posterior.probability[last], posterior.white[judged][seen.tested.usable[judged]])
+        named = self._ranking(posterior.probability[last], posterior.white[judged][seen.tested.usable[judged]])
         candidates = with_sizes(named.candidates, around.sizes)
         return replace(named, candidates=candidates, sizes=around.sizes, fired=around.fired)
 
@@ -329,9 +329,9 @@ class LikelihoodNames(Isolation):
         posterior = seen.scores.posterior
         assert posterior is not None
         recent = seen.state.recent[0]
-        return self._named(posterior.probability[0], recent[recent[:, -1] > 0, :-1])
+        return self._ranking(posterior.probability[0], recent[recent[:, -1] > 0, :-1])
 
-    def _named(self, probability: NDArray[np.float64], rows: NDArray[np.float64]) -> Named:
+    def _ranking(self, probability: NDArray[np.float64], rows: NDArray[np.float64]) -> Named:
         """Return the attribution from probabilities, and from the white residuals of an alarm."""
         if not self.groups or np.isnan(probability).any():
             return Named()
@@ -444,8 +444,8 @@ def fit_p_value(z: NDArray[np.float64], line: NDArray[np.float64]) -> float | No
 
     if len(z) < 2:
         return None
-    beside = z - line * (line @ z)
-    return float(chdtrc(len(z) - 1, beside @ beside))
+    off_line = z - line * (line @ z)
+    return float(chdtrc(len(z) - 1, off_line @ off_line))
 
 
 def pair_p_value(z: NDArray[np.float64], line: NDArray[np.float64], other: NDArray[np.float64]) -> float:

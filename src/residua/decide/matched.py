@@ -485,8 +485,8 @@ class Matched(IsolationSettings):
     def kept(self, generator: ResidualGenerator) -> tuple[str, int, int] | None:
         """Return the window, and the number of values it keeps: residuals, and their products with all responses."""
         k = generator.n_residuals
-        each = k + 2 + (0 if self.steady else len(generator.faults) * (k + 2))
-        return f"Matched(window={self.window})", self.window + 1, each
+        values = k + 2 + (0 if self.steady else len(generator.faults) * (k + 2))
+        return f"Matched(window={self.window})", self.window + 1, values
 
     def isolation_from_record(self, content: Any, where: str, watched: Watched, test: ResidualTest) -> Isolation:
         """Build the isolation from the test's responses alone; the record is empty."""
@@ -515,14 +515,14 @@ def matched_test(
     steady = whitening.T @ settled
     alike = alike_faults(steady[None] if settings.steady else white, settings.alike)
     groups = tuple(tuple(faults[j] for j in group) for group in alike)
-    seen = {name for group in groups for name in group}
+    judged = {name for group in groups for name in group}
     return MatchedTest(
         settings.window,
         faults,
         groups,
         white[:0] if settings.steady else white,
         steady,
-        tuple(name for name in faults if name not in seen),
+        tuple(name for name in faults if name not in judged),
     )
 
 
@@ -536,8 +536,8 @@ def match_scores(test: MatchedTest, ratios: NDArray, sums: NDArray, usable: NDAr
     excess = sums[..., -2] - expected - 3.0 * np.sqrt(2.0 * expected)
     best = np.stack([np.max(ratios[..., list(columns)], axis=-1) for columns in test.columns], axis=-1)
     whole = np.maximum(excess, best.max(axis=-1))
-    known = usable & (whole > 0)
-    return np.where(known[..., None], np.sqrt(best / np.where(known, whole, 1.0)[..., None]), np.nan)
+    judged = usable & (whole > 0)
+    return np.where(judged[..., None], np.sqrt(best / np.where(judged, whole, 1.0)[..., None]), np.nan)
 
 
 def sources_of(match: Match, judged: NDArray[np.bool_], raised: int, at: int) -> NDArray[np.int64]:

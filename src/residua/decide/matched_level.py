@@ -125,8 +125,8 @@ class LikelihoodTest(NormTest):
         if test.faults != faults:
             raise FileFormatError(f"{where}: faults must be those of the plant")
         rows = len(test.responses) if len(test.responses) == 0 else test.samples
-        wanted = (rows, watched.generator.n_residuals, len(faults))
-        for name, array, shape in (("responses", test.responses, wanted), ("settled", test.settled, wanted[1:])):
+        expected = (rows, watched.generator.n_residuals, len(faults))
+        for name, array, shape in (("responses", test.responses, expected), ("settled", test.settled, expected[1:])):
             if array.shape != shape:
                 raise FileFormatError(f"{where}.{name} must be finite numbers of shape {shape}")
         for group in test.groups:  # a fault without a response cannot be found

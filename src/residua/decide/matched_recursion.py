@@ -269,19 +269,19 @@ def _along_arrivals(steps: NDArray, before: NDArray) -> tuple[NDArray, NDArray]:
 
 def _likelihood(products: NDArray, weights: NDArray) -> tuple[NDArray, NDArray, NDArray]:
     """Return likelihood ratio, size and deviation; 0, NaN and infinity if no part of the response was seen."""
-    seen = weights > 0
-    safe = np.where(seen, weights, 1.0)
+    present = weights > 0
+    safe = np.where(present, weights, 1.0)
     return (
         _ratios(products, weights),
-        np.where(seen, products / safe, np.nan),
-        np.where(seen, 1 / np.sqrt(safe), np.inf),
+        np.where(present, products / safe, np.nan),
+        np.where(present, 1 / np.sqrt(safe), np.inf),
     )
 
 
 def _ratios(products: NDArray, weights: NDArray) -> NDArray[np.float64]:
     """Return the likelihood ratio; 0 if no part of the response was seen."""
-    seen = weights > 0
-    return np.where(seen, products * products / np.where(seen, weights, 1.0), 0.0)
+    present = weights > 0
+    return np.where(present, products * products / np.where(present, weights, 1.0), 0.0)
 
 
 def _squares(rows: NDArray) -> NDArray[np.float64]:
@@ -331,16 +331,16 @@ class Match:
 
 def no_match(plants: int, time: int, faults: int) -> Match:
     """Return the matches of samples without a search: no fault."""
-    each, all_faults = (plants, time), (plants, time, faults)
+    all_samples, all_faults = (plants, time), (plants, time, faults)
     return Match(
         ratios=np.zeros(all_faults),
         ages=np.full(all_faults, -1, dtype=np.int64),
         sizes=np.full(all_faults, np.nan),
         deviations=np.full(all_faults, np.inf),
         settled_sizes=np.full(all_faults, np.nan),
-        fault=np.full(each, -1, dtype=np.int64),
-        arrival=np.full(each, np.nan),
-        source=np.full(each, -1, dtype=np.int64),
+        fault=np.full(all_samples, -1, dtype=np.int64),
+        arrival=np.full(all_samples, np.nan),
+        source=np.full(all_samples, -1, dtype=np.int64),
     )
 
 
@@ -370,12 +370,12 @@ class HeldState(Record):
     def check(self, where: str, faults: int, window: int, count: int) -> None:
         """Raise if a state from a file is not that of an alarm of so many faults, within so many samples."""
         fault, arrival, source, final, raised, peak = self.held[self.on].T
-        known = ~np.isnan(fault)
+        named = ~np.isnan(fault)
         right = (
             np.isnan(self.held[~self.on]).all()
-            and _are_whole(fault[known], 0, faults)
-            and np.array_equal(known, ~np.isnan(source))
-            and _are_whole(source[known], 0, count)
+            and _are_whole(fault[named], 0, faults)
+            and np.array_equal(named, ~np.isnan(source))
+            and _are_whole(source[named], 0, count)
             and _are_whole(arrival[~np.isnan(arrival)], -window, count)
             and _are_whole(final, 0, 2)
             and _are_whole(raised, 0, count)

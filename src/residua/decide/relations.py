@@ -278,7 +278,7 @@ def _normal_equations(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the products of a basis with itself and with targets, of each fold."""
     parts = [(basis[folds == f], targets[folds == f]) for f in range(_FOLDS)]
-    return np.array([own.T @ own for own, _ in parts]), np.array([own.T @ one for own, one in parts])
+    return np.array([rows.T @ rows for rows, _ in parts]), np.array([rows.T @ one for rows, one in parts])
 
 
 def _regressions(

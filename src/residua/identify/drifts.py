@@ -199,7 +199,7 @@ def drifts_in(gathered: Gathered, facts: ChannelFacts) -> Drifts:
         means = _stretches(gathered, int(k), length, facts)
         deviation = facts.recording_deviation[k] / facts.units
         for j in range(n):
-            worth[k, j] = _worth(means[:, j])
+            worth[k, j] = _effective_means(means[:, j])
             found = likeliest_change(means[:, j], (1 - CONFIDENCE) / n)
             if found is not None:
                 place[k, j] = found[0] * length
@@ -217,7 +217,7 @@ def drifts_in(gathered: Gathered, facts: ChannelFacts) -> Drifts:
     return replace(found, drifting=drifting)
 
 
-def _worth(means: NDArray[np.float64]) -> float:
+def _effective_means(means: NDArray[np.float64]) -> float:
     """Return the number of independent samples in means over stretches: the most for any length of them.
 
     Neighbours of an oscillation that is sampled finely are as alike as those of a walk; over longer stretches it is

@@ -165,13 +165,13 @@ def sandwich_covariance(
     scores = [np.einsum("tpi,tp->ti", S, e) @ root for S, e in zip(sensitivities, errors, strict=True)]
     samples = sum(map(len, scores))
     power = sum((s**2).sum(axis=0) for s in scores)
-    beside = sum((s[:-1] * s[1:]).sum(axis=0) for s in scores)
-    r = np.clip(beside / np.maximum(power, TINY), -_STRONGEST, _STRONGEST)
+    neighbours = sum((s[:-1] * s[1:]).sum(axis=0) for s in scores)
+    r = np.clip(neighbours / np.maximum(power, TINY), -_STRONGEST, _STRONGEST)
     variance = power / max(samples, 1) * (1 - r**2)
     above = float((4 * r**2 * variance**2 / ((1 - r) ** 6 * (1 + r) ** 2)).sum())
     below = float((variance**2 / (1 - r) ** 4).sum())
-    wanted = int(np.ceil(1.1447 * (above / max(below, TINY) * samples) ** (1 / 3)))
-    lags = min(wanted, int(_MOST_LAGS * samples))
+    optimal = int(np.ceil(1.1447 * (above / max(below, TINY) * samples) ** (1 / 3)))
+    lags = min(optimal, int(_MOST_LAGS * samples))
     middle = sum((s.T @ s for s in scores), np.zeros((k, k)))
     for lag in range(1, lags + 1):
         product = sum((s[:-lag].T @ s[lag:] for s in scores if len(s) > lag), np.zeros((k, k)))
@@ -475,7 +475,7 @@ def _outcome(task: Task, found: Found, held_out: list[Matrix], notes: tuple[str,
             "(priors={name: (mean, standard deviation)}), or a recording in which the inputs move more"
         )
     notes += (*found.notes, *(f"{facts.sentence(i)}; the priors do" for i in facts.unknown))
-    errors = task.errors(found.z).left(found.weights)
+    errors = task.errors(found.z).projected(found.weights)
     sandwich, plain, lags = sandwich_covariance(S, errors, rows.T @ rows)
     scale = np.outer(task.widths, task.widths)
     values, covariance = task.values(found.z), found.covariance
@@ -524,9 +524,9 @@ def _checks(
     spread = np.sqrt(sum(((d[:, -p:] - mean) ** 2).sum(axis=0) for d in data))
     out = []
     for simulation in (False, True):
-        errors = model_errors(model, data, task.dt, task.offsets, simulation=simulation).left(weights)
-        left = np.sqrt(sum((e**2).sum(axis=0) for e in errors)) / np.diag(weights)
-        out.append(1 - left / np.where(spread > 0, spread, np.nan))
+        errors = model_errors(model, data, task.dt, task.offsets, simulation=simulation).projected(weights)
+        unexplained = np.sqrt(sum((e**2).sum(axis=0) for e in errors)) / np.diag(weights)
+        out.append(1 - unexplained / np.where(spread > 0, spread, np.nan))
         if not simulation:
             white = _whiteness(errors)
     return tuple({n: float(v) for n, v in zip(plant.outputs, one, strict=True)} for one in (*out, white))  # pyright: ignore

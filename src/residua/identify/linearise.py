@@ -284,7 +284,7 @@ def tangent_model(
         notes += (f"the states do not rest at the point, which was taken as is; they drift {rates} per unit of time",)
     way = "a complex step" if slopes.complex_step else "differences"
     about = (
-        f"Linearised at {_point(_named(model.states, x0))} and {_point(_named(model.inputs, u0))} by {way}, slopes "
+        f"Linearised at {_point(_by_name(model.states, x0))} and {_point(_by_name(model.inputs, u0))} by {way}, slopes "
         f"known to {number(slopes.relative_error, 2)}, at rest to {number(residual, 2)} of the terms."
     )
     upper, lower = slopes.matrix[:n], slopes.matrix[n:]
@@ -299,14 +299,14 @@ def tangent_model(
         plant = plant.with_faults({fault: (frozen(upper[:, k]), frozen(lower[:, k]))})
     return TangentModel(
         plant,
-        _named(model.inputs, u0),
-        _named(model.states, x0),
-        _named(model.outputs, plant.operating_point.outputs),
+        _by_name(model.inputs, u0),
+        _by_name(model.states, x0),
+        _by_name(model.outputs, plant.operating_point.outputs),
         residual,
-        _named(model.states, drift),
+        _by_name(model.states, drift),
         slopes.relative_error,
         slopes.complex_step,
-        _named(variables, slopes.sizes),
+        _by_name(variables, slopes.sizes),
         notes,
     )
 
@@ -363,14 +363,14 @@ class _Model:
                 "as many of the one as of the other, by naming inputs with their values"
             )
 
-        def left(z: Vector) -> Vector:
+        def miss(z: Vector) -> Vector:
             values = self.everything(np.concatenate([z, np.zeros(len(self.faults))]))
             rest = values[:n] - z[:n] if self.dt else values[:n]
             return np.concatenate([rest, [values[n + i] - value for i, value in targets.items()]])
 
         rows = (*(f"the rate of {x}" for x in self.states), *(f"the miss of {self.outputs[i]}" for i in targets))
         known = {k: v for k, v in (sizes or {}).items() if k not in self.faults}
-        return steady_state(left, start, free, rows, (*self.states, *self.inputs), known)
+        return steady_state(miss, start, free, rows, (*self.states, *self.inputs), known)
 
 
 def _named_call(
@@ -385,7 +385,7 @@ def _named_call(
         except Exception as error:  # whatever a user's function raises
             if any(map(np.iscomplexobj, at)):
                 raise  # it need not take complex numbers
-            point = _point(_named((*states, *inputs, *faults), np.concatenate(at)))
+            point = _point(_by_name((*states, *inputs, *faults), np.concatenate(at)))
             raise ModelError(f"{what} raised {type(error).__name__} at {point}: {error}") from error
 
     return called
@@ -404,7 +404,7 @@ def _values(value: Any, given: Iterable[str] | str | None, prefix: str, what: st
     return np.array(channel_values(np.reshape(value, (count, 1)), known, (), f"at, {what}")), known
 
 
-def _named(keys: tuple[str, ...], values: Iterable[float]) -> dict[str, float]:
+def _by_name(keys: tuple[str, ...], values: Iterable[float]) -> dict[str, float]:
     return {key: float(value) for key, value in zip(keys, values, strict=True)}
 
 

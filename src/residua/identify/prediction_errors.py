@@ -126,7 +126,7 @@ class Errors:
     raw: list[Matrix]
     nuisance: list[NDArray[np.float64]]
 
-    def left(self, weights: Matrix) -> list[Matrix]:
+    def projected(self, weights: Matrix) -> list[Matrix]:
         """Return the weighted errors less their projection on start and offsets (least squares)."""
         return [_without(e @ weights.T, weights @ G) for e, G in zip(self.raw, self.nuisance, strict=True)]
 

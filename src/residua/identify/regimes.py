@@ -438,15 +438,15 @@ def _mode(
         return f"{counted(rows, 'row')} of the {wanted} that it needs" + (
             f", {all_rows.n_samples - rows} more after changes" if transient else ""
         )
-    ours = tuple(one for one in gathered.inputs if one in moving)
-    theirs = tuple(one for one in gathered.outputs if one in moving)
-    if not theirs:
+    u_names = tuple(one for one in gathered.inputs if one in moving)
+    y_names = tuple(one for one in gathered.outputs if one in moving)
+    if not y_names:
         return f"none of {listed([one for one in gathered.outputs if one in candidates])} ever changes in {rows} rows"
-    u = [gathered.channels.index(one) for one in ours]
-    y = [gathered.channels.index(one) for one in theirs]
+    u = [gathered.channels.index(one) for one in u_names]
+    y = [gathered.channels.index(one) for one in y_names]
     pairs = [(data[:, u], data[:, y]) for data in settled.data()]
     try:
-        design = method(pairs, inputs=ours or None, outputs=theirs, dt=gathered.dt)
+        design = method(pairs, inputs=u_names or None, outputs=y_names, dt=gathered.dt)
         if isinstance(design, RecordedModel):
             design = kalman_filter(design.plant.with_sensor_faults())
     except (DataError, ModelError, DesignError, AccuracyError) as error:  # of this mode; the others may have a model

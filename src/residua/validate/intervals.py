@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.decide.checks import check_probability
 from residua.words import number
 
 #: How sure an interval is where nothing else is asked for.
@@ -84,6 +85,7 @@ def wilson(count: float, of: float, confidence: float = CONFIDENCE) -> Estimate:
     """
     from scipy.special import ndtri  # slow to import, and needed only here
 
+    check_probability(confidence, "confidence")
     if not of > 0:
         return Estimate(float("nan"), 0.0, 1.0)
     p, z = count / of, float(ndtri((1 + confidence) / 2))
@@ -135,6 +137,7 @@ def events_apart(count: int, time: float, confidence: float = CONFIDENCE) -> Est
     """
     from scipy.special import gammaincinv  # slow to import, and needed only here
 
+    check_probability(confidence, "confidence")
     side = (1 - confidence) / 2
     most = float(gammaincinv(count + 1, 1 - side))
     fewest = float(gammaincinv(count, side)) if count else 0.0
@@ -163,6 +166,7 @@ def bootstrap(
     ----------
     Efron and Tibshirani (1993), An introduction to the bootstrap, section 13.3.
     """
+    check_probability(confidence, "confidence")
     side = (1 - confidence) / 2
     if not len(values):
         return UNKNOWN
