@@ -88,7 +88,7 @@ FRAGMENTS = {"monitor": 2}
 LONG_BODIES: dict[str, int] = {}
 LONG_MODULES: dict[str, int] = {}
 SPELLED = {"decide": 0, "monitor": 2}  # the columns of data frames
-TOLERANCES, DISTINCT_TOLERANCES, NAMES_WITH_SEVERAL_VALUES, WITHOUT_EVIDENCE = 301, 24, 0, 52
+TOLERANCES, DISTINCT_TOLERANCES, NAMES_WITH_SEVERAL_VALUES, WITHOUT_EVIDENCE = 289, 23, 0, 49
 
 
 @pytest.fixture(scope="module")
