@@ -443,7 +443,6 @@ def test_false_alarms_are_as_rare_as_asked() -> None:
 def test_sizes_that_are_printed_are_seen() -> None:
     """In nine of ten runs or so, and smaller ones are not."""
     check = fitted(STATIC).fit_check
-    assert check is not None
     rows = np.stack([log(1200, 20 + k)[:1200] for k in range(20)])
     for j, name in ((1, "a sensor"), (2, "b sensor")):
         size = next(one for one in check.visible if one.fault == name)

@@ -42,7 +42,6 @@ def word(course: np.ndarray, *, of_y: float = 1.0, faults: bool = True, which: i
     u, y = recorded(1000, 1)
     y[1000 - len(course) :, which] += course
     found = cast(Diagnosis, monitor(of_y, faults).run(u, of_y * y))
-    assert found.main_alarm is not None
     assert found.main_alarm.word is not None
     return found.main_alarm.word
 
@@ -159,8 +158,6 @@ def test_a_sensor_that_stands_still_leaves_less_than_noise() -> None:
     y = plant().system(("control", "noise")).simulate(np.hstack([u, noise]))
     y[600:] = [0.5, 0.0]
     found = cast(Diagnosis, monitor().run(u, y))
-    assert found.main_alarm is not None
-    assert found.main_alarm.word is not None
     assert found.main_alarm.word.kind == "poor match"
     assert found.main_alarm.word.quieter
 

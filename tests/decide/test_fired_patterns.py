@@ -118,7 +118,6 @@ def test_prior_rates_weigh_the_likelihoods() -> None:
 def test_several_faults_at_once_are_the_smallest_sets() -> None:
     codes, faults = [[1, 0, 0], [0, 1, 0], [0, 1, 1], [0, 0, 0]], ["a", "b", "c"]
     made = consistent_faults([1, 1, 0, 1], codes, faults)
-    assert made.together is not None
     assert [one.faults for one in made.together.sets] == [("a", "b")]
     assert "together do a and b" in str(made)
     assert consistent_faults([0, 0, 0, 0], codes, faults).together is None

@@ -308,5 +308,4 @@ def test_probabilities_have_one_of_four_words(
         for name, probability in zip("ab", probabilities, strict=True)
     )
     word = word_by_probability(Alarm(0.0, 0.0, None, made, 0, 30, unknown=unknown, no_fault=none))
-    assert word is not None
     assert word.line.startswith(line)
