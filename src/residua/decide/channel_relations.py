@@ -304,7 +304,7 @@ class ChannelRelationsTest(ResidualTest):
 
     @property
     def reads_signals(self) -> bool:
-        """True."""
+        """True: relations are of signals."""
         return True
 
     @property

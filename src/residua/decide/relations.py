@@ -130,18 +130,18 @@ class Relations(Record):
         z = features = _in_spreads(signals, self.middle, self.spread)
         judged = self.moving
         if self.form == HORIZON:
-            state, left = self._over_horizon(state, innovations)
+            state, residuals = self._over_horizon(state, innovations)
         elif self.form == CURVE:
-            left = self._off_curves(z)
+            residuals = self._off_curves(z)
         else:
             if self.form == LAGS:
                 rows = state.rows[:, None] + np.cumsum(np.isfinite(z).all(axis=2), axis=1)
                 judged = judged & (rows[..., None] >= _FORGOTTEN)  # before, the means are of the first row
                 state, features = self._with_lags(state, z)
-            left = z - self.constant - ordered_product(features, self.gains)
+            residuals = z - self.constant - ordered_product(features, self.gains)
         beyond = np.maximum(np.maximum(self.lows - features, features - self.highs), 0.0)
         within = ordered_product(np.where(np.isfinite(beyond), beyond, 0.0), self.reach.T) <= 1.0
-        return state, np.where(judged & within, left, np.nan)
+        return state, np.where(judged & within, residuals, np.nan)
 
     def _with_lags(self, state: RelationsState, z: NDArray[np.float64]) -> tuple[RelationsState, NDArray[np.float64]]:
         """Return channels beside their means; rows with a missing value change none of these.
@@ -151,17 +151,17 @@ class Relations(Record):
         plants, time, q = z.shape
         low, high = self.lows[:q], self.highs[:q]
         entering = np.clip(z, 2 * low - high, 2 * high - low)
-        known = np.asarray(np.isfinite(z).all(axis=2))
+        complete = np.asarray(np.isfinite(z).all(axis=2))
         means = np.repeat(state.averages[:, None], time, axis=1)
         averages, count = state.averages.copy(), state.rows.copy()
         for plant in range(plants):
-            at = np.flatnonzero(known[plant])
+            at = np.flatnonzero(complete[plant])
             if not at.size:
                 continue
             if not count[plant]:
                 averages[plant] = entering[plant, at[0]]
-            latest = np.maximum.accumulate(np.where(known[plant], np.arange(time), -1))
-            rows = np.cumsum(known[plant])[latest] - 1
+            latest = np.maximum.accumulate(np.where(complete[plant], np.arange(time), -1))
+            rows = np.cumsum(complete[plant])[latest] - 1
             for k, weight in enumerate(LAG_WEIGHTS):
                 after, last = averaged(weight, averages[plant, k][None], entering[plant, at][None])
                 means[plant, :, k] = np.where((latest >= 0)[:, None], after[0][rows], averages[plant, k])
@@ -172,30 +172,30 @@ class Relations(Record):
 
     def _off_curves(self, z: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the deviation of each channel from its curve, in deviations there."""
-        left = np.full(z.shape, np.nan)
+        residuals = np.full(z.shape, np.nan)
         for i, (first, second) in enumerate(self.drivers.tolist()):
             if first < 0:
                 continue
             off = z[..., i] - np.interp(z[..., first], self.knots[first], self.curves[i, 0])
             if second >= 0:
                 off = off - np.interp(z[..., second], self.knots[second], self.curves[i, 1])
-            left[..., i] = off / np.interp(z[..., first], self.knots[first], self.scales[i])
-        return left
+            residuals[..., i] = off / np.interp(z[..., first], self.knots[first], self.scales[i])
+        return residuals
 
     def _over_horizon(
         self, state: RelationsState, innovations: NDArray[np.float64]
     ) -> tuple[RelationsState, NDArray[np.float64]]:
         """Return the errors of predictions so many rows ahead; an unknown innovation counts as zero."""
-        known = np.asarray(np.isfinite(innovations).all(axis=2))
-        e = np.where(known[..., None], innovations, 0.0)
+        complete = np.asarray(np.isfinite(innovations).all(axis=2))
+        e = np.where(complete[..., None], innovations, 0.0)
         past, rows = len(self.ahead), e.shape[1]
         whole = np.concatenate([state.innovations, e], axis=1)
         errors = e.copy()
         for j, gain in enumerate(self.ahead, 1):
             errors += ordered_product(whole[:, past - j : past - j + rows], gain.T)
-        left = np.full((*known.shape, len(self.spread)), np.nan)
-        left[..., self.outputs] = np.where(known[..., None], errors, np.nan)
-        return replace(state, innovations=whole[:, len(whole[0]) - past :].copy()), left
+        residuals = np.full((*complete.shape, len(self.spread)), np.nan)
+        residuals[..., self.outputs] = np.where(complete[..., None], errors, np.nan)
+        return replace(state, innovations=whole[:, len(whole[0]) - past :].copy()), residuals
 
 
 # ------------------------------------------------------------------------------ fitting
@@ -226,7 +226,7 @@ def fit_relations(
     Returns
     -------
     relations : Relations
-    left : ndarray, shape (time, channels)
+    residuals : ndarray, shape (time, channels)
 
     Raises
     ------
@@ -250,10 +250,10 @@ def fit_relations(
     if form == HORIZON:
         size = np.sqrt(np.nanmean(innovations[used] ** 2, axis=0))
         relations = replace(blank, ahead=_ahead(system, inputs, size), outputs=_outputs_of(system, inputs))
-        left = np.concatenate(
+        residuals = np.concatenate(
             [relations.run(relations.start(1), signals[None, p], innovations[None, p])[1][0] for p in recordings]
         )
-        return relations, np.where(used[:, None], left, np.nan)
+        return relations, np.where(used[:, None], residuals, np.nan)
     features = z
     if form == LAGS:
         whole = _in_spreads(signals, middle, spread)
@@ -261,9 +261,9 @@ def fit_relations(
         features = np.concatenate(parts)[used]
     folds = np.minimum(np.arange(count) * _FOLDS // count, _FOLDS - 1)
     fitted, off = _curves(z, folds) if form == CURVE else _regressions(features, z, folds)
-    left = np.full(signals.shape, np.nan)
-    left[used] = off
-    return replace(blank, **fitted), np.where(spread > 0, left, np.nan)
+    residuals = np.full(signals.shape, np.nan)
+    residuals[used] = off
+    return replace(blank, **fitted), np.where(spread > 0, residuals, np.nan)
 
 
 def _in_spreads(
@@ -350,7 +350,7 @@ def _curves(z: NDArray[np.float64], folds: NDArray[np.int64]) -> tuple[dict[str,
             drivers[i, k], curves[i, k] = j, _padded(at[k])
             ends = np.abs(np.diff(at[k]) / np.diff(knots[j]))[[0, -1]]
             reach[i, j] = ends.max() / (_OUTSIDE * max(whole, TINY))
-    grid = np.array([_padded(own, 1.0) for own in knots])
+    grid = np.array([_padded(values, 1.0) for values in knots])
     return {"drivers": drivers, "knots": grid, "curves": curves, "scales": scales, "reach": reach}, off
 
 
