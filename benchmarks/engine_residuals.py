@@ -24,7 +24,7 @@ import scipy.io
 from numpy.typing import NDArray
 
 from residua.decide import NormThreshold, read_codes
-from residua.decide.consistency import code_likelihoods
+from residua.decide.fired_patterns import code_likelihoods
 from residua.decide.member_thresholds import fit_bank_test, member_alarms
 from residua.decide.window import empty_window, moving_sum
 

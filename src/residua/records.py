@@ -207,8 +207,9 @@ def _number_kinds(cls: type[Any]) -> Mapping[str, NumberKind]:
 
 def _value_in(entry: Any, where: str, declared: Any, kind: NumberKind | None, usual: Mapping[str, NumberKind]) -> Any:
     if get_origin(declared) is UnionType:
-        plain = [one for one in get_args(declared) if one is not NoneType]
-        return None if entry is None else _value_in(entry, where, plain[0], kind, usual)
+        options = [one for one in get_args(declared) if one is not NoneType]
+        tables = [one for one in options if get_origin(one) is Mapping and isinstance(entry, Mapping)]
+        return None if entry is None else _value_in(entry, where, (tables or options)[0], kind, usual)
     if declared in _DTYPES:
         return array_in(entry, where, kind or usual[_DTYPES[declared]])
     if declared in _SCALARS:

@@ -36,7 +36,7 @@ def test_the_table_is_what_the_recordings_give(benchmark_file: ModuleType, folde
 
 def test_the_rates_the_long_way(benchmark_file: ModuleType, folder: Path) -> None:
     """Sample by sample, for the decision without any choice."""
-    from residua.decide.consistency import consistent_faults
+    from residua.decide.fired_patterns import consistent_faults
 
     recording = benchmark_file.read(folder)
     faults = list(recording.faulty)

@@ -58,7 +58,7 @@ def test_blocks_and_steps_are_the_whole_to_the_last_bit(form: str) -> None:
     whole = ran(monitor, rows)
     assert whole["alarm"].any()
     assert not whole["alarm"][:, :BEGIN].all()
-    for cuts in ([1], [7, 205, 206, 330, 451], range(50, ROWS, 50)):
+    for cuts in ([1], [0, 205, 205], [7, 205, 206, 330, 451], range(50, ROWS, 50)):  # of which some are empty
         cut = ran(monitor, rows, cuts)
         assert [name for name in whole if not same(whole[name], cut[name])] == []
     stepped = copy.deepcopy(monitor)
@@ -69,13 +69,6 @@ def test_blocks_and_steps_are_the_whole_to_the_last_bit(form: str) -> None:
     found: Any = copy.deepcopy(monitor).run(rows[:, :M], rows[:, M:])
     assert same(found.statistic, whole["statistic"][0])
     assert same(found.member_statistics, whole["member_statistics"][0])
-
-
-@pytest.mark.parametrize("form", FORMS)
-def test_an_empty_block_changes_nothing(form: str) -> None:
-    rows = with_gaps(1)
-    whole, cut = ran(fitted(form), rows), ran(fitted(form), rows, [0, 205, 205])
-    assert [name for name in whole if not same(whole[name], cut[name])] == []
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -343,18 +336,12 @@ def test_a_relation_is_silent_outside_of_the_range_that_it_was_learnt_in(form: s
 
 
 def test_a_channel_far_off_is_in_alarm_and_those_that_it_drives_are_not() -> None:
+    """Held also in rows that are for a moment further than ever in the fit: nothing is known, and nothing ends."""
     rows = log(ROWS, 10).copy()
     rows[BEGIN:, 1] += 50.0
     fired = ran(fitted(STATIC), rows)["fired"][0]
-    assert fired[BEGIN + 5 :, 2].mean() > 0.98
+    assert fired[BEGIN + 5 :, 2].all()
     assert not fired[BEGIN:, 3].any()
-
-
-def test_an_alarm_is_held_while_its_relation_is_silent() -> None:
-    """In rows that are for a moment further than ever in the fit, nothing is known, and nothing ends."""
-    rows = log(ROWS, 10).copy()
-    rows[BEGIN:, 1] += 50.0
-    assert ran(fitted(STATIC), rows)["fired"][0, BEGIN + 5 :, 2].all()
 
 
 def test_rows_outside_of_what_was_learnt_are_counted() -> None:
@@ -456,7 +443,6 @@ def test_false_alarms_are_as_rare_as_asked() -> None:
 def test_sizes_that_are_printed_are_seen() -> None:
     """In nine of ten runs or so, and smaller ones are not."""
     check = fitted(STATIC).fit_check
-    assert check is not None
     rows = np.stack([log(1200, 20 + k)[:1200] for k in range(20)])
     for j, name in ((1, "a sensor"), (2, "b sensor")):
         size = next(one for one in check.visible if one.fault == name)

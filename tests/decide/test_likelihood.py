@@ -14,8 +14,7 @@ from scipy.stats import binom, kstest
 
 import residua as rs
 from residua.decide.alarm import Alarm, Candidate
-from residua.decide.fault_posterior import FaultFilter
-from residua.decide.likelihood import fit_p_value, moving, pair_p_value, word_by_probability
+from residua.decide.likelihood import FaultFilter, fit_p_value, moving, pair_p_value, word_by_probability
 from residua.decide.stream_test import plain
 from residua.design import ResidualGenerator
 from residua.errors import FileFormatError, SettingError
@@ -309,5 +308,4 @@ def test_probabilities_have_one_of_four_words(
         for name, probability in zip("ab", probabilities, strict=True)
     )
     word = word_by_probability(Alarm(0.0, 0.0, None, made, 0, 30, unknown=unknown, no_fault=none))
-    assert word is not None
     assert word.line.startswith(line)

@@ -10,9 +10,8 @@ from scipy import stats
 import residua as rs
 from generated import random_plant
 from residua.decide.matched import Matched, matched_test
-from residua.decide.matched_hold import HeldState, hold_block
 from residua.decide.matched_level import level_for_rate
-from residua.decide.matched_responses import MatchedTest, empty_match, match_block, summed
+from residua.decide.matched_recursion import HeldState, MatchedTest, empty_match, hold_block, match_block, summed
 from residua.decide.window import empty_window, moving_sum
 from residua.design.banks.matched_filters import matched_filters
 from residua.errors import SettingError

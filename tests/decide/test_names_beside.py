@@ -21,7 +21,7 @@ from residua.decide import (
     whitening_matrix,
 )
 from residua.decide.isolation import Scores
-from residua.decide.matched_responses import empty_match, match_block, summed
+from residua.decide.matched_recursion import empty_match, match_block, summed
 from residua.decide.test import Block, Tested
 from residua.decide.window import empty_window, moving_sum
 from residua.errors import FileFormatError, SettingError
@@ -110,7 +110,6 @@ def arrays_in(whole: object) -> list[np.ndarray]:
 @pytest.mark.parametrize("name", ["leak 3", "y2 sensor", "y3 sensor"])
 def test_any_test_has_names_by_responses(test: rs.decide.TestSettings, name: str) -> None:
     found = diagnosed(monitor(test), *faulty(name))
-    assert found.main_alarm is not None
     assert name in found.main_alarm.candidates[0].faults
     assert found.main_alarm.candidates[0].score > 0.7
 
@@ -167,7 +166,6 @@ def test_the_likelihoods_in_alarm_are_those_of_a_run_from_the_first_sample_on(st
     found, _ = match_block(test, empty_match(test, 2), tested.whitened, tested.usable, sums)
     scores, _ = pieces_of(names, tested, [time])
     match, loud = scores.match, tested.alarm
-    assert match is not None
     dated = loud[..., None] & (found["ages"] >= 0) & (match.ages >= 0)
     assert steady or dated.any()
     for name in ("ratios", "ages", "sizes", "deviations"):
@@ -192,14 +190,12 @@ def test_nothing_is_computed_without_an_alarm(monkeypatch: pytest.MonkeyPatch) -
 
 def test_a_name_is_held_once_its_arrival_has_left_the_window() -> None:
     found = diagnosed(monitor(MultiscaleEWMA()), *faulty("y2 sensor"))
-    assert found.match is not None
     late = slice(300 + 2 * 40 + 1, 690)
     assert found.alarm[late].all()
     assert len(np.unique(found.match.fault[late])) == 1
     assert len(np.unique(found.match.arrival[late])) == 1
     assert abs(found.match.arrival[late][0] - 300) <= 2
     assert (found.match.source[late] <= 300 + 40 + 1).all()
-    assert found.main_alarm is not None
     assert found.main_alarm.onset == pytest.approx(300, abs=2)
 
 
@@ -207,7 +203,6 @@ def test_a_name_is_right_with_a_tenth_of_the_values_missing() -> None:
     u, y = faulty("y3 sensor")
     y[np.random.default_rng(2).random(y.shape) < 0.1] = np.nan
     found = diagnosed(monitor(MultiscaleEWMA()), u, y)
-    assert found.main_alarm is not None
     assert "y3 sensor" in found.main_alarm.candidates[0].faults
 
 
@@ -223,7 +218,6 @@ def test_a_test_that_does_not_whiten_is_named_by_the_noise_of_the_plant() -> Non
     u, y = faulty("y2 sensor")
     watch = rs.Monitor(rs.design.kalman_filter(tank()), test=PeakThreshold(0.7), isolate=Matched(window=40))
     found = diagnosed(watch, u, y)
-    assert found.main_alarm is not None
     assert found.main_alarm.candidates[0].faults == ("y2 sensor",)
     assert found.main_alarm.candidates[0].sizes[0].mean == pytest.approx(1.0, abs=0.1)
     names = watch._specification().isolation

@@ -182,7 +182,6 @@ def test_a_wrong_noise_model_is_found_with_factor_and_unit() -> None:
     flt = rs.design.kalman_filter(level_plant())
     report = rs.decide.residual_report(flt, *recording(np.random.default_rng(6), 3000, noise=0.2))
     found = report.found("variance")
-    assert found is not None
     assert "times of r level (0.2" in found.text
     assert " m, not 0.10" in found.text
     assert "with_noise" in " ".join(report.recommendations)

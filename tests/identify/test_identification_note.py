@@ -31,7 +31,6 @@ def of_too_low_an_order(seed: int = 0) -> tuple[rs.Plant, rs.identify.Identified
 def test_a_given_plant_has_none_and_an_identified_one_keeps_it() -> None:
     model = of_too_low_an_order()[1]
     note = model.plant.identification
-    assert note is not None
     assert (note.method, note.rows) == ("PBSID", model.report.samples)
     assert note.coloured == model.report.coloured == ("y1", "y2")
     assert model.plant.with_sensor_faults().with_noise(process=1.0, measurement=1.0).identification == note
@@ -126,6 +125,5 @@ def shares_in_alarm(seed: int) -> tuple[float, float]:
     for design in (rs.design.kalman_filter(plant), insensitive):
         monitor = rs.Monitor(design, test=rs.decide.NormThreshold(window=10)).fit(u, y, false_alarm_rate=0.01)
         diagnosis = monitor.run(slow, answer)
-        assert isinstance(diagnosis, rs.Diagnosis)
         shares.append(float(np.mean(diagnosis.alarm)))
     return shares[0], shares[1]

@@ -57,8 +57,8 @@ def test_linear_equations_are_predicted_as_their_plant_is(sampled: bool, simulat
     rng = np.random.default_rng(0)
     data = [rng.standard_normal((60, 2)) + [2.0, 3.0], rng.standard_normal((40, 2)) + [2.5, 3.0]]
     model = linear(0.8, sampled=sampled)
-    made = model_errors(model, data, 0.2, [1], simulation=simulation).left(np.eye(1))
-    wanted = model_errors(model.plant, data, 0.2, [1], simulation=simulation).left(np.eye(1))
+    made = model_errors(model, data, 0.2, [1], simulation=simulation).projected(np.eye(1))
+    wanted = model_errors(model.plant, data, 0.2, [1], simulation=simulation).projected(np.eye(1))
     for one, other in zip(made, wanted, strict=True):
         np.testing.assert_allclose(one, other, atol=100 * INTEGRATION)
 

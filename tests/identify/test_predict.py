@@ -43,13 +43,6 @@ def test_predictions_obey_the_recursion(model: rs.identify.IdentifiedModel) -> N
         x = plant.A @ x + plant.B @ du[k] + K @ (dy[k] - plant.C @ x)
 
 
-def test_errors_are_those_of_the_report(model: rs.identify.IdentifiedModel) -> None:
-    [seen] = model.predict(*log(4000, 0))
-    assert model.report.held_out is not None
-    rms = np.sqrt(np.nanmean(seen.error[3000:] ** 2, axis=0))
-    assert np.allclose(rms, model.report.held_out.error, rtol=0.01)  # its state starts anew where rows are held out
-
-
 def test_gaps_start_anew_and_recordings_stay_apart(model: rs.identify.IdentifiedModel) -> None:
     u, y = log(300, 2)
     y[100, 0] = np.nan
@@ -60,13 +53,14 @@ def test_gaps_start_anew_and_recordings_stay_apart(model: rs.identify.Identified
     assert np.array_equal(first.predicted[101:], second.predicted, equal_nan=True)
 
 
-def test_delays_are_in_the_plant() -> None:
-    u, y = log(3000, 3, delay=4)
-    model = rs.identify.subspace(u, y, order=2, delays={"u1": 4})
-    assert model.report.held_out is not None
+@pytest.mark.parametrize("delay", [0, 4])
+@pytest.mark.parametrize("identify", [rs.identify.subspace, rs.identify.arx])
+def test_errors_are_those_of_the_report_and_delays_are_in_the_plant(identify, delay: int) -> None:
+    u, y = log(3000, 3, delay)
+    model = identify(u, y, order=2, delays={"u1": delay})
     [seen] = model.predict(u, y)
     rms = np.sqrt(np.nanmean(seen.error[2250:] ** 2, axis=0))
-    assert np.allclose(rms, model.report.held_out.error, rtol=0.01)
+    assert np.allclose(rms, model.report.held_out.error, rtol=0.01)  # its state starts anew where rows are held out
 
 
 @pytest.mark.parametrize("exponent", [-20, 20])

@@ -75,7 +75,7 @@ def test_start_and_offsets_are_taken_out_as_a_fit_of_them_does(seed: int, simula
     zero = errors(np.zeros(4))
     responses = np.column_stack([errors(one) - zero for one in np.eye(4)])
     wanted = zero - responses @ np.linalg.lstsq(responses, zero)[0]
-    made = prediction_errors(filter_, [data], [2]).left(W)[0]
+    made = prediction_errors(filter_, [data], [2]).projected(W)[0]
     np.testing.assert_allclose(made, wanted.reshape(-1, 2), atol=SUMS)
 
 

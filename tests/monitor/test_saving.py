@@ -17,7 +17,7 @@ import pytest
 import residua as rs
 from effort import cases, rounds
 from residua.decide import NormThreshold
-from residua.decide.matched_hold import HeldState
+from residua.decide.matched_recursion import HeldState
 from residua.errors import AccuracyError, FileFormatError, SettingError
 from residua.library import three_tank
 from residua.linear import RankDecision

@@ -16,6 +16,7 @@ from campaign_examples import white_noise_monitor
 from residua import validate as v
 from residua.errors import DataError, FileFormatError, MissingExtraError, ModelError, NotFittedError, SettingError
 from residua.plant import Perturbation, UncertainPlant
+from residua.records import values_out
 from residua.validate import runs as runs_module
 
 SMALL = {"runs": 12, "samples": 300, "seed": 5}
@@ -393,7 +394,7 @@ def test_a_campaign_is_saved_and_loaded(monitor: rs.Monitor, tmp_path: Path) -> 
     made = v.campaign(monitor, of_all_kinds(), **SMALL)
     loaded = v.Campaign.load(made.save(tmp_path / "campaign.npz"))
     assert same(made.figures, loaded.figures)
-    assert made.head() | {"cases": 0} == loaded.head() | {"cases": 0}
+    assert values_out(made, but={"figures"}) == values_out(loaded, but={"figures"})
     assert str(made) == str(loaded)
 
 

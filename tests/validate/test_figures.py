@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from residua.errors import SettingError
-from residua.validate.comparison import mcnemar
+from residua.validate.campaign_result import mcnemar
 from residua.validate.delays import delays_of
 from residua.validate.figure_table import FigureTable
 from residua.validate.intervals import Estimate, bootstrap, clustered_share, events_apart, wilson

@@ -10,17 +10,27 @@ if TYPE_CHECKING:
     from residua.decide.by_channel import ByChannel
     from residua.decide.channel_relations import ChannelRelations
     from residua.decide.chi_squared import ChiSquared
-    from residua.decide.consistency import ConsistentFault, Explanation, code_likelihoods, consistent_faults
+    from residua.decide.code_reading import CodeReading
     from residua.decide.cusum import CUSUM
     from residua.decide.directional import Directional, correlation, projection_distance
     from residua.decide.ewma import EWMA
+    from residua.decide.fired_patterns import (
+        ConsistentFault,
+        Explanation,
+        HittingSet,
+        HittingSets,
+        code_likelihoods,
+        consistent_faults,
+        minimal_hitting_sets,
+        read_code,
+        read_codes,
+    )
     from residua.decide.glr import GLR
-    from residua.decide.hitting_sets import HittingSet, HittingSets, minimal_hitting_sets
     from residua.decide.isolation import Isolation, IsolationSettings, Named, Scores, Seen
     from residua.decide.kinds import register
     from residua.decide.likelihood import Likelihood
     from residua.decide.matched import Matched
-    from residua.decide.matched_hold import Match
+    from residua.decide.matched_recursion import Match
     from residua.decide.model_errors import OutputError
     from residua.decide.moderated_variances import ModeratedVariances, moderated_variances
     from residua.decide.multiscale_ewma import MultiscaleEWMA
@@ -31,7 +41,7 @@ if TYPE_CHECKING:
     from residua.decide.residual_findings import Finding, ResidualFacts, ResidualReport
     from residua.decide.sprt import SPRT
     from residua.decide.statement import Statement
-    from residua.decide.structured import CodeReading, CodeTest, Structured, read_code, read_codes
+    from residua.decide.structured import CodeTest, Structured
     from residua.decide.test import Block, FaultFreeRun, ResidualTest, Tested, TestSettings, Watched
     from residua.decide.whitening import whitening_matrix
     from residua.decide.window import WindowState, empty_window, moving_sum
@@ -111,17 +121,27 @@ hand_on(
         "residua.decide.by_channel": ("ByChannel",),
         "residua.decide.channel_relations": ("ChannelRelations",),
         "residua.decide.chi_squared": ("ChiSquared",),
-        "residua.decide.consistency": ("ConsistentFault", "Explanation", "code_likelihoods", "consistent_faults"),
+        "residua.decide.code_reading": ("CodeReading",),
         "residua.decide.cusum": ("CUSUM",),
         "residua.decide.directional": ("Directional", "correlation", "projection_distance"),
         "residua.decide.ewma": ("EWMA",),
         "residua.decide.glr": ("GLR",),
-        "residua.decide.hitting_sets": ("HittingSet", "HittingSets", "minimal_hitting_sets"),
+        "residua.decide.fired_patterns": (
+            "ConsistentFault",
+            "Explanation",
+            "HittingSet",
+            "HittingSets",
+            "code_likelihoods",
+            "consistent_faults",
+            "minimal_hitting_sets",
+            "read_code",
+            "read_codes",
+        ),
         "residua.decide.isolation": ("Isolation", "IsolationSettings", "Named", "Scores", "Seen"),
         "residua.decide.kinds": ("register",),
         "residua.decide.likelihood": ("Likelihood",),
         "residua.decide.matched": ("Matched",),
-        "residua.decide.matched_hold": ("Match",),
+        "residua.decide.matched_recursion": ("Match",),
         "residua.decide.model_errors": ("OutputError",),
         "residua.decide.moderated_variances": ("ModeratedVariances", "moderated_variances"),
         "residua.decide.multiscale_ewma": ("MultiscaleEWMA",),
@@ -132,7 +152,7 @@ hand_on(
         "residua.decide.residual_findings": ("Finding", "ResidualFacts", "ResidualReport"),
         "residua.decide.sprt": ("SPRT",),
         "residua.decide.statement": ("Statement",),
-        "residua.decide.structured": ("CodeReading", "CodeTest", "Structured", "read_code", "read_codes"),
+        "residua.decide.structured": ("CodeTest", "Structured"),
         "residua.decide.test": ("Block", "FaultFreeRun", "ResidualTest", "Tested", "TestSettings", "Watched"),
         "residua.decide.whitening": ("whitening_matrix",),
         "residua.decide.word": ("Word",),

@@ -27,7 +27,7 @@ _COMPARED = 100
 #: A channel may be the one if it is that part as far off as the furthest.
 _AS_FAR = 0.6
 #: Samples of an alarm below which a name is too early, and channels that a sentence lists.
-_EARLY, _TOLD = 5, 5
+_EARLY, _LISTED = 5, 5
 _RULES = (
     "The score is the deviation of a channel in its own thresholds, relative to the largest. Channels are compared "
     "only with each other: even if one deviates by far the most, something that is not listed may be the cause. "
@@ -50,6 +50,8 @@ class ChannelNames(Isolation):
     """
 
     NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {"parts": INDEX}
+    has_words: ClassVar[bool] = True
+    names_early: ClassVar[bool] = True
 
     groups: tuple[tuple[str, ...], ...]
     parts: NDArray[np.int64]
@@ -64,25 +66,25 @@ class ChannelNames(Isolation):
 
     def name(self, seen: Seen, start: int, stop: int, last: int) -> Named:
         """Return the channels ranked by their mean deviation since the beginning of the alarm."""
-        named = super().name(seen, start, stop, last)
+        around = super().name(seen, start, stop, last)
         rows = seen.tested.part_statistics[start : min(start + _COMPARED, max(last, start) + 1)][:, self.parts]
-        known = np.isfinite(rows)
-        mean = np.where(known, rows, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
-        mean = np.where(known.any(axis=0), mean, np.nan)
-        return Named(candidates=self.candidates(_relative(mean)), sizes=named.sizes, fired=named.fired)
+        judged = np.isfinite(rows)
+        mean = np.where(judged, rows, 0.0).sum(axis=0) / np.maximum(judged.sum(axis=0), 1)
+        mean = np.where(judged.any(axis=0), mean, np.nan)
+        return Named(candidates=self.candidates(_relative(mean)), sizes=around.sizes, fired=around.fired)
 
     def word(self, alarm: Alarm, window: int) -> Word | None:
         """Return the word for an alarm from the residual of the model, else from the channels that deviate."""
         candidates = scored(alarm)
         if alarm.word is not None or not candidates:
             return alarm.word
-        made = Word(EITHER, (candidates[0].faults,), after=alarm.samples)
+        word = Word(EITHER, (candidates[0].faults,), after=alarm.samples)
         if alarm.samples < _EARLY:
-            return replace(made, kind=TOO_EARLY, why=too_short(_EARLY))
+            return replace(word, kind=TOO_EARLY, why=too_short(_EARLY))
         if not any(name != MODEL for name in alarm.fired):
-            return replace(made, kind=POOR, why="no single channel deviates, only the model's prediction")
+            return replace(word, kind=POOR, why="no single channel deviates, only the model's prediction")
         near = tuple(one.faults for one in candidates if one.score >= _AS_FAR)
-        return replace(made, faults=near, unlisted=ANYTHING)
+        return replace(word, faults=near, unlisted=ANYTHING)
 
     def agreed(self, alarm: Alarm, word: Word) -> Word:
         """Return a good match as "either" if another channel deviates more than its own: the model may be wrong.
@@ -94,8 +96,8 @@ class ChannelNames(Isolation):
             return replace(word, faults=(candidates[0].faults,), share=math.nan, size=math.nan, deviation=math.nan)
         if word.kind != GOOD:
             return word
-        own = max((one.score for one in alarm.candidates if set(one.faults) & set(word.faults[0])), default=0.0)
-        further = tuple(one.faults for one in candidates if one.score > own)
+        least = max((one.score for one in alarm.candidates if set(one.faults) & set(word.faults[0])), default=0.0)
+        further = tuple(one.faults for one in candidates if one.score > least)
         return replace(word, kind=EITHER, faults=(*word.faults, *further[:2])) if further else word
 
     def statement(self, alarm: Alarm, clock: Clock, window: int) -> Statement:
@@ -104,28 +106,18 @@ class ChannelNames(Isolation):
         if word is None or word.fitted or not candidates:
             return statement_by_score(alarm, clock, word)
         others = [one for one in alarm.fired if one != MODEL]
-        said = (
-            f"Deviation from the other channels: {listing(others[:_TOLD])}"
+        sentence = (
+            f"Deviation from the other channels: {listing(others[:_LISTED])}"
             if others
             else "Deviation from the model's prediction only"
         )
         if len(candidates) > 1:
             following = candidates[1]
-            said += f"; {candidates[0].name} deviates most, {following.name} {100 * following.score:.0f} % as far"
-        return statement_by_word(alarm, word, clock, (f"{said}.",), _RULES, alarm.margin)
-
-    @property
-    def has_words(self) -> bool:
-        """True: the responses of the residual to faults give a word, if they are large enough."""
-        return True
-
-    @property
-    def names_early(self) -> bool:
-        """True."""
-        return True
+            sentence += f"; {candidates[0].name} deviates most, {following.name} {100 * following.score:.0f} % as far"
+        return statement_by_word(alarm, word, clock, (f"{sentence}.",), _RULES, alarm.margin)
 
     def words(self, step: float) -> dict[str, str]:
-        """Describe how faults are named."""
+        """Describe the naming of faults."""
         return {"isolation": f"the channel with the largest deviation in thresholds, over {_COMPARED} samples at most"}
 
     @property
@@ -144,10 +136,10 @@ class ChannelNames(Isolation):
 
 def _relative(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return values relative to the largest of each row; all NaN if none is known."""
-    known = np.isfinite(values)
-    largest = np.where(known, values, 0.0).max(axis=-1, keepdims=True, initial=0.0)
-    parts = np.where(known, values, 0.0) / np.where(largest > 0, largest, 1.0)
-    return np.where((largest > 0) & known.any(axis=-1, keepdims=True), parts, np.nan)
+    judged = np.isfinite(values)
+    largest = np.where(judged, values, 0.0).max(axis=-1, keepdims=True, initial=0.0)
+    parts = np.where(judged, values, 0.0) / np.where(largest > 0, largest, 1.0)
+    return np.where((largest > 0) & judged.any(axis=-1, keepdims=True), parts, np.nan)
 
 
 @dataclass(frozen=True)
@@ -192,6 +184,3 @@ def channel_faults(generator: ResidualGenerator) -> dict[str, str]:
     plant = generator.plant
     facts = zip(plant.faults, plant.fault_kinds, plant.fault_components, strict=True)
     return {fault: component for fault, kind, component in facts if kind in ("sensor", "actuator")}
-
-
-__all__ = ["ByChannel", "ChannelNames"]

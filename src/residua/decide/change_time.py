@@ -109,21 +109,21 @@ def _with_enough(signal: NDArray[np.float64], quiet: int, last: int) -> ChangeTi
 
 def _dated(signal: NDArray[np.float64], quiet: int, last: int) -> tuple[ChangeTime | None, float]:
     """Return the change and its evidence, twice the log likelihood ratio; the noise model is fitted to the rest."""
-    shapes, left = _shapes(len(signal)), signal[:quiet] - signal[:quiet].mean()
+    shapes, remainder = _shapes(len(signal)), signal[:quiet] - signal[:quiet].mean()
     profile, lags, begin = np.zeros(len(signal)), np.zeros(0), 0
     for _ in range(3):
-        lags = _autoregression(left)
+        lags = _autoregression(remainder)
         profile, fit = _profile(signal, lags, shapes, last)
         previous, begin = begin, int(np.argmax(profile))
         if begin < LEAST_BEFORE or not profile[begin] > 0:
             return None, 0.0
-        left = signal - fit
-        if np.abs(left).max() <= DATA_ROUNDING * np.abs(signal - signal.mean()).max():  # no noise, and the very shape
+        remainder = signal - fit
+        if np.abs(remainder).max() <= DATA_ROUNDING * np.abs(signal - signal.mean()).max():  # no noise
             return ChangeTime(begin, begin, begin), np.inf
         if begin == previous:
             break
     p = len(lags)
-    innovations = np.convolve(left, np.concatenate([[1.0], -lags]))[p : len(left)]
+    innovations = np.convolve(remainder, np.concatenate([[1.0], -lags]))[p : len(remainder)]
     before, after = innovations[: begin - p], innovations[begin - p :]
     variance = float(np.sum(before**2)) / max(len(before) - p - 1, 1)
     if variance <= 0:
@@ -151,8 +151,8 @@ def _autoregression(noise: NDArray[np.float64]) -> NDArray[np.float64]:
     target = noise[most:]
     rows = np.column_stack([*(noise[most - k : n - k] for k in range(1, most + 1)), target])
     R = _triangular_factor(rows)  # of every order at once: its first rows and columns
-    known = np.abs(np.diag(R)[:most]) > DATA_ROUNDING * np.linalg.norm(R[:, :most], axis=0)
-    orders = np.arange((most if known.all() else int(np.argmin(known))) + 1)
+    independent = np.abs(np.diag(R)[:most]) > DATA_ROUNDING * np.linalg.norm(R[:, :most], axis=0)
+    orders = np.arange((most if independent.all() else int(np.argmin(independent))) + 1)
     unexplained = np.cumsum(R[::-1, most] ** 2)[::-1][orders]
     exact = np.flatnonzero(unexplained <= 0)
     if len(exact):

@@ -68,7 +68,7 @@ class ChannelsState(Record):
     means : ndarray, shape (plants, 2, channels)
         Those of weights 1/8 and 1/64.
     armed : ndarray of bool, shape (plants, channels)
-        Whether a slow mean restarts once the fast ones are small again.
+        True if a slow mean restarts once the fast ones are small again.
     last : ndarray, shape (plants, sensors)
     same : ndarray of int, shape (plants, sensors)
         Samples in a row that were equal to the one before; -1 before the first.
@@ -166,9 +166,9 @@ class ChannelRelationsTest(ResidualTest):
         state, ratios, quick = self.of_channels(state, block)
         first = np.where(tested.usable, tested.statistic / self.model.threshold, np.nan)
         every = np.concatenate([first[..., None], ratios], axis=2)
-        known = np.isfinite(every)
-        over = known & (np.where(known, every, 0.0) > 1)
-        judged = known[..., 1:]
+        present = np.isfinite(every)
+        over = present & (np.where(present, every, 0.0) > 1)
+        judged = present[..., 1:]
         under = (
             judged & (np.where(judged, quick, np.inf) <= _RELEASE) & (np.where(judged, ratios, np.inf) <= _SLOW_RELEASE)
         )
@@ -194,10 +194,10 @@ class ChannelRelationsTest(ResidualTest):
         """
         assert block.signals is not None
         usable, sensors = block.usable[..., None], slice(len(self.channels) - self.sensors, None)
-        known = np.where(usable, block.residuals, np.nan)
-        relations, left = self.relations.run(state.relations, block.signals, known)
-        left = np.where(usable, left - self.means, np.nan)
-        ratios, quick, means, armed = self._means(state.means, state.armed, left)
+        residuals = np.where(usable, block.residuals, np.nan)
+        relations, errors = self.relations.run(state.relations, block.signals, residuals)
+        errors = np.where(usable, errors - self.means, np.nan)
+        ratios, quick, means, armed = self._means(state.means, state.armed, errors)
         stuck, last, same, changes, counted = self._stuck(state, block.signals[..., sensors])
         compared = np.isfinite(ratios[..., sensors])  # a sensor that moves ends no alarm of a relation that is silent
         stuck = np.where(usable & (compared | (stuck > 1)), stuck, np.nan)
@@ -211,7 +211,7 @@ class ChannelRelationsTest(ResidualTest):
         return replace(state, relations=relations, **after), ratios, quick
 
     def _means(
-        self, means: NDArray[np.float64], armed: NDArray[np.bool_], left: NDArray[np.float64]
+        self, means: NDArray[np.float64], armed: NDArray[np.bool_], errors: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
         """Return the largest mean of each relation in thresholds, (plants, time, channels), and the new state.
 
@@ -220,14 +220,14 @@ class ChannelRelationsTest(ResidualTest):
         A relation that is not judged at a sample keeps its means. Where nothing is armed and all is judged, the means
         are a filter; else they are run sample by sample.
         """
-        plants, time, _ = left.shape
+        plants, time, _ = errors.shape
         live = self.relations.moving
         safe = np.where(self.limits > 0, self.limits, 1.0)
-        known = np.isfinite(left)
-        entering = np.clip(np.where(known, left, 0.0), -self.clips, self.clips)
-        ratios = np.where(known, np.abs(left) / safe[0], np.nan)
+        present = np.isfinite(errors)
+        entering = np.clip(np.where(present, errors, 0.0), -self.clips, self.clips)
+        ratios = np.where(present, np.abs(errors) / safe[0], np.nan)
         single, quick, means, armed = ratios.copy(), ratios.copy(), means.copy(), armed.copy()
-        plain = np.asarray((known | ~live).all(axis=2))
+        plain = np.asarray((present | ~live).all(axis=2))
         for p in range(plants):
             t = 0
             while t < time:
@@ -249,17 +249,17 @@ class ChannelRelationsTest(ResidualTest):
                     now = (1 - weight) * means[p, k] + weight * entering[p, t]
                     if not entering[p, t].any():
                         now = np.where(np.abs(now) < SMALLEST, 0.0, now)
-                    means[p, k] = np.where(known[p, t], now, means[p, k])
+                    means[p, k] = np.where(present[p, t], now, means[p, k])
                 fast, slow = np.abs(means[p]) / safe[1:]
-                armed[p] |= known[p, t] & (fast > 1)
-                over = armed[p] & known[p, t] & (single[p, t] <= _RELEASE) & (fast <= _RELEASE)
+                armed[p] |= present[p, t] & (fast > 1)
+                over = armed[p] & present[p, t] & (single[p, t] <= _RELEASE) & (fast <= _RELEASE)
                 if over.any():
                     bound = _RELEASE * self.limits[2]
                     means[p, 1] = np.where(over, np.clip(means[p, 0], -bound, bound), means[p, 1])
                     armed[p] &= ~over
                     slow = np.abs(means[p, 1]) / safe[2]
-                quick[p, t] = np.where(known[p, t], np.fmax(single[p, t], fast), np.nan)
-                ratios[p, t] = np.where(known[p, t], np.fmax(quick[p, t], slow), np.nan)
+                quick[p, t] = np.where(present[p, t], np.fmax(single[p, t], fast), np.nan)
+                ratios[p, t] = np.where(present[p, t], np.fmax(quick[p, t], slow), np.nan)
                 t += 1
         return np.where(live, ratios, np.nan), np.where(live, quick, np.nan), means, armed
 
@@ -281,16 +281,16 @@ class ChannelRelationsTest(ResidualTest):
                 before = np.concatenate([[last[plant, j] if begun else values[0]], values[:-1]])
                 steps = values - before
                 lengths = _run_lengths(steps == 0, int(same[plant, j]) if begun else -1)
-                said = np.zeros(len(at))
+                degree = np.zeros(len(at))
                 if self.frozen[j]:
-                    said = lengths / self.frozen[j]
+                    degree = lengths / self.frozen[j]
                 whole = np.concatenate([past, steps * steps])
                 number = np.minimum(counted[plant, j] + np.arange(1, len(at) + 1), _QUIET_ROWS)
                 if self.quiet[j] > 0:
                     mean = np.lib.stride_tricks.sliding_window_view(whole, _QUIET_ROWS).sum(axis=1) / _QUIET_ROWS
                     size = np.sqrt(np.maximum(mean, (0.1 * self.quiet[j]) ** 2))
-                    said = np.where(number >= _QUIET_ROWS, np.maximum(said, self.quiet[j] / size), said)
-                ratio[plant, at, j] = said
+                    degree = np.where(number >= _QUIET_ROWS, np.maximum(degree, self.quiet[j] / size), degree)
+                ratio[plant, at, j] = degree
                 last[plant, j], same[plant, j], counted[plant, j] = values[-1], lengths[-1], number[-1]
                 changes[plant, :, j] = whole[len(whole) - (_QUIET_ROWS - 1) :]
         return ratio, last, same, changes, counted
@@ -304,7 +304,7 @@ class ChannelRelationsTest(ResidualTest):
 
     @property
     def reads_signals(self) -> bool:
-        """True."""
+        """True: relations are of signals."""
         return True
 
     @property
@@ -341,9 +341,9 @@ class ChannelRelationsTest(ResidualTest):
     def groups_of_residuals(self) -> dict[str, tuple[int, ...]]:
         """Residual numbers of each part."""
         m = len(self.channels) - self.sensors
-        every = tuple(range(len(self.center)))
-        own = {c: (i - m,) if len(every) == self.sensors and i >= m else every for i, c in enumerate(self.channels)}
-        return {MODEL: every} | own
+        whole = tuple(range(len(self.center)))
+        parts = {c: (i - m,) if len(whole) == self.sensors and i >= m else whole for i, c in enumerate(self.channels)}
+        return {MODEL: whole} | parts
 
     def bands(self) -> tuple[NDArray[np.float64], float]:
         """Return the band of each residual alone."""
@@ -381,8 +381,8 @@ class ChannelRelationsTest(ResidualTest):
         """Describe the statistic, and the start and end of an alarm."""
         return {
             "threshold": f"1, in units of each part's own ({self.basis})",
-            "test": f"{self.model.title} of the residual; and of each channel {_SAID[self.relations.form]}, by means "
-            f"with weights 1, 1/8, 1/64; frozen and quiet sensors",
+            "test": f"{self.model.title} of the residual; and of each channel, unexplained by "
+            f"{_UNEXPLAINED[self.relations.form]}, by means with weights 1, 1/8, 1/64; frozen and quiet sensors",
             "alarm": f"while any part is in alarm: raised over its threshold, ended at {_RELEASE:g} of it, of the "
             f"slowest mean at {_SLOW_RELEASE:g}",
         }
@@ -428,16 +428,16 @@ class ChannelRelationsTest(ResidualTest):
         self.model.check_state(state.model)
 
 
-_SAID = {
-    STATIC: "unexplained by the other channels",
-    CURVE: "unexplained by a curve of one or two others",
-    LAGS: "unexplained by the others and their past",
-    HORIZON: "unexplained by a prediction 50 rows ahead",
+_UNEXPLAINED = {
+    STATIC: "the other channels",
+    CURVE: "a curve of one or two others",
+    LAGS: "the others and their past",
+    HORIZON: "a prediction 50 rows ahead",
 }
 
 
 def _run_lengths(flags: NDArray[np.bool_], before: int) -> NDArray[np.int64]:
-    """Return how many flags in a row end at each sample; ``before`` ended at the sample before the first."""
+    """Return the number of flags in a row that end at each sample; ``before`` ended at the sample before the first."""
     at = np.arange(len(flags))
     latest = np.maximum.accumulate(np.where(flags, -1, at))
     return np.where(latest < 0, at + 1 + before, at - latest)
@@ -563,27 +563,30 @@ class ChannelRelations(TestSettings):
             raise SettingError(
                 f"raised: {echo(unknown[0])} is not a channel; the channels are {', '.join((MODEL, *channels))}"
             )
-        rest = replace(run, usable=run.usable & ~_first_part(run, self.unseen))
+        recordings = FaultFree(run.residuals, run.usable, 1, run.seams).parts
+        unlike = np.zeros(len(run.usable), dtype=bool)  # the first part of each recording, that the model is from
+        for part in recordings:
+            unlike[part.start : part.start + int(self.unseen * (part.stop - part.start))] = True
+        rest = replace(run, usable=run.usable & ~unlike)
         model = _raised(
             MultiscaleEWMA(source="data").fitted(watched, rest, rate / 2), _MODEL_MARGIN * factors.get(MODEL, 1.0)
         )
-        recordings = FaultFree(run.residuals, run.usable, 1, run.seams).parts
         used = rest.usable if self.form == HORIZON else run.usable
         signals = np.where(used[:, None], run.signals, np.nan)
         innovations = np.where(run.usable[:, None], run.residuals, np.nan)
         system = watched.generator.system.explicit()
-        relations, left = fit_relations(self.form, signals, innovations, recordings, system, len(plant.inputs))
-        left = np.where(relations.moving, left, np.nan)
-        known = np.isfinite(left)
-        means = np.where(known, left, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
-        limits, noise, clips = _limits(left - means, recordings, relations.moving, rate / 2)
+        relations, errors = fit_relations(self.form, signals, innovations, recordings, system, len(plant.inputs))
+        errors = np.where(relations.moving, errors, np.nan)
+        present = np.isfinite(errors)
+        means = np.where(present, errors, 0.0).sum(axis=0) / np.maximum(present.sum(axis=0), 1)
+        limits, noise, clips = _limits(errors - means, recordings, relations.moving, rate / 2)
         frozen, quiet = _standstills(run.signals[:, len(channels) - p :], recordings)
         raised = _MARGIN * np.array([factors.get(name, 1.0) for name in channels])
         basis = f"{one_in(rate)} samples in alarm, half of them by the residual ({model.basis}), half by the channels"
         basis += f" ({count} fault-free samples, each predicted by a fit to others)"
         if factors:
-            named = ", ".join(f"{name} {number(factor, 3)} times" for name, factor in factors.items())
-            basis += f"; raised by the check on held-out rows: {named}"
+            raises = ", ".join(f"{name} {number(factor, 3)} times" for name, factor in factors.items())
+            basis += f"; raised by the check on held-out rows: {raises}"
         return ChannelRelationsTest(
             center=model.center,
             threshold=1.0,
@@ -614,24 +617,16 @@ def _raised(model: MultiscaleEWMATest, factor: float) -> MultiscaleEWMATest:
     )  # fmt: skip
 
 
-def _first_part(run: FaultFreeRun, share: float) -> NDArray[np.bool_]:
-    """Return the first part of the rows of each recording."""
-    first = np.zeros(len(run.usable), dtype=bool)
-    for part in FaultFree(run.residuals, run.usable, 1, run.seams).parts:
-        first[part.start : part.start + int(share * (part.stop - part.start))] = True
-    return first
-
-
 def _limits(
-    left: NDArray[np.float64], recordings: Sequence[slice], moving: NDArray[np.bool_], rate: float
+    errors: NDArray[np.float64], recordings: Sequence[slice], moving: NDArray[np.bool_], rate: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Return the thresholds and deviations of the means of each relation by weight, and the clips of its samples."""
     from scipy.special import stdtrit  # slow to import, and needed only here
 
-    q, k = left.shape[1], int(moving.sum())
+    q, k = errors.shape[1], int(moving.sum())
     limits, noise, clips, tail = np.ones((3, q)), np.zeros((3, q)), np.ones(q), rate / (2 * max(k, 1) * len(WEIGHTS))
     for i in np.flatnonzero(moving):
-        parts = [left[part, i][np.isfinite(left[part, i])] for part in recordings]
+        parts = [errors[part, i][np.isfinite(errors[part, i])] for part in recordings]
         parts = [one for one in parts if len(one) > 1]
         if not parts:
             raise DataError("no complete row is left to set a threshold on")
@@ -640,7 +635,11 @@ def _limits(
         stretches = [slice(a, b) for a, b in pairwise(ends)]
         spread = max(float(series.std()), TINY)
         time = float(correlation_times(series[:, None], stretches)[0])
-        wander = float(-stdtrit(_BLOCKS - 1, rate / max(k, 1))) * _wander(series, time)
+        # drifts slower than the series shows, by the means of its blocks
+        blocks = np.array_split(series, _BLOCKS)
+        by_chance = 2 * time * float(np.mean([block.var() for block in blocks])) / (len(series) / _BLOCKS)
+        excess = _WANDER * np.var([block.mean() for block in blocks], ddof=1) - by_chance
+        wander = float(-stdtrit(_BLOCKS - 1, rate / max(k, 1))) * float(np.sqrt(max(excess, 0.0)))
         for scale, weight in enumerate(WEIGHTS):
             if weight == 1:
                 values = series
@@ -649,21 +648,13 @@ def _limits(
                 values = np.concatenate(
                     [averaged(weight, np.zeros((1, 1)), entering[None, s, None])[0][0, :, 0] for s in stretches]
                 )
-            worth = len(values) / max(1 / weight, float(correlation_times(values[:, None], stretches)[0]))
+            effective = len(values) / max(1 / weight, float(correlation_times(values[:, None], stretches)[0]))
             noise[scale, i] = values.std()
-            limit = noise[scale, i] * float(-stdtrit(max(worth - 1, 1.0), tail))
+            limit = noise[scale, i] * float(-stdtrit(max(effective - 1, 1.0), tail))
             limits[scale, i] = np.hypot(max(limit, float(np.abs(values).max())), wander)
             if weight == 1:
                 clips[i] = max(_CLIP * spread, _CLIP_THRESHOLDS * limits[0, i])
     return limits, noise, clips
-
-
-def _wander(series: NDArray[np.float64], time: float) -> float:
-    """Return the deviation of drifts slower than the series shows, by the means of its blocks."""
-    blocks = np.array_split(series, _BLOCKS)
-    within = float(np.mean([block.var() for block in blocks]))
-    own = 2 * time * within / (len(series) / _BLOCKS)
-    return float(np.sqrt(max(_WANDER * np.var([block.mean() for block in blocks], ddof=1) - own, 0.0)))
 
 
 def _standstills(y: NDArray[np.float64], recordings: Sequence[slice]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -684,6 +675,3 @@ def _standstills(y: NDArray[np.float64], recordings: Sequence[slice]) -> tuple[N
             frozen[j] = _FROZEN * longest + _FROZEN_ROWS
             quiet[j] = _QUIET * least
     return frozen, quiet
-
-
-__all__ = ["MODEL", "ChannelRelations", "ChannelRelationsTest", "ChannelsState"]

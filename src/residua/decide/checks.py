@@ -21,16 +21,21 @@ def is_number(value: object) -> bool:
     return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool) and isfinite(value)
 
 
+def check_whole(value: object, name: str, *, least: int = 1, of: str = "") -> None:
+    """Raise unless a setting is a whole number, of samples or of other things."""
+    if not is_number(value) or int(value) != value or value < least:  # pyright: ignore
+        raise SettingError(f"{name} must be a whole number{of}, at least {least}, got {echo(value)}")
+
+
 def check_samples(value: object, name: str, *, least: int = 1) -> None:
     """Raise unless a setting is a whole number of samples."""
-    if not is_number(value) or int(value) != value or value < least:  # pyright: ignore
-        raise SettingError(f"{name} must be a whole number of samples, at least {least}, got {echo(value)}")
+    check_whole(value, name, least=least, of=" of samples")
 
 
-def check_whole(value: object, name: str, *, least: int = 1) -> None:
-    """Raise unless a setting is a whole number."""
-    if not is_number(value) or int(value) != value or value < least:  # pyright: ignore
-        raise SettingError(f"{name} must be a whole number, at least {least}, got {echo(value)}")
+def check_probability(value: object, name: str) -> None:
+    """Raise unless a setting lies between 0 and 1."""
+    if not (is_number(value) and 0 < value < 1):  # pyright: ignore
+        raise SettingError(f"{name} must lie between 0 and 1, got {echo(value)}")
 
 
 def rate_aimed_at(wish: float | None, rows: int = 0) -> float:
@@ -56,5 +61,5 @@ def rate_aimed_at(wish: float | None, rows: int = 0) -> float:
 
 def check_rate(rate: float | None) -> None:
     """Raise unless ``rate`` is a usable false alarm rate, or ``None`` for one that suits the log."""
-    if rate is not None and (not is_number(rate) or not 0 < rate < 1):
-        raise SettingError(f"false_alarm_rate must lie between 0 and 1, got {echo(rate)}")
+    if rate is not None:
+        check_probability(rate, "false_alarm_rate")

@@ -6,8 +6,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from residua.errors import DataError
 from residua.words import counted
 
 #: Pairs of faults, and nearest codes, that a text names at most.
@@ -99,7 +100,7 @@ class CodeReading:
             return UNKNOWN + together
         if self.nearest:
             several = "codes" if len(self.nearest) > 1 else "code"
-            return f"{UNKNOWN}: nearest {several} {_listed(map(quoted, self.nearest))}, {off} off"
+            return f"{UNKNOWN}: nearest {several} {_some_of(map(quoted, self.nearest))}, {off} off"
         return UNKNOWN
 
     @property
@@ -122,7 +123,7 @@ class CodeReading:
             return ""
         if all(self.pattern) and len(self.pairs) > NAMED:  # most pairs fire everything: their names say nothing
             return f"{before}{len(self.pairs)} pairs"
-        return before + _listed(f"{quoted(a)} and {quoted(b)}" for a, b in self.pairs)
+        return before + _some_of(f"{quoted(a)} and {quoted(b)}" for a, b in self.pairs)
 
     def __str__(self) -> str:
         everyone = len(self.members) > NAMED and len(self.fired) == len(self.members)
@@ -132,12 +133,12 @@ class CodeReading:
 
 def quoted(faults: Sequence[str], settled: Sequence[str] = ()) -> str:
     """Return the faults of a group as text, ending with those that apply only once constant."""
-    own = " or ".join(f"'{name}'" for name in faults if name not in settled)
+    at_once = " or ".join(f"'{name}'" for name in faults if name not in settled)
     later = " or ".join(f"'{name}'" for name in faults if name in settled)
-    return f"{own}{', or of ' if own else ''}{later} once constant" if later else own
+    return f"{at_once}{', or of ' if at_once else ''}{later} once constant" if later else at_once
 
 
-def _listed(items: Iterable[str]) -> str:
+def _some_of(items: Iterable[str]) -> str:
     entries = list(items)
     more = len(entries) - NAMED
     return "; ".join(entries[:NAMED]) + (f"; and {more} more" if more > 0 else "")
@@ -178,3 +179,13 @@ def distinct_rows(rows: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[n
     keys = packed.view(f"V{packed.shape[1]}")[:, 0] if packed.shape[1] > 1 else packed[:, 0]
     _, first, index, counts = np.unique(keys, return_index=True, return_inverse=True, return_counts=True)
     return counts.astype(np.int64), first.astype(np.int64), index.astype(np.int64).ravel()
+
+
+def booleans(values: ArrayLike, name: str) -> NDArray[np.bool_]:
+    """Return an array of booleans from one of booleans, or of zeros and ones."""
+    array = np.asarray(values)
+    if array.dtype == bool:
+        return array
+    if array.dtype.kind not in "iuf" or not np.isin(array, (0, 1)).all():
+        raise DataError(f"{name} must be true or false, or 0 or 1")
+    return array.astype(bool)

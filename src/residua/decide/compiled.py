@@ -86,7 +86,7 @@ class CompiledIsolation:
     Attributes
     ----------
     window : int
-        0 for the mean of :mod:`residua.decide.clear_mean`.
+        0 for the mean of :mod:`residua.decide.directional`.
     bases : tuple of ndarray, shape (k, dimension)
     clear : float
         The square of the length of such a mean that is clear of noise.

@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.decide.alarm import Alarm, Candidate
 from residua.decide.checks import check_samples
-from residua.decide.clear_mean import MEMORY, WEIGHTS, MeansState, clear_means, clear_square, no_means
 from residua.decide.compiled import CompiledIsolation
-from residua.decide.isolation import Isolation, IsolationSettings, Scores, check_groups
-from residua.decide.row_norms import row_norms
+from residua.decide.isolation import Isolation, IsolationSettings, Scores, by_cosine, check_groups
+from residua.decide.multiscale_fit import averaged, lengths_at
+from residua.decide.row_norms import row_norms, row_squares
 from residua.decide.statement import Statement, angle, statement_by_score
 from residua.decide.test import Block, ResidualTest, Tested, Watched
 from residua.decide.window import WindowState, empty_window, moving_sum
@@ -33,8 +33,85 @@ SAME_SIGNATURE = 1e-3
 #: Bases from a file are orthonormal to that.
 _ORTHONORMAL = 1e-6
 _COSINE = "The score is the cosine of the angle between the residual and a signature, judged over the monitor's window."
+#: Weights of the two long means; the first mean is the sample itself.
+MEAN_WEIGHTS = (1 / 8, 1 / 64)
+#: Samples that the longest mean is worth.
+_MEMORY = 127
+#: Normal score of the length from which a mean is clear of noise: one in 100,000 of noise alone.
+_CLEAR = 4.26
 #: Of the fitted isolation; 0 for the clear mean.
 _WINDOW = NumberKind(f"a whole number from 0 to {MAX_WINDOW}", "i", lambda n: (n >= 0) & (n <= MAX_WINDOW))
+
+
+@dataclass(frozen=True, eq=False)
+class MeansState:
+    """Long means of each plant.
+
+    Attributes
+    ----------
+    means : ndarray, shape (plants, 2, k)
+    """
+
+    means: NDArray[np.float64]
+
+    def arrays(self) -> tuple[NDArray[np.float64], None, None]:
+        """Return the arrays that the fused loop reads and writes, in its order."""
+        return self.means, None, None
+
+
+def no_means(plants: int, k: int) -> MeansState:
+    """Return the state before the first sample."""
+    return MeansState(np.zeros((plants, len(MEAN_WEIGHTS), k)))
+
+
+def clear_square(k: int) -> float:
+    """Return the squared length, in deviations, beyond which a mean of k residuals is not noise."""
+    return float(lengths_at(_CLEAR, [k])[0] ** 2) if k else np.inf
+
+
+def clear_means(
+    values: NDArray[np.float64], state: MeansState, judged: NDArray[np.bool_], clear: float
+) -> tuple[NDArray[np.float64], MeansState]:
+    r"""Return the mean that shows the direction of a residual best, at every sample.
+
+    :math:`s_k = (1 - \lambda) s_{k-1} + \lambda q_k` has the variance :math:`\lambda / (2 - \lambda)` of white noise. A
+    slower mean takes the place of a quicker one where it is clear of noise or, in its own deviations, no shorter: just
+    after a large fault it is the sample itself, of a small one in the end the mean of a hundred.
+
+    Parameters
+    ----------
+    values : ndarray, shape (plants, time, k)
+        Whitened.
+    state : MeansState
+    judged : ndarray of bool, shape (plants, time)
+        The samples that count; at the others no mean moves on.
+    clear : float
+        See :func:`clear_square`.
+
+    Returns
+    -------
+    chosen : ndarray, shape (plants, time, k)
+        Zero at samples that do not count.
+    state : MeansState
+        To go on with.
+    """
+    chosen = np.where(judged[..., None], values, 0.0)
+    longest = row_squares(chosen)
+    after = state.means.copy()
+    whole = judged.all(axis=1)
+    groups = [(np.flatnonzero(whole), np.arange(values.shape[1]))] if whole.any() else []
+    groups += [(np.array([plant]), np.flatnonzero(judged[plant])) for plant in np.flatnonzero(~whole)]
+    for who, rows in groups:
+        at = np.ix_(who, rows)
+        if not rows.size:
+            continue
+        for j, weight in enumerate(MEAN_WEIGHTS):
+            means, after[who, j] = averaged(weight, state.means[who, j], values[at])
+            squares = row_squares(means) * ((2 - weight) / weight)
+            clearer = (squares > clear) | (squares >= longest[at])
+            longest[at] = np.where(clearer, squares, longest[at])
+            chosen[at] = np.where(clearer[..., None], means, chosen[at])
+    return chosen, MeansState(after)
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +121,7 @@ class DirectionTest(Isolation):
     Attributes
     ----------
     window : int
-        Samples over which the residual is summed; 0 for the mean of :mod:`residua.decide.clear_mean`.
+        Samples over which the residual is summed; 0 for the mean of :func:`clear_means`.
     groups : tuple of tuple of str
         Faults with the same signature are one group.
     bases : tuple of ndarray, shape (k, dimension)
@@ -54,6 +131,7 @@ class DirectionTest(Isolation):
     """
 
     NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {"window": _WINDOW, "bases": FINITE}
+    has_words: ClassVar[bool] = True
 
     window: int
     groups: tuple[tuple[str, ...], ...]
@@ -112,12 +190,7 @@ class DirectionTest(Isolation):
     @property
     def samples(self) -> int:
         """Largest number of samples over which the residual is averaged."""
-        return self.window or MEMORY
-
-    @property
-    def has_words(self) -> bool:
-        """True."""
-        return True
+        return self.window or _MEMORY
 
     @property
     def signatures(self) -> tuple[NDArray[np.float64], ...]:
@@ -125,13 +198,13 @@ class DirectionTest(Isolation):
         return self.bases
 
     def words(self, step: float) -> dict[str, str]:
-        """Describe how faults are named."""
+        """Describe the naming of faults."""
         if self.window:
             over = f"{self.window} samples ({self.window * step:g} s)"
             return {"isolation": f"direction of the residual averaged over {over}"}
         return {
             "isolation": "direction of the residual: of the longest of its means (weights 1, 1/8, 1/64) that is clear "
-            f"of noise, over some {MEMORY} samples ({MEMORY * step:g} s) at most"
+            f"of noise, over some {_MEMORY} samples ({_MEMORY * step:g} s) at most"
         }
 
     def statement(self, alarm: Alarm, clock: Clock, window: int) -> Statement:
@@ -207,7 +280,7 @@ class Directional(IsolationSettings):
 
     def kept(self, generator: ResidualGenerator) -> tuple[str, int, int]:
         """Return the window, and the number of values it keeps: the residuals."""
-        return f"Directional(window={self.window})", self.window or len(WEIGHTS), generator.n_residuals
+        return f"Directional(window={self.window})", self.window or len(MEAN_WEIGHTS), generator.n_residuals
 
     def check_record(self, content: Mapping[str, Any], where: str) -> None:
         """Raise if the window of the record differs from that of the settings."""
@@ -222,7 +295,7 @@ def candidates_at(
     if scores.size == 0 or np.isnan(scores).all():
         return ()
     order = np.lexsort((-scores, np.asarray(dimensions), -np.round(scores, 3)))
-    return tuple(Candidate(groups[g], float(scores[g]), float(np.sqrt(max(0.0, 1.0 - scores[g] ** 2)))) for g in order)
+    return tuple(by_cosine(groups[g], float(scores[g])) for g in order)
 
 
 def correlation(residual: ArrayLike, signature: ArrayLike, *, rtol: float = 1e-9) -> float:
@@ -308,13 +381,19 @@ def direction_test(
     }
     judged = {fault: basis for fault, basis in bases.items() if basis is not None}
     groups = _grouped(judged)
-    if settings.signature == "auto":
+    if settings.signature == "auto":  # faults that share a plane, by their steady directions in it where these differ
         lines = {
             fault: range_basis(whitening.T @ steady[fault][:, None], rtol=1e-9)[0]
             for fault in judged
             if fault in steady and np.any(steady[fault])
         }
-        groups = [part for faults, basis in groups for part in _told_apart(faults, basis, lines)]
+        divided = []
+        for faults, basis in groups:
+            parts = [(faults, basis)]
+            if len(faults) > 1 and basis.shape[1] > 1 and all(fault in lines for fault in faults):
+                parts = _grouped({fault: lines[fault] for fault in faults})
+            divided += parts if len(parts) > 1 else [(faults, basis)]
+        groups = divided
     return DirectionTest(
         settings.window or 0,
         tuple(tuple(faults) for faults, _ in groups),
@@ -328,7 +407,8 @@ def _grouped(bases: Mapping[str, NDArray]) -> list[tuple[list[str], NDArray]]:
     groups: list[tuple[list[str], NDArray]] = []
     for fault, basis in bases.items():
         for faults, other in groups:
-            if _same(other, basis):
+            alike = other.shape[1] == basis.shape[1]
+            if alike and np.linalg.norm(basis - other @ (other.T @ basis), 2) < SAME_SIGNATURE:
                 faults.append(fault)
                 break
         else:
@@ -336,31 +416,13 @@ def _grouped(bases: Mapping[str, NDArray]) -> list[tuple[list[str], NDArray]]:
     return groups
 
 
-def _told_apart(faults: list[str], basis: NDArray, lines: Mapping[str, NDArray]) -> list[tuple[list[str], NDArray]]:
-    """Return faults that share a plane by their steady directions in it, if all have one and these differ."""
-    if len(faults) == 1 or basis.shape[1] == 1 or any(fault not in lines for fault in faults):
-        return [(faults, basis)]
-    parts = _grouped({fault: lines[fault] for fault in faults})
-    return parts if len(parts) > 1 else [(faults, basis)]
-
-
 def _signature(
     kind: str, subspace: NDArray, steady: NDArray | None, whitening: NDArray, n: int
 ) -> NDArray[np.float64] | None:
-    has_steady = steady is not None and bool(np.any(steady))
+    """Return a basis of the signature of a fault in whitened space; ``None`` without a usable one."""
     narrow = 0 < subspace.shape[1] < n
     if kind == "subspace" or (kind == "auto" and narrow):
-        if not narrow:
-            return None
-        chosen = subspace
-    elif has_steady and steady is not None:
-        chosen = steady[:, None]
-    else:
+        return range_basis(whitening.T @ subspace, rtol=1e-9)[0] if narrow else None
+    if steady is None or not np.any(steady):
         return None
-    return range_basis(whitening.T @ chosen, rtol=1e-9)[0]
-
-
-def _same(a: NDArray, b: NDArray) -> bool:
-    if a.shape[1] != b.shape[1]:
-        return False
-    return bool(np.linalg.norm(b - a @ (a.T @ b), 2) < SAME_SIGNATURE)
+    return range_basis(whitening.T @ steady[:, None], rtol=1e-9)[0]

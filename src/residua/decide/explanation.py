@@ -112,11 +112,11 @@ class Whitening:
         """Return the white residual, (time, k), zero where unknown, and its mask: with its past."""
         usable = usable & np.isfinite(residuals).all(axis=1)
         white = self.of_responses(np.where(usable[:, None], residuals - self.center, 0.0))
-        known = usable.copy()
+        present = usable.copy()
         for lag in range(1, len(self.coefficients) + 1):
-            known[lag:] &= usable[:-lag]
-            known[lag - 1] = False
-        return np.where(known[:, None], white, 0.0), known
+            present[lag:] &= usable[:-lag]
+            present[lag - 1] = False
+        return np.where(present[:, None], white, 0.0), present
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +137,7 @@ class Explainer:
     colour: tuple[float, ...] = ()
 
     @cached_property
-    def _known(self) -> tuple[NDArray[np.float64], list[tuple[str, ...]], NDArray[np.bool_]]:
+    def _responses(self) -> tuple[NDArray[np.float64], list[tuple[str, ...]], NDArray[np.bool_]]:
         """Whitened responses, (groups, samples, k), of listed faults, then others; names; mask of other states."""
         plant = with_unlisted(self.generator.plant)
         names = plant.faults
@@ -176,23 +176,23 @@ class Explainer:
         before : int
             How many of them come before the sample that raised it.
         """
-        responses, names, states = self._known
+        responses, names, states = self._responses
         listed = len(names) - len(states)
         after = len(residuals) - before
         if not listed:
             return Word(POOR, (), after=after, share=0.0)
-        mean_square, *known = self.colour or (1.0,) * (1 + len(BLOCKS))
-        variance: dict[int, float] = dict(zip(BLOCKS, known, strict=True))
+        mean_square, *variances = self.colour or (1.0,) * (1 + len(BLOCKS))
+        variance: dict[int, float] = dict(zip(BLOCKS, variances, strict=True))
         white, usable = self.whitening.of_residuals(residuals, usable)
         fits = _fits(white, usable, responses, before)
         evidence = fits.evidence / variance[20]
         level = evidence - _CHARGE * np.maximum(fits.terms - 1, 0)
         order = np.argsort(-level[:listed], kind="stable").tolist()
         best = order[0]
-        apart = _APART + _PART * float(evidence[best])
+        margin = _APART + _PART * float(evidence[best])
         other = listed + int(np.argmax(level[listed:])) if len(names) > listed else None
         beyond = float(np.sum(white**2)) - float(usable.sum()) * white.shape[1]
-        made = Word(
+        word = Word(
             GOOD,
             (names[best],),
             after=after,
@@ -202,24 +202,24 @@ class Explainer:
             deviation=float(fits.deviations[best] * np.sqrt(variance[20])),
         )
         if before < BEFORE or int(usable[:before].sum()) < _LEAST_BEFORE:
-            return replace(made, kind=TOO_EARLY, from_start=True)
-        excess, rareness = _left(fits.left[best], usable, variance)
+            return replace(word, kind=TOO_EARLY, from_start=True)
+        excess, rareness = _excess(fits.remainder[best], usable, variance)
         count = int(usable.sum()) * white.shape[1]
-        if (float(np.sum(fits.left[best] ** 2)) - mean_square * count) / np.sqrt(2 * max(count, 1)) < _LESS:
-            return replace(made, kind=POOR, quieter=True)
-        unlisted = "" if other is None or level[other] < level[best] - apart else names[other][0]
-        if other is not None and level[other] > level[best] + apart:
+        if (float(np.sum(fits.remainder[best] ** 2)) - mean_square * count) / np.sqrt(2 * max(count, 1)) < _LESS:
+            return replace(word, kind=POOR, quieter=True)
+        unlisted = "" if other is None or level[other] < level[best] - margin else names[other][0]
+        if other is not None and level[other] > level[best] + margin:
             kind = POOR if level[other] > _EVIDENCE else TOO_EARLY
-            return replace(made, kind=kind, unlisted=unlisted)
+            return replace(word, kind=kind, unlisted=unlisted)
         if ((rareness > _MORE) & (excess > _PART * evidence[best])).any():
-            return replace(made, kind=POOR, unlisted=unlisted)
-        close = [g for g in order if level[g] >= level[best] - apart]
+            return replace(word, kind=POOR, unlisted=unlisted)
+        close = [g for g in order if level[g] >= level[best] - margin]
         if level[best] < _EVIDENCE or fits.is_spike[best] or len(close) > _MOST_CLOSE:
-            return replace(made, kind=TOO_EARLY, unlisted=unlisted)
-        rivals = level[listed:] > level[best] - np.where(states, 0.0, apart)  # a state must explain more
+            return replace(word, kind=TOO_EARLY, unlisted=unlisted)
+        rivals = level[listed:] > level[best] - np.where(states, 0.0, margin)  # a state must explain more
         if rivals.any() or len(close) > 1:
-            made = replace(made, kind=EITHER, faults=tuple(names[g] for g in close), unlisted=unlisted)
-        return made if after >= FIRST else replace(made, kind=TOO_EARLY)
+            word = replace(word, kind=EITHER, faults=tuple(names[g] for g in close), unlisted=unlisted)
+        return word if after >= FIRST else replace(word, kind=TOO_EARLY)
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,16 +231,16 @@ class _Fits:
     evidence : ndarray
         By how much the squares of the residual fall.
     terms : ndarray of int
-    left : ndarray, shape (faults, time, k)
+    remainder : ndarray, shape (faults, time, k)
     sizes, deviations : ndarray
         Of the best single step, and the standard error in white noise.
     is_spike : ndarray of bool
-        Whether one sample has more than half of the evidence.
+        True if one sample has more than half of the evidence.
     """
 
     evidence: NDArray[np.float64]
     terms: NDArray[np.int64]
-    left: NDArray[np.float64]
+    remainder: NDArray[np.float64]
     sizes: NDArray[np.float64]
     deviations: NDArray[np.float64]
     is_spike: NDArray[np.bool_]
@@ -268,9 +268,9 @@ def _fits(e: NDArray[np.float64], usable: NDArray[np.bool_], responses: NDArray[
         spectrum = np.fft.rfft(rows, length, axis=1)
         return np.fft.irfft(np.einsum("fltk,ftk->flt", spectra, spectrum), length, axis=2)[..., :n]
 
-    left = np.broadcast_to(e, (count, n, k)).copy()
-    products, norms = along(left), energies.copy()
-    taken: list[NDArray[np.float64]] = []
+    remainder = np.broadcast_to(e, (count, n, k)).copy()
+    products, norms = along(remainder), energies.copy()
+    earlier: list[NDArray[np.float64]] = []
     terms, evidence = np.zeros(count, dtype=np.int64), np.zeros(count)
     sizes, deviations = np.zeros(count), np.full(count, np.inf)
     for term in range(_TERMS):
@@ -289,23 +289,23 @@ def _fits(e: NDArray[np.float64], usable: NDArray[np.bool_], responses: NDArray[
             rows[f, start:] = kernels[f, shape, : n - start]
         rows[:, ~usable] = 0.0
         for _ in range(2):
-            for other in taken:
+            for other in earlier:
                 rows -= other * np.sum(other * rows, axis=(1, 2), keepdims=True)
         size = np.sqrt(np.sum(rows**2, axis=(1, 2), keepdims=True))
         rows /= np.where(size > 0, size, 1.0)
-        amount = np.sum(rows * left, axis=(1, 2))
-        left -= rows * amount[:, None, None]
+        amount = np.sum(rows * remainder, axis=(1, 2))
+        remainder -= rows * amount[:, None, None]
         evidence += amount**2
         terms += goes_on
         moved = along(rows)
         products -= moved * amount[:, None, None]
         norms -= moved**2
-        taken.append(rows)
-    fell = np.sum(e**2, axis=1) - np.sum(left**2, axis=2)
-    return _Fits(evidence, terms, left, sizes, deviations, fell.max(axis=1) > 0.5 * evidence)
+        earlier.append(rows)
+    fell = np.sum(e**2, axis=1) - np.sum(remainder**2, axis=2)
+    return _Fits(evidence, terms, remainder, sizes, deviations, fell.max(axis=1) > 0.5 * evidence)
 
 
-def _left(
+def _excess(
     rows: NDArray[np.float64], usable: NDArray[np.bool_], variance: Mapping[int, float]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return for each length of sums the excess of the remaining squares over noise, and its deviations."""
@@ -336,6 +336,3 @@ def with_unlisted(plant: Plant) -> Plant:
         return plant
     states = {f"state {name}": {name: 1.0} for name in plant.states if f"state {name}" not in listed}
     return plant.with_faults(states)
-
-
-__all__ = ["BEFORE", "BLOCKS", "FINAL", "FIRST", "Explainer", "colour_of", "with_unlisted"]

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from residua.decide.alarm import Alarm, Candidate, LearntMatch, PresentFault, Size
 from residua.decide.code_reading import CodeReading
 from residua.decide.compiled import CompiledCodes, CompiledIsolation
-from residua.decide.learnt_faults import LearntFault
-from residua.decide.matched_hold import Match
+from residua.decide.matched_recursion import Match
 from residua.decide.member_bounds import MemberBounds
 from residua.decide.sizes import sizes_over, with_sizes
 from residua.decide.statement import Statement, statement_by_score, word_by_score
@@ -28,7 +27,7 @@ from residua.decide.word import Word
 from residua.design import ResidualGenerator
 from residua.errors import FileFormatError
 from residua.recording.clock import Clock
-from residua.records import Record, values_in, values_out
+from residua.records import Record, field_names, values_in, values_out
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,10 +115,8 @@ class Named:
 
     def of_alarm(self) -> dict[str, Any]:
         """Return the fields that an :class:`residua.monitor.Alarm` takes over."""
-        names = ("candidates", "sizes", "arrival", "reading", "read_share", "present", "fired", "learnt")
-        names = (*names, "unknown", "no_fault")
-        fields = {name: getattr(self, name) for name in names}
-        return fields if self.onset is None else fields | {"onset": self.onset}
+        shared = {name: getattr(self, name) for name in field_names(self) if name not in ("onset", "arrived", "blamed")}
+        return shared if self.onset is None else shared | {"onset": self.onset}
 
 
 #: Returns the attribution of an alarm from its first sample, the sample after it, and the last over the threshold.
@@ -136,6 +133,11 @@ class Isolation(Record, ABC):
     unjudged : tuple of str
         Faults that are never named.
     """
+
+    #: True if alarms get a word by the responses to faults, as with names by direction or response.
+    has_words: ClassVar[bool] = False
+    #: True if it names alarms that move the residual too little for a word, from other evidence.
+    names_early: ClassVar[bool] = False
 
     groups: tuple[tuple[str, ...], ...]
     unjudged: tuple[str, ...]
@@ -215,19 +217,9 @@ class Isolation(Record, ABC):
         return ()
 
     @property
-    def learnt(self) -> tuple[LearntFault, ...]:
-        """The faults that were learnt from recordings; empty without."""
+    def learnt(self) -> tuple[Any, ...]:
+        """The faults that were learnt from recordings, :class:`residua.decide.learnt_faults.LearntFault`; or empty."""
         return ()
-
-    @property
-    def has_words(self) -> bool:
-        """True if alarms get a word by the responses to faults, as with names by direction or response."""
-        return False
-
-    @property
-    def names_early(self) -> bool:
-        """True if it names alarms that move the residual too little for a word, from other evidence."""
-        return False
 
     def agreed(self, alarm: Alarm, word: Word) -> Word:
         """Return the word for an alarm from the responses to faults, as far as the other evidence agrees."""
@@ -239,7 +231,7 @@ class Isolation(Record, ABC):
         return None
 
     def words(self, step: float) -> dict[str, str]:
-        """Describe how faults are named, and override descriptions of the test.
+        """Describe the naming of faults, and override descriptions of the test.
 
         Parameters
         ----------
@@ -405,6 +397,11 @@ def check_groups(groups: Sequence[Sequence[str]], unjudged: Sequence[str], where
         raise FileFormatError(f"{where}: groups and unjudged must be the faults of the plant, each once")
 
 
+def by_cosine(faults: tuple[str, ...], score: float, **facts: Any) -> Candidate:
+    """Return a candidate whose score is a cosine: its distance is the sine."""
+    return Candidate(faults, score, float(np.sqrt(max(0.0, 1.0 - score**2))), **facts)
+
+
 def leader(alarm: Alarm) -> tuple[str, ...]:
     """Return the best candidate of an alarm; empty if nobody is named."""
     return alarm.candidates[0].faults if alarm.candidates else ()
@@ -420,18 +417,3 @@ def last_over(exceeded: NDArray[np.bool_], start: int, stop: int) -> int:
     over = exceeded[start:stop][::-1]
     back = int(np.argmax(over)) if len(over) else 0
     return stop - 1 - back if len(over) and over[back] else start
-
-
-__all__ = [
-    "Isolation",
-    "IsolationSettings",
-    "Named",
-    "Naming",
-    "NoIsolation",
-    "Scores",
-    "Seen",
-    "check_groups",
-    "last_over",
-    "leader",
-    "longest",
-]

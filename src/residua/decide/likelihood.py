@@ -5,19 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.decide.alarm import Alarm, Candidate
+from residua.decide.alarm import Alarm
 from residua.decide.autoregression import Past, unforetold
 from residua.decide.checks import PRIOR_RATE, check_samples, is_number
 from residua.decide.directional import Directional, direction_test
-from residua.decide.fault_posterior import Belief, FaultFilter
-from residua.decide.isolation import Isolation, IsolationSettings, Named, Scores, Seen, check_groups
+from residua.decide.isolation import Isolation, IsolationSettings, Named, Scores, Seen, by_cosine, check_groups
 from residua.decide.multiscale_ewma import MultiscaleEWMA
-from residua.decide.sizes import sizes_over, with_sizes
+from residua.decide.sizes import with_sizes
 from residua.decide.statement import Statement, not_isolated, scored, statement_by_word
 from residua.decide.stream_settings import StreamSettings
 from residua.decide.stream_test import StreamTest
@@ -28,9 +27,8 @@ from residua.design import ResidualGenerator
 from residua.errors import FileFormatError, SettingError
 from residua.linear.subspaces.whitening import VARIANCE_FLOOR
 from residua.linear.systems.recursion import ordered_product
-from residua.number_kinds import ENTRY, FLAG, POSITIVE, PROBABILITY, WINDOW, NumberKind, number_in
+from residua.number_kinds import ENTRY, FLAG, MAX_WINDOW, POSITIVE, PROBABILITY, NumberKind
 from residua.recording.clock import Clock
-from residua.records import record, table_in, values_out
 from residua.visible import echo
 from residua.words import number
 
@@ -40,6 +38,10 @@ LEVEL = 0.05
 _RARE = 0.001
 #: Combinations of residuals of which less variance than that is left, of whitened ones, move too little for a model.
 _STILL = VARIANCE_FLOOR**0.5
+#: Logarithm of a probability that counts as none: a number that files hold, and that one sample makes up for.
+_NEVER = -10_000.0
+_AGES = NumberKind(f"a whole number from 2 to {MAX_WINDOW}", "i", lambda n: (n >= 2) & (n <= MAX_WINDOW))
+_LASTING = NumberKind("a finite number above 1", "f", lambda x: np.isfinite(x) & (x > 1))
 _RULES = (
     "The probabilities are those of a filter over the faults, their arrivals and sizes, with the prior rates and the "
     f"mean duration that were set. p is the probability of a residual at least as far off its fault by noise alone; "
@@ -48,6 +50,149 @@ _RULES = (
     f"{1 / LEVEL:g} times less probable, none is below {LEVEL:g}, and p is not. Either: others are within reach. Poor "
     f"match: one that is not listed is more probable, or p is below {_RARE:g}. Too early: none is {LEVEL:g} or more."
 )
+
+
+@dataclass(frozen=True, eq=False)
+class Belief:
+    """Belief of the filter after a sample.
+
+    Attributes
+    ----------
+    none : ndarray, shape (plants,)
+        Logarithm of the probability that no fault is there.
+    ages : ndarray, shape (plants, faults + 1, window)
+        Of each fault, and of an unknown one, that it arrived 1, 2, ... samples ago; the last: as long ago or longer.
+    sums : ndarray, shape (plants, faults + 1, window, k)
+        Products of the residual with the response to each fault since then, in as many parts as it has dimensions.
+    """
+
+    none: NDArray[np.float64]
+    ages: NDArray[np.float64]
+    sums: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class FaultFilter:
+    r"""The posterior over faults and their arrivals.
+
+    A fault arrives with its prior rate, adds :math:`\theta^T H_a` to the white residual at its age :math:`a`, with
+    :math:`\theta \sim N(0, \sigma^2 I)`, and leaves again after ``duration`` samples on average. With
+    :math:`y_a = \sum_{j \le a} H_j e_j` and :math:`J_a = \sum_{j \le a} H_j H_j^T` the likelihood ratio against no
+    fault is, with :math:`\theta` integrated out,
+
+    .. math:: \ln \Lambda_a = \tfrac12 y_a^T (J_a + \sigma^{-2} I)^{-1} y_a - \tfrac12 \ln \det(I + \sigma^2 J_a)
+
+    Faults that are older than the window forget a part 1 / window of their sums with each sample.
+
+    Attributes
+    ----------
+    responses : ndarray, shape (faults, p + 1, k)
+        Of each fault at the ages 1, ..., p + 1 and later, in white residuals, for a step of one standard deviation.
+    unknown : ndarray, shape (p + 1, k, k)
+        The same of a step of each residual.
+    rates : ndarray, shape (faults + 1,)
+        Probability with which each arrives in a sample; last that of an unknown one.
+    duration : float
+    size : float
+        :math:`\sigma`.
+    window : int
+    """
+
+    responses: NDArray[np.float64]
+    unknown: NDArray[np.float64]
+    rates: NDArray[np.float64]
+    duration: float
+    size: float
+    window: int
+
+    def start(self, plants: int) -> Belief:
+        """Return the belief that no fault is present."""
+        shape = (plants, len(self.rates), self.window)
+        return Belief(np.zeros(plants), np.full(shape, _NEVER), np.zeros((*shape, self.unknown.shape[-1])))
+
+    def run(
+        self, belief: Belief, e: NDArray[np.float64], seen: NDArray[np.bool_]
+    ) -> tuple[Belief, NDArray[np.float64]]:
+        """Return the belief after some samples, and the probabilities after each: faults, an unknown one, none.
+
+        Parameters
+        ----------
+        belief : Belief
+        e : ndarray, shape (plants, time, k)
+        seen : ndarray of bool, shape (plants, time)
+            Samples that are not seen change nothing.
+        """
+        out = np.zeros((*seen.shape, len(self.rates) + 1))
+        for t in range(seen.shape[1]):
+            after = self._step(belief, e[:, t])
+            here = seen[:, t]
+            belief = Belief(
+                np.where(here, after.none, belief.none),
+                np.where(here[:, None, None], after.ages, belief.ages),
+                np.where(here[:, None, None, None], after.sums, belief.sums),
+            )
+            out[:, t, :-1] = np.exp(belief.ages).sum(axis=-1)
+            out[:, t, -1] = np.exp(belief.none)
+        return belief, out
+
+    def _step(self, belief: Belief, e: NDArray[np.float64]) -> Belief:
+        """Return the belief after one sample."""
+        roots, constants = self._roots_and_constants
+
+        def evidence(sums: NDArray[np.float64], ages: slice) -> NDArray[np.float64]:
+            """Return the logarithm of the likelihood ratio against no fault."""
+            whitened = (sums[..., :, None] * roots[:, ages]).sum(axis=-2)
+            return 0.5 * (whitened**2).sum(axis=-1) + constants[:, ages]
+
+        none = belief.none[:, None, None]
+        added = (self._by_age * e[:, None, None, :, None]).sum(axis=-2)
+        before = np.zeros_like(belief.sums)
+        before[:, :, 1:] = belief.sums[:, :, :-1]
+        arrived = np.full_like(belief.ages, 0.0)
+        arrived[:, :, :1] = none + np.log(self.rates)[:, None]
+        goes_on = np.log1p(-1.0 / self.duration)
+        arrived[:, :, 1:] = belief.ages[:, :, :-1] + goes_on
+        sums = before + added
+        ages = arrived + evidence(sums, slice(1, None)) - evidence(before, slice(None, -1))
+        old = belief.sums[:, :, -1:] * (1.0 - 1.0 / self.window)
+        last = old + added[:, :, -1:]
+        stays = belief.ages[:, :, -1:] + goes_on
+        stays = stays + evidence(last, slice(-1, None)) - evidence(old, slice(-2, -1))
+        total = np.logaddexp(ages[:, :, -1:], stays)
+        share = np.exp(stays - total)[..., None]
+        sums[:, :, -1:] += share * (last - sums[:, :, -1:])
+        ages[:, :, -1:] = total
+        ended = _log_sum(belief.ages.reshape(len(e), -1)) - np.log(self.duration)
+        quiet = np.logaddexp(belief.none + np.log1p(-self.rates.sum()), ended)
+        whole = np.logaddexp(quiet, _log_sum(ages.reshape(len(e), -1)))
+        return Belief(
+            np.maximum(quiet - whole, _NEVER), np.maximum(ages - whole[:, None, None], _NEVER), np.asarray(sums)
+        )
+
+    @cached_property
+    def _by_age(self) -> NDArray[np.float64]:
+        """Responses, shape (faults + 1, window, k, k): only the first slice of a fault is not zero."""
+        G, k = len(self.rates), self.unknown.shape[-1]
+        ages = np.minimum(np.arange(self.window), self.unknown.shape[0] - 1)
+        out = np.zeros((G, self.window, k, k))
+        out[:-1, :, :, 0] = self.responses[:, ages]
+        out[-1] = np.swapaxes(self.unknown, 1, 2)[ages]
+        return out
+
+    @cached_property
+    def _roots_and_constants(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Root and logarithm of the determinant of the information on the size, at the ages 0, 1, ..., window."""
+        H, one = self._by_age, np.eye(self.unknown.shape[-1])
+        J = np.cumsum(np.einsum("gakd,gakc->gadc", H, H), axis=1)
+        J = np.concatenate([np.zeros_like(J[:, :1]), J], axis=1)
+        roots = np.linalg.cholesky(np.linalg.inv(J + one / self.size**2))
+        return np.asarray(roots, dtype=float), np.asarray(-0.5 * np.linalg.slogdet(one + self.size**2 * J)[1])
+
+
+def _log_sum(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the logarithm of the sum of the exponentials of each row."""
+    most = rows.max(axis=1)
+    return most + np.log(np.exp(rows - most[:, None]).sum(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +249,7 @@ class LikelihoodNames(Isolation):
     """
 
     NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {
-        "window": WINDOW,
+        "window": _AGES,
         "center": ENTRY,
         "whitening": ENTRY,
         "coefficients": ENTRY,
@@ -112,7 +257,7 @@ class LikelihoodNames(Isolation):
         "live": FLAG,
         "directions": ENTRY,
         "rates": PROBABILITY,
-        "duration": POSITIVE,
+        "duration": _LASTING,
         "size": POSITIVE,
     }
 
@@ -133,8 +278,8 @@ class LikelihoodNames(Isolation):
     def filter(self) -> FaultFilter:
         """The filter over faults, with the step responses after the autoregression."""
         k, live = len(self.center), self.live
-        left = np.cumsum(np.concatenate([np.eye(k)[None], -self.coefficients]), axis=0)
-        steps = (left @ self.rewhitening)[:, :, live]
+        sums = np.cumsum(np.concatenate([np.eye(k)[None], -self.coefficients]), axis=0)
+        steps = (sums @ self.rewhitening)[:, :, live]
         responses = np.einsum("gk,akm->gam", self.directions, steps)
         return FaultFilter(responses, steps[:, live], self.rates, self.duration, self.size, self.window)
 
@@ -172,43 +317,43 @@ class LikelihoodNames(Isolation):
 
     def name(self, seen: Seen, start: int, stop: int, last: int) -> Named:
         """Return the groups by their probability at the last sample over the threshold."""
-        posterior = seen.scores.posterior
+        posterior, around = seen.scores.posterior, super().name(seen, start, stop, last)
         assert posterior is not None
-        base = Isolation.name(self, seen, start, stop, last)
-        first = max(start, last - self.window + 1)
-        rows = posterior.white[first : last + 1][seen.tested.usable[first : last + 1]]
-        sizes = sizes_over(seen.generator, seen.residuals, seen.tested.usable, first, last)
-        named = self._named(posterior.probability[last], rows)
-        return replace(named, candidates=with_sizes(named.candidates, sizes), sizes=sizes, fired=base.fired)
+        judged = slice(max(start, last - self.window + 1), last + 1)
+        named = self._ranking(posterior.probability[last], posterior.white[judged][seen.tested.usable[judged]])
+        candidates = with_sizes(named.candidates, around.sizes)
+        return replace(named, candidates=candidates, sizes=around.sizes, fired=around.fired)
 
     def name_now(self, seen: Seen) -> Named:
         """Return the groups by their probability now."""
         posterior = seen.scores.posterior
         assert posterior is not None
         recent = seen.state.recent[0]
-        return self._named(posterior.probability[0], recent[recent[:, -1] > 0, :-1])
+        return self._ranking(posterior.probability[0], recent[recent[:, -1] > 0, :-1])
 
-    def _named(self, probability: NDArray[np.float64], rows: NDArray[np.float64]) -> Named:
+    def _ranking(self, probability: NDArray[np.float64], rows: NDArray[np.float64]) -> Named:
         """Return the attribution from probabilities, and from the white residuals of an alarm."""
         if not self.groups or np.isnan(probability).any():
             return Named()
         order = len(self.coefficients)
         rows = rows[order:] if len(rows) > order else rows  # the first ones are not yet those of a settled step
         z = rows.sum(axis=0) / np.sqrt(max(len(rows), 1))
+        length = float(np.linalg.norm(z))
         ranks = np.argsort(-probability[: len(self.groups)], kind="stable")
-        best = self.lines[:, ranks[0]]
-        candidates = tuple(
-            Candidate(
-                self.groups[g],
-                score := _cosine(z, self.lines[:, g]),
-                float(np.sqrt(max(0.0, 1.0 - score**2))),
-                probability=float(probability[g]),
-                p_value=fit_p_value(z, self.lines[:, g]),
-                pair_p_value=None if g == ranks[0] else pair_p_value(z, self.lines[:, g], best),
+        best, candidates = self.lines[:, ranks[0]], []
+        for g in ranks:
+            line = self.lines[:, g]
+            score = min(abs(float(line @ z)) / length, 1.0) if length > 0 else 0.0
+            candidates.append(
+                by_cosine(
+                    self.groups[g],
+                    score,
+                    probability=float(probability[g]),
+                    p_value=fit_p_value(z, line),
+                    pair_p_value=None if g == ranks[0] else pair_p_value(z, line, best),
+                )
             )
-            for g in ranks
-        )
-        return Named(candidates=candidates, unknown=float(probability[-2]), no_fault=float(probability[-1]))
+        return Named(candidates=tuple(candidates), unknown=float(probability[-2]), no_fault=float(probability[-1]))
 
     # ----------------------------------------------- interface to the rest of a monitor
 
@@ -223,13 +368,39 @@ class LikelihoodNames(Isolation):
         return tuple(row[:, None] for row in self.directions)
 
     def words(self, step: float) -> dict[str, str]:
-        """Describe how faults are named."""
+        """Describe the naming of faults."""
         over = f"{self.window} samples ({self.window * step:g} s)"
         return {"isolation": f"probability of each fault, by the likelihood of steps, told apart by age up to {over}"}
 
     def statement(self, alarm: Alarm, clock: Clock, window: int) -> Statement:
         """Return the statement about an alarm: probabilities and p-values."""
-        return statement_by_probability(alarm, clock, self.word(alarm, window))
+        word, candidates = self.word(alarm, window), scored(alarm)
+        if word is None:
+            return not_isolated(alarm, clock)
+        best = candidates[0]
+        sure = best.probability or 0.0
+        same = tuple(
+            c
+            for c in candidates[1:]  # the window may not tell them apart, and all that went before it may
+            if (c.pair_p_value or 0.0) >= LEVEL and (c.probability or 0.0) >= LEVEL * sure
+        )
+        unknown, none = alarm.unknown or 0.0, alarm.no_fault or 0.0
+        first = f"Probability {number(sure, 3)} of {best.name}, {number(unknown, 3)} of a fault that is not listed, "
+        first += f"{number(none, 3)} of none."
+        sentences, lines = [first], []
+        if best.p_value is not None:
+            verb = "explains" if best.p_value >= LEVEL else "does not explain"
+            text = f"{best.name} alone {verb} the residual to within the noise (p = {number(best.p_value, 2)})"
+            sentences.append(f"{text}.")
+            lines += [text] if best.p_value < LEVEL else []
+        for c in same:
+            text = f"not distinguishable here: {best.name}, {c.name} (p = {number(c.pair_p_value or 0.0, 2)})"
+            sentences.append(f"{text[:1].upper()}{text[1:]}.")
+            lines.append(text)
+        lines.append(f"probability {number(unknown, 3)} of a fault that is not listed, {number(none, 3)} of none")
+        margin = sure - (candidates[1].probability or 0.0) if len(candidates) > 1 else None
+        statement = statement_by_word(alarm, word, clock, sentences, _RULES, margin)
+        return replace(statement, lines=(*statement.lines, *lines))
 
     def word(self, alarm: Alarm, window: int) -> Word | None:
         """Return the word for an alarm by the probabilities of the faults, of one that is not listed, and of none."""
@@ -250,8 +421,6 @@ class LikelihoodNames(Isolation):
             )
         if self.rates.shape != (len(self.groups) + 1,) or not self.rates.sum() < 1:
             raise FileFormatError(f"{where}.rates must be {len(self.groups) + 1} numbers whose sum is below 1")
-        if not self.duration > 1:
-            raise FileFormatError(f"{where}.duration must be above 1 sample")
         if self.groups and not (self.live.any() and np.abs(self.filter.responses[:, -1]).max(axis=1).min() > 0):
             raise FileFormatError(f"{where}.directions: every group must move a residual that noise moves")
 
@@ -275,8 +444,8 @@ def fit_p_value(z: NDArray[np.float64], line: NDArray[np.float64]) -> float | No
 
     if len(z) < 2:
         return None
-    beside = z - line * (line @ z)
-    return float(chdtrc(len(z) - 1, beside @ beside))
+    off_line = z - line * (line @ z)
+    return float(chdtrc(len(z) - 1, off_line @ off_line))
 
 
 def pair_p_value(z: NDArray[np.float64], line: NDArray[np.float64], other: NDArray[np.float64]) -> float:
@@ -290,11 +459,6 @@ def pair_p_value(z: NDArray[np.float64], line: NDArray[np.float64], other: NDArr
     return float(chdtrc(1, (n @ z) ** 2 / (n @ n)))
 
 
-def _cosine(z: NDArray[np.float64], line: NDArray[np.float64]) -> float:
-    size = float(np.linalg.norm(z))
-    return min(abs(float(line @ z)) / size, 1.0) if size > 0 else 0.0
-
-
 def word_by_probability(alarm: Alarm) -> Word | None:
     """Return the word for an alarm by the probabilities of its candidates; ``None`` without any."""
     candidates = scored(alarm)
@@ -302,49 +466,18 @@ def word_by_probability(alarm: Alarm) -> Word | None:
         return None
     best, sure = candidates[0], candidates[0].probability or 0.0
     unknown, none = alarm.unknown or 0.0, alarm.no_fault or 0.0
-    made = Word(GOOD, (best.faults,), why="by its probability", after=alarm.samples)
+    word = Word(GOOD, (best.faults,), why="by its probability", after=alarm.samples)
     if none >= max(LEVEL, unknown):
-        return replace(made, kind=TOO_EARLY, why=f"the probability that there is no fault is {number(none, 2)}")
+        return replace(word, kind=TOO_EARLY, why=f"the probability that there is no fault is {number(none, 2)}")
     if unknown > sure:
-        return replace(made, kind=POOR, why=f"the probability of one that is not listed is {number(unknown, 2)}")
+        return replace(word, kind=POOR, why=f"the probability of one that is not listed is {number(unknown, 2)}")
     if best.p_value is not None and best.p_value < _RARE:
-        return replace(made, kind=POOR, why="no listed fault alone explains the residual to within the noise")
+        return replace(word, kind=POOR, why="no listed fault alone explains the residual to within the noise")
     close = tuple(c.faults for c in candidates if (c.probability or 0.0) >= LEVEL * sure)
     unlisted = unknown >= LEVEL * sure or (best.p_value is not None and best.p_value < LEVEL)
     if unlisted or len(close) > 1:
-        return replace(made, kind=EITHER, faults=close, unlisted=ANYTHING if unlisted else "", why="")
-    return made
-
-
-def statement_by_probability(alarm: Alarm, clock: Clock, word: Word | None) -> Statement:
-    """Return the statement about an alarm whose candidates have probabilities."""
-    candidates = scored(alarm)
-    if word is None:
-        return not_isolated(alarm, clock)
-    best = candidates[0]
-    sure = best.probability or 0.0
-    same = tuple(
-        c
-        for c in candidates[1:]  # the window may not tell them apart, and all that went before it may
-        if (c.pair_p_value or 0.0) >= LEVEL and (c.probability or 0.0) >= LEVEL * sure
-    )
-    unknown, none = alarm.unknown or 0.0, alarm.no_fault or 0.0
-    first = f"Probability {number(sure, 3)} of {best.name}, {number(unknown, 3)} of a fault that is not listed, "
-    first += f"{number(none, 3)} of none."
-    sentences, lines = [first], []
-    if best.p_value is not None:
-        verb = "explains" if best.p_value >= LEVEL else "does not explain"
-        text = f"{best.name} alone {verb} the residual to within the noise (p = {number(best.p_value, 2)})"
-        sentences.append(f"{text}.")
-        lines += [text] if best.p_value < LEVEL else []
-    for c in same:
-        text = f"not distinguishable here: {best.name}, {c.name} (p = {number(c.pair_p_value or 0.0, 2)})"
-        sentences.append(f"{text[:1].upper()}{text[1:]}.")
-        lines.append(text)
-    lines.append(f"probability {number(unknown, 3)} of a fault that is not listed, {number(none, 3)} of none")
-    margin = sure - (candidates[1].probability or 0.0) if len(candidates) > 1 else None
-    said = statement_by_word(alarm, word, clock, sentences, _RULES, margin)
-    return replace(said, lines=(*said.lines, *lines))
+        return replace(word, kind=EITHER, faults=close, unlisted=ANYTHING if unlisted else "", why="")
+    return word
 
 
 @dataclass(frozen=True)
@@ -357,7 +490,7 @@ class Likelihood(IsolationSettings):
 
     at its age :math:`a`; :math:`H_a` is the response of the autoregression of the test to a step. A filter over the
     faults and their arrivals has the probability of each fault, of one that is not listed and of none; see
-    :class:`residua.decide.fault_posterior.FaultFilter` for the equations. Over the alarm, :math:`z = \sum e / \sqrt n`,
+    :class:`residua.decide.likelihood.FaultFilter` for the equations. Over the alarm, :math:`z = \sum e / \sqrt n`,
     the generalised likelihood ratio of a fault against none is :math:`2 \ln \Lambda = (\ell^T z)^2`; the *p-value* of a
     fault is the probability that noise leaves as much of :math:`z` beside it, :math:`|z|^2 - (\ell^T z)^2 \sim
     \chi^2_{m-1}`, and that of a fault against the first one the probability that noise makes the first explain as much
@@ -414,9 +547,10 @@ class Likelihood(IsolationSettings):
     kind: ClassVar[str] = "likelihood"
     makes: ClassVar[type[Isolation]] = LikelihoodNames
     NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {
-        "window": WINDOW,
+        "window": _AGES,
+        "prior_rates": PROBABILITY,
         "unknown_rate": PROBABILITY,
-        "mean_duration": POSITIVE,
+        "mean_duration": _LASTING,
         "size": POSITIVE,
     }
 
@@ -432,8 +566,8 @@ class Likelihood(IsolationSettings):
         object.__setattr__(self, "window", int(self.window))
         rates = self.prior_rates
         if isinstance(rates, Mapping):
-            own = {str(name): _rate(rate, f" of {echo(name)}") for name, rate in rates.items()}
-            object.__setattr__(self, "prior_rates", own)
+            by_name = {str(name): _rate(rate, f" of {echo(name)}") for name, rate in rates.items()}
+            object.__setattr__(self, "prior_rates", by_name)
         else:
             object.__setattr__(self, "prior_rates", _rate(rates))
         _rate(self.unknown_rate, " of an unknown fault")
@@ -484,10 +618,8 @@ class Likelihood(IsolationSettings):
         found = direction_test(
             Directional(1, "steady"), generator.subspaces, generator.steady_directions, test.whitening @ gain
         )
-        groups, rows = found.groups, []
-        for group in groups:
-            row = generator.steady_directions[group[0]] @ test.whitening
-            rows.append(row / np.linalg.norm(row))
+        groups = found.groups
+        rows = [generator.steady_directions[group[0]] @ test.whitening for group in groups]
         rates = [sum(self.rate_of(name) for name in group) for group in groups]
         return LikelihoodNames(
             groups,
@@ -497,7 +629,7 @@ class Likelihood(IsolationSettings):
             test.coefficients,
             test.rewhitening,
             live,
-            np.array(rows).reshape(len(groups), len(test.center)),
+            np.array([row / np.linalg.norm(row) for row in rows]).reshape(len(groups), len(test.center)),
             np.array([*rates, self.unknown_rate]),
             self.mean_duration,
             self.size,
@@ -510,29 +642,6 @@ class Likelihood(IsolationSettings):
         return f"Likelihood(window={self.window})", self.window, (len(generator.faults) + 1) * (k + 1) + k + 1
 
     # --------------------------------------------------------------------------- files
-
-    def to_record(self) -> dict[str, Any]:
-        """Return the settings as a record: the rates as a number or a table."""
-        plain = values_out(replace(self, prior_rates=0.5))
-        rates = self.prior_rates
-        return plain | {"prior_rates": dict(rates) if isinstance(rates, Mapping) else float(rates)}
-
-    @classmethod
-    def from_record(cls, content: Any, where: str) -> Self:
-        """Return the settings that a record describes."""
-        names = ("window", "prior_rates", "unknown_rate", "mean_duration", "size")
-        values = record(content, where, names)
-        rates = values.pop("prior_rates")
-        at = f"{where}.prior_rates"
-        if isinstance(rates, Mapping):
-            rates = {name: number_in(rate, f"{at}.{name}", PROBABILITY) for name, rate in table_in(rates, at).items()}
-        else:
-            rates = number_in(rates, at, PROBABILITY)
-        read = {name: number_in(value, f"{where}.{name}", cls.NUMBER_KINDS[name]) for name, value in values.items()}
-        try:
-            return cls(prior_rates=rates, **read)
-        except SettingError as error:
-            raise FileFormatError(f"{where}: {error}") from error
 
     def check_record(self, content: Mapping[str, Any], where: str) -> None:
         """Raise if the window of the record differs from that of the settings."""
@@ -560,6 +669,3 @@ def moving(test: StreamTest) -> NDArray[np.bool_]:
     first = sizes * 2 * VARIANCE_FLOOR < sizes.min()
     again = np.sum(test.rewhitening**2, axis=0)
     return first & (again * _STILL < again[first].min(initial=np.inf))
-
-
-__all__ = ["Likelihood", "LikelihoodNames", "LikelihoodState", "Posterior", "fit_p_value", "pair_p_value"]

@@ -18,19 +18,27 @@ from residua.decide.isolation import (
     Naming,
     Scores,
     Seen,
+    by_cosine,
     last_over,
     leader,
     longest,
 )
-from residua.decide.matched_hold import HeldState, Match, hold_block, no_match
 from residua.decide.matched_level import Likelihoods, LikelihoodThreshold
-from residua.decide.matched_responses import MatchedTest, match_after, match_block, summed
+from residua.decide.matched_recursion import (
+    HeldState,
+    Match,
+    MatchedTest,
+    hold_block,
+    match_after,
+    match_block,
+    no_match,
+    summed,
+)
 from residua.decide.norm_threshold import NormThreshold
 from residua.decide.sizes import fault_unit
 from residua.decide.statement import Statement, scored, statement_by_score
 from residua.decide.test import Block, ResidualTest, Tested, TestSettings, Watched
 from residua.decide.whitened_norm import NormSettings
-from residua.decide.word import Word
 from residua.design import ResidualGenerator
 from residua.design.banks.matched_filters import MatchedFilters, alike_faults, not_settled, step_responses
 from residua.errors import FileFormatError, SettingError
@@ -62,6 +70,8 @@ class MatchedNames(Isolation):
     matched : MatchedTest
     """
 
+    has_words: ClassVar[bool] = True
+
     matched: MatchedTest
 
     @property
@@ -88,32 +98,86 @@ class MatchedNames(Isolation):
 
     def name(self, seen: Seen, start: int, stop: int, last: int) -> Named:
         """Return the attribution of an alarm at its end, with arrival and onset if known."""
-        match = seen.scores.match
+        match, time, step = seen.scores.match, seen.time, seen.generator.dt
         assert match is not None
-        judged = seen.tested.alarm & seen.tested.exceeded
-        return named_by_match(
-            self.matched, match, seen.scores.scores, judged, start, stop, last, seen.generator, seen.time
-        )
+        at = int(match.source[stop - 1])
+        sources = sources_of(match, seen.tested.alarm & seen.tested.exceeded, start, at)
+
+        def clock(number: int) -> float:
+            return float(time[number]) if 0 <= number < len(time) else float(time[0] + number * step)
+
+        candidates = self._ranked(seen, at, max(at, last), sources, clock)
+        sizes = tuple(size for candidate in candidates for size in candidate.sizes)
+        arrival = candidates[0].arrival
+        return Named(candidates=candidates, sizes=sizes, arrival=arrival, onset=arrival)
 
     def name_now(self, seen: Seen) -> Named:
         """Return the candidates of the latest sample, and the fault and arrival that explain the alarm."""
         match, step = seen.scores.match, seen.generator.dt
         assert match is not None
         ago = seen.count - float(match.arrival[0])
-        candidates = candidates_of_match(
-            self.matched,
-            match,
-            seen.scores.scores,
-            0,
-            seen.generator,
-            lambda number: (seen.count + number) * step,
-            settled=ago > self.matched.window,
-        )
+        now = np.zeros(len(self.matched.faults), dtype=np.int64)
+        settled = ago > self.matched.window
+        candidates = self._ranked(seen, 0, 0, now, lambda number: (seen.count + number) * step, settled=settled)
         return Named(
             candidates=candidates,
             arrived=ago * step if np.isfinite(ago) else None,
             blamed=self.matched.faults[int(match.fault[0])],
         )
+
+    def _ranked(
+        self,
+        seen: Seen,
+        at: int,
+        last: int,
+        sources: NDArray[np.int64],
+        clock: Callable[[int], float],
+        *,
+        settled: bool = False,
+    ) -> tuple[Candidate, ...]:
+        """Return the groups ranked by their likelihood, each with the arrival and size of its faults.
+
+        Parameters
+        ----------
+        seen : Seen
+        at : int
+            The sample of the attribution.
+        last : int
+            That sample or a later one, of which the last sizes are. Where its window holds nothing of that of ``at``,
+            it is new evidence, and the likelihoods of the two are added: it tells a fault that grows, or another one
+            that follows, from the step that the beginning looked like.
+        sources : ndarray of int, shape (faults,)
+            For each fault the sample at which its arrival and size are taken; see :func:`sources_of`.
+        clock : callable
+            From the number of a sample to seconds.
+        settled : bool
+            Whether the last sizes are by the steady responses; always so where ``last`` is not ``at``.
+        """
+        test, match, plant = self.matched, seen.scores.match, seen.generator.plant
+        assert match is not None
+        ratios, shown = match.ratios[at], at
+        if last - at > test.window:
+            ratios = ratios + match.ratios[last]
+            shown = max(at, last, key=lambda k: match.ratios[k].max())
+        ends = match.settled_sizes[last] if settled or last != at else match.sizes[last]
+        sizes = [
+            Size(
+                fault,
+                float(match.sizes[sources[j], j]),
+                float(ends[j]),
+                fault_unit(plant, fault),
+                float(match.deviations[sources[j], j]),
+            )
+            for j, fault in enumerate(test.faults)
+        ]
+        out = []
+        for g, columns in enumerate(test.columns):
+            best = max(columns, key=lambda j: ratios[j])
+            age, score = int(match.ages[sources[best], best]), float(seen.scores.scores[shown, g])
+            arrival = clock(int(sources[best]) - age) if age >= 0 else None
+            of_group = tuple(sizes[j] for j in columns)
+            out.append(by_cosine(test.groups[g], score, sizes=of_group, arrival=arrival, ratio=float(ratios[best])))
+        return tuple(sorted(out, key=lambda c: -(c.ratio or 0.0)))
 
     def name_of_several(self, parts: Sequence[Alarm], exceeded: NDArray[np.bool_], name: Naming) -> Named:
         """Return the attribution of several alarms that are one.
@@ -148,7 +212,7 @@ class MatchedNames(Isolation):
         return tuple(d / np.linalg.norm(d) if d.any() else d[:, :0] for d in directions)
 
     def words(self, step: float) -> dict[str, str]:
-        """Describe how faults are named."""
+        """Describe the naming of faults."""
         window = self.matched.window
         if not len(self.matched.responses):
             return {
@@ -159,14 +223,13 @@ class MatchedNames(Isolation):
             "innovations best; held once that arrival has left the window"
         }
 
-    @property
-    def has_words(self) -> bool:
-        """True."""
-        return True
-
     def statement(self, alarm: Alarm, clock: Clock, window: int) -> Statement:
         """Return the statement about an alarm: the lead of the likelihood, and the arrival of the fault."""
-        return statement_by_likelihood(alarm, clock, self.word(alarm, window))
+        arrived = "It arrived before the window of the matched filters, or grew slowly."
+        if alarm.arrival is not None:
+            arrived = f"Estimated arrival {clock.at(alarm.arrival)}, as a step."
+        statement = statement_by_score(alarm, clock, self.word(alarm, window), meaning=_MEANING)
+        return replace(statement, sentences=(*statement.sentences, arrived)) if scored(alarm) else statement
 
     @property
     def where_missing(self) -> str:
@@ -379,8 +442,25 @@ class Matched(IsolationSettings):
         return cls(design.window, design.steady, design.alike) if isinstance(design, MatchedFilters) else None
 
     def check(self, generator: ResidualGenerator) -> None:
-        """Raise unless the residuals are innovations."""
-        check_white(generator)
+        """Raise unless the residuals are innovations: white, so that products with responses can simply be added."""
+        advice = "design with matched_filters or kalman_filter, on the sampled plant, plant.discretize(dt)"
+        if not generator.faults:
+            raise SettingError("Matched looks for the responses to faults, and this plant has none")
+        covariance = generator.covariance
+        if covariance is None:
+            raise SettingError(
+                f"Matched needs white residuals of known covariance, and this generator has none: {advice}"
+            )
+        spread = np.sqrt(np.diag(covariance))
+        for window in (2, 10):
+            sums = generator.covariance_of_sums(window)
+            assert sums is not None  # as for one sample
+            off = np.abs(sums - covariance) / np.outer(spread, spread)
+            if not off.max(initial=0.0) <= _WHITE:
+                raise SettingError(
+                    f"Matched needs white residuals, and those of this generator ({generator.method}) correlate over "
+                    f"time ({off.max():.2g}): {advice}"
+                )
 
     def own_test(self, design: Any) -> TestSettings | None:
         """Return a threshold on the norm for matched filters, which becomes one on likelihoods; else ``None``."""
@@ -405,33 +485,13 @@ class Matched(IsolationSettings):
     def kept(self, generator: ResidualGenerator) -> tuple[str, int, int] | None:
         """Return the window, and the number of values it keeps: residuals, and their products with all responses."""
         k = generator.n_residuals
-        each = k + 2 + (0 if self.steady else len(generator.faults) * (k + 2))
-        return f"Matched(window={self.window})", self.window + 1, each
+        values = k + 2 + (0 if self.steady else len(generator.faults) * (k + 2))
+        return f"Matched(window={self.window})", self.window + 1, values
 
     def isolation_from_record(self, content: Any, where: str, watched: Watched, test: ResidualTest) -> Isolation:
         """Build the isolation from the test's responses alone; the record is empty."""
         record(content, where, ())
         return self.isolation(watched.generator, test)
-
-
-def check_white(generator: ResidualGenerator) -> None:
-    """Raise unless the residuals are innovations: white, so that products with responses can simply be added."""
-    advice = "design with matched_filters(plant), or kalman_filter(plant), on the sampled plant, plant.discretize(dt)"
-    if not generator.faults:
-        raise SettingError("Matched looks for the responses to faults, and this plant has none")
-    covariance = generator.covariance
-    if covariance is None:
-        raise SettingError(f"Matched needs white residuals of known covariance, and this generator has none: {advice}")
-    spread = np.sqrt(np.diag(covariance))
-    for window in (2, 10):
-        sums = generator.covariance_of_sums(window)
-        assert sums is not None  # as for one sample
-        off = np.abs(sums - covariance) / np.outer(spread, spread)
-        if not off.max(initial=0.0) <= _WHITE:
-            raise SettingError(
-                f"Matched needs white residuals, and those of this generator ({generator.method}) correlate over time "
-                f"({off.max():.2g}): {advice}"
-            )
 
 
 def matched_test(
@@ -455,14 +515,14 @@ def matched_test(
     steady = whitening.T @ settled
     alike = alike_faults(steady[None] if settings.steady else white, settings.alike)
     groups = tuple(tuple(faults[j] for j in group) for group in alike)
-    seen = {name for group in groups for name in group}
+    judged = {name for group in groups for name in group}
     return MatchedTest(
         settings.window,
         faults,
         groups,
         white[:0] if settings.steady else white,
         steady,
-        tuple(name for name in faults if name not in seen),
+        tuple(name for name in faults if name not in judged),
     )
 
 
@@ -476,69 +536,8 @@ def match_scores(test: MatchedTest, ratios: NDArray, sums: NDArray, usable: NDAr
     excess = sums[..., -2] - expected - 3.0 * np.sqrt(2.0 * expected)
     best = np.stack([np.max(ratios[..., list(columns)], axis=-1) for columns in test.columns], axis=-1)
     whole = np.maximum(excess, best.max(axis=-1))
-    known = usable & (whole > 0)
-    return np.where(known[..., None], np.sqrt(best / np.where(known, whole, 1.0)[..., None]), np.nan)
-
-
-def candidates_of_match(
-    test: MatchedTest,
-    match: Match,
-    scores: NDArray[np.float64],
-    at: int,
-    generator: ResidualGenerator,
-    clock: Callable[[float], float],
-    last: int | None = None,
-    settled: bool = False,
-    sources: NDArray[np.int64] | None = None,
-) -> tuple[Candidate, ...]:
-    """Return the groups ranked by their likelihood, each with the arrival and size of its faults.
-
-    Parameters
-    ----------
-    test : MatchedTest
-    match : Match
-        Of one plant.
-    scores : ndarray, shape (time, groups)
-    at : int
-        The sample at which arrivals and sizes are taken.
-    generator : ResidualGenerator
-    clock : callable
-        From the number of a sample to seconds.
-    last : int, optional
-        A later sample, that the last sizes are of. Where its window holds nothing of that of ``at``, it is new
-        evidence, and the likelihoods of the two are added: it tells a fault that grows, or another one that follows,
-        from the step that the beginning looked like.
-    settled : bool
-        Whether the last sizes are by the steady responses; always so where ``last`` is not ``at``.
-    sources : ndarray of int, shape (faults,), optional
-        For each fault the sample at which its arrival and size are taken instead; see :func:`sources_of`.
-    """
-    sources = np.full(len(test.faults), at) if sources is None else sources
-    last = at if last is None else last
-    ratios, shown = match.ratios[at], at
-    if last - at > test.window:
-        ratios = ratios + match.ratios[last]
-        shown = max(at, last, key=lambda k: match.ratios[k].max())
-    ends = match.settled_sizes[last] if settled or last != at else match.sizes[last]
-    out = []
-    for g, columns in enumerate(test.columns):
-        best = max(columns, key=lambda j: ratios[j])
-        age = int(match.ages[sources[best], best])
-        score = float(scores[shown, g])
-        sizes = tuple(
-            Size(
-                test.faults[j],
-                float(match.sizes[sources[j], j]),
-                float(ends[j]),
-                fault_unit(generator.plant, test.faults[j]),
-                float(match.deviations[sources[j], j]),
-            )
-            for j in columns
-        )
-        distance = float(np.sqrt(max(0.0, 1.0 - score**2)))
-        arrival = clock(int(sources[best]) - age) if age >= 0 else None
-        out.append(Candidate(test.groups[g], score, distance, sizes, arrival, float(ratios[best])))
-    return tuple(sorted(out, key=lambda c: -(c.ratio or 0.0)))
+    judged = usable & (whole > 0)
+    return np.where(judged[..., None], np.sqrt(best / np.where(judged, whole, 1.0)[..., None]), np.nan)
 
 
 def sources_of(match: Match, judged: NDArray[np.bool_], raised: int, at: int) -> NDArray[np.int64]:
@@ -562,55 +561,3 @@ def sources_of(match: Match, judged: NDArray[np.bool_], raised: int, at: int) ->
     dated, settled = over & (ages >= 0) & (now - ages <= raised), over & (ages < 0)
     can = np.where(dated.any(axis=0), dated, settled)
     return np.where(can.any(axis=0), at - np.argmax(can[::-1], axis=0), raised)
-
-
-def named_by_match(
-    test: MatchedTest,
-    match: Match,
-    scores: NDArray[np.float64],
-    judged: NDArray[np.bool_],
-    raised: int,
-    stop: int,
-    last: int,
-    generator: ResidualGenerator,
-    time: NDArray[np.float64],
-) -> Named:
-    """Return the attribution of an alarm at its end: candidates, sizes, arrival, and the onset if known.
-
-    Parameters
-    ----------
-    test : MatchedTest
-    match : Match
-        Of one plant.
-    scores : ndarray, shape (time, groups)
-    judged : ndarray of bool, shape (time,)
-        Samples in alarm and over the threshold.
-    raised : int
-        Sample at which the alarm was raised, the first of those that were joined.
-    stop : int
-        The sample after the alarm, or after that of the joined ones which is taken.
-    last : int
-        The last sample over the threshold.
-    generator : ResidualGenerator
-    time : ndarray, shape (time,)
-    """
-
-    def clock(number: float) -> float:
-        inside = 0 <= number < len(time)
-        return float(time[int(number)]) if inside else float(time[0] + number * generator.dt)
-
-    at = int(match.source[stop - 1])
-    sources = sources_of(match, judged, raised, at)
-    candidates = candidates_of_match(test, match, scores, at, generator, clock, max(at, last), sources=sources)
-    arrival = candidates[0].arrival
-    sizes = tuple(s for c in candidates for s in c.sizes)
-    return Named(candidates=candidates, sizes=sizes, arrival=arrival, onset=arrival)
-
-
-def statement_by_likelihood(alarm: Alarm, clock: Clock, word: Word | None) -> Statement:
-    """Return the statement about an alarm, and when the fault arrived."""
-    arrived = "It arrived before the window of the matched filters, or grew slowly."
-    if alarm.arrival is not None:
-        arrived = f"Estimated arrival {clock.at(alarm.arrival)}, as a step."
-    said = statement_by_score(alarm, clock, word, meaning=_MEANING)
-    return replace(said, sentences=(*said.sentences, arrived)) if scored(alarm) else said

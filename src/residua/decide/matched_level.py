@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar
 
@@ -13,7 +13,7 @@ from residua.decide.checks import check_rate, rate_aimed_at
 from residua.decide.false_alarms import observed, promise_of
 from residua.decide.fault_free import FaultFree, Moments
 from residua.decide.isolation import check_groups
-from residua.decide.matched_responses import MatchedTest, MatchState, empty_match, match_block, summed
+from residua.decide.matched_recursion import MatchedTest, MatchState, empty_match, match_block, summed
 from residua.decide.persistence import AlarmRuns
 from residua.decide.test import Block, FaultFreeRun, ResidualTest, Tested, TestSettings, Watched
 from residua.decide.whitened_norm import (
@@ -125,8 +125,8 @@ class LikelihoodTest(NormTest):
         if test.faults != faults:
             raise FileFormatError(f"{where}: faults must be those of the plant")
         rows = len(test.responses) if len(test.responses) == 0 else test.samples
-        wanted = (rows, watched.generator.n_residuals, len(faults))
-        for name, array, shape in (("responses", test.responses, wanted), ("settled", test.settled, wanted[1:])):
+        expected = (rows, watched.generator.n_residuals, len(faults))
+        for name, array, shape in (("responses", test.responses, expected), ("settled", test.settled, expected[1:])):
             if array.shape != shape:
                 raise FileFormatError(f"{where}.{name} must be finite numbers of shape {shape}")
         for group in test.groups:  # a fault without a response cannot be found
@@ -171,8 +171,16 @@ class LikelihoodThreshold(TestSettings):
         return self.settings.remedy
 
     def check(self, watched: Watched) -> None:
-        """Raise if the settings do not suit the watched generator."""
-        self.settings.check(watched)
+        """Raise if the settings do not suit the watched generator, or have no meaning for likelihoods."""
+        settings = self.settings
+        settings.check(watched)
+        if settings.source != "auto":
+            raise SettingError(f"source={settings.source!r} has no meaning for matched filters: leave it at 'auto'")
+        if settings.window != 1:
+            raise SettingError(
+                f"NormThreshold(window={settings.window}) has no meaning for matched filters, whose window is that of "
+                "their responses: leave it at 1"
+            )
 
     def kept(self, watched: Watched) -> tuple[str, int, int] | None:
         """Return the window of the settings."""
@@ -180,31 +188,69 @@ class LikelihoodThreshold(TestSettings):
 
     def from_model(self, watched: Watched) -> LikelihoodTest | None:
         """Return the test that needs no data; ``None`` when data are needed."""
-        generator = watched.generator
-        covariance = generator.covariance_of_sums(self.settings.window)
-        make = self.make(generator)
-        test = matched_test_from_model(self.settings, covariance, generator.n_residuals, make)
-        return None if test is None else self._with(test, make)
+        generator, settings = watched.generator, self.settings
+        norm = norm_test_from_model(settings, generator.covariance_of_sums(1), generator.n_residuals)
+        if norm is None:
+            return None
+        test = _of_likelihoods(norm, self.make(generator))
+        if settings.threshold is not None:
+            return test
+        rate = rate_aimed_at(settings.false_alarm_rate)
+        basis = f"bound on the largest of all hypotheses at {one_in(rate)} samples, noise model of the plant"
+        return replace(test, threshold=level_for_rate(test.matched, rate), basis=basis)
 
     def fitted(self, watched: Watched, run: FaultFreeRun, rate: float) -> LikelihoodTest:
-        """Return the test fitted to fault-free data, for a rate of false alarms."""
+        """Return the test with mean, covariance and threshold fitted to fault-free data, for a rate of false alarms.
+
+        The statistic of each stretch of time is that of the responses whitened by the covariance of the others.
+        """
+        check_rate(rate)
+        settings, residuals, usable = self.settings, run.residuals, run.usable
         make = self.make(watched.generator)
-        test = fit_matched_test(
-            self.settings,
-            run.residuals,
-            run.usable,
-            make,
-            false_alarm_rate=rate,
-            covariance=watched.generator.covariance_of_sums(self.settings.window),
+        norm = fit_moments(
+            replace(settings, threshold=settings.threshold or 1.0),  # that of the norm does not apply here
+            residuals,
+            usable,
+            covariance=watched.generator.covariance_of_sums(1),
             signal_size=run.signal_size(),
             seams=run.seams,
-        )
-        return self._with(test, make)
-
-    def _with(self, test: NormTest, make: MakeTest) -> LikelihoodTest:
-        """Return a test of likelihoods in place of a test of norms."""
-        values = {one.name: getattr(test, one.name) for one in fields(NormTest)}
-        return LikelihoodTest(**values, matched=make(test.whitening))
+        ).test
+        if np.sqrt(np.sum(np.var(residuals[usable], axis=0))) <= SIGNAL_ROUNDING * run.signal_size():
+            raise DataError("these data have no noise, and matched filters weigh a response against noise: add some")
+        test, count = _of_likelihoods(norm, make), int(usable.sum())
+        samples = test.matched.samples
+        if count < 10 * samples:
+            raise DataError(
+                f"{count} usable samples are too few to fit matched filters over {samples} samples: give at least "
+                f"{10 * samples} fault-free samples after the filter has settled"
+            )
+        if settings.threshold is not None:
+            return test
+        data, whole = FaultFree(residuals, usable, 1, run.seams), Moments(test.center, test.whitening)
+        own = np.concatenate([_statistic(test.matched, whole, data, part) for part in data.parts])
+        statistic = own.copy()
+        for held, kept, summed_ in data.held_out():  # cross-fitted, by moments of samples that are far
+            if test.shrinkage is None:  # the covariance is that of the noise model
+                moments, responses = data.moments(kept, summed_, whitening=whole.whitening), test.matched
+            else:
+                moments = data.scaled(data.moments(kept, summed_), whole)
+                responses = make(moments.whitening)
+            for part in data.parts:
+                inside = np.flatnonzero(held[part])
+                if len(inside):
+                    first, last = part.start + int(inside[0]), part.start + int(inside[-1]) + 1
+                    begin = max(part.start, first - samples)  # earlier samples matter that long
+                    values = _statistic(responses, moments, data, slice(begin, last))
+                    statistic[first:last] = values[first - begin :]
+        behind = np.concatenate([np.cumsum(usable[part]) for part in data.parts])
+        seen = observed(
+            statistic, usable & (behind >= samples), usable, data.parts, 1,
+            persistence=test.persistence, release=test.release, window=samples, own=own,
+        )  # fmt: skip
+        promise = promise_of(seen, rate)
+        basis = f"fitted to {count} fault-free samples, {promise}"
+        threshold = float(max(promise.threshold, np.finfo(float).tiny))
+        return replace(test, threshold=threshold, basis=basis, promised=float(promise.promised))
 
     def check_record(self, content: Mapping[str, Any], where: str) -> None:
         """Raise if a record of a test does not match these settings, before anything is built from it."""
@@ -299,90 +345,10 @@ def _tree(test: MatchedTest) -> tuple[NDArray[np.float64], int]:
     return np.array(links), singles
 
 
-def matched_test_from_model(
-    settings: NormSettings, covariance: NDArray | None, n_residuals: int, make: MakeTest
-) -> NormTest | None:
-    """Return whitening and threshold that need no data, or ``None`` when data are needed."""
-    _check_settings(settings)
-    base = norm_test_from_model(settings, covariance, n_residuals)
-    if base is None or settings.threshold is not None:
-        return base
-    rate = rate_aimed_at(settings.false_alarm_rate)
-    level = level_for_rate(make(base.whitening), rate)
-    basis = f"bound on the largest of all hypotheses at {one_in(rate)} samples, noise model of the plant"
-    return replace(base, threshold=level, basis=basis)
-
-
-def fit_matched_test(
-    settings: NormSettings,
-    residuals: NDArray[np.float64],
-    usable: NDArray[np.bool_],
-    make: MakeTest,
-    *,
-    false_alarm_rate: float,
-    covariance: NDArray | None,
-    signal_size: float,
-    seams: Sequence[int] = (),
-) -> NormTest:
-    """Fit mean, covariance and threshold to fault-free residuals, as :func:`fit_norm_test` does.
-
-    The statistic of each stretch of time is that of the responses whitened by the covariance of the others.
-    """
-    _check_settings(settings)
-    check_rate(false_alarm_rate)
-    base = fit_moments(
-        replace(settings, threshold=settings.threshold or 1.0),  # that of the norm does not apply here
-        residuals,
-        usable,
-        covariance=covariance,
-        signal_size=signal_size,
-        seams=seams,
-    ).test
-    if np.sqrt(np.sum(np.var(residuals[usable], axis=0))) <= SIGNAL_ROUNDING * signal_size:
-        raise DataError("these data have no noise, and matched filters weigh a response against noise: add some")
-    test = make(base.whitening)
-    count = int(usable.sum())
-    if count < 10 * test.samples:
-        raise DataError(
-            f"{count} usable samples are too few to fit matched filters over {test.samples} samples: give at least "
-            f"{10 * test.samples} fault-free samples after the filter has settled"
-        )
-    if settings.threshold is not None:
-        return base
-    data = FaultFree(residuals, usable, 1, tuple(seams))
-    known = base.shrinkage is None
-    whole = Moments(base.center, base.whitening)
-    own = np.concatenate([_statistic(test, whole, data, part) for part in data.parts])
-    statistic = _cross_fitted(data, own, test, whole, make, whiten=not known)
-    behind = np.concatenate([np.cumsum(usable[part]) for part in data.parts])
-    seen = observed(
-        statistic, usable & (behind >= test.samples), usable, data.parts, 1,
-        persistence=base.persistence, release=base.release, window=test.samples, own=own,
-    )  # fmt: skip
-    promise = promise_of(seen, false_alarm_rate)
-    basis = f"fitted to {count} fault-free samples, {promise}"
-    threshold = float(max(promise.threshold, np.finfo(float).tiny))
-    return replace(base, threshold=threshold, basis=basis, promised=float(promise.promised))
-
-
-def _cross_fitted(
-    data: FaultFree, own_statistic: NDArray, test: MatchedTest, whole: Moments, make: MakeTest, *, whiten: bool
-) -> NDArray:
-    """Return the cross-fitted statistic of every sample, by moments of samples that are far from it."""
-    out = own_statistic.copy()
-    for held, kept, summed_ in data.held_out():
-        if whiten:
-            own = data.scaled(data.moments(kept, summed_), whole)
-        else:
-            own = data.moments(kept, summed_, whitening=whole.whitening)
-        own_test = make(own.whitening) if whiten else test
-        for part in data.parts:
-            inside = np.flatnonzero(held[part])
-            if len(inside):
-                first, last = part.start + int(inside[0]), part.start + int(inside[-1]) + 1
-                begin = max(part.start, first - test.samples)  # earlier samples matter that long
-                out[first:last] = _statistic(own_test, own, data, slice(begin, last))[first - begin :]
-    return out
+def _of_likelihoods(norm: NormTest, make: MakeTest) -> LikelihoodTest:
+    """Return a test of likelihoods in place of a test of norms."""
+    values = {one.name: getattr(norm, one.name) for one in fields(NormTest)}
+    return LikelihoodTest(**values, matched=make(norm.whitening))
 
 
 def _statistic(test: MatchedTest, moments: Moments, data: FaultFree, part: slice) -> NDArray[np.float64]:
@@ -393,13 +359,3 @@ def _statistic(test: MatchedTest, moments: Moments, data: FaultFree, part: slice
     sums, _ = moving_sum(summed(q, usable[None]), empty_window(1, test.samples, q.shape[2] + 2))
     likelihoods, _ = match_block(test, empty_match(test, 1), q, usable[None], sums)
     return np.sqrt(likelihoods["ratios"][0].max(axis=1))
-
-
-def _check_settings(settings: NormSettings) -> None:
-    if settings.source != "auto":
-        raise SettingError(f"source={settings.source!r} has no meaning for matched filters: leave it at 'auto'")
-    if settings.window != 1:
-        raise SettingError(
-            f"NormThreshold(window={settings.window}) has no meaning for matched filters, whose window is that of "
-            "their responses: leave it at 1"
-        )

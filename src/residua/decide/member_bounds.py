@@ -4,22 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.alarm import Alarm
 from residua.errors import FileFormatError
-from residua.number_kinds import BOUND, POSITIVE
-from residua.records import float_in, float_out, joined, record, table_in
+from residua.number_kinds import BOUND, POSITIVE, NumberKind
+from residua.records import Record, joined, table_in, values_in
 
-#: Pairs of faults that a caution tells at most.
-_TOLD = 4
+#: Pairs of faults that a caution lists at most.
+_LISTED = 4
 
 
 @dataclass(frozen=True)
-class MemberBounds:
+class MemberBounds(Record):
     """Bounds on one member of a bank, named after its fault, over the whole uncertainty set.
 
     Attributes
@@ -32,38 +32,25 @@ class MemberBounds:
         Bound on the effect of other faults of size one, with any time course.
     """
 
+    NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {
+        "disturbances": BOUND,
+        "response": POSITIVE,
+        "leakage": BOUND,
+    }
+
     disturbances: float
     response: float
     leakage: Mapping[str, float]
 
 
-def bounds_out(bounds: Mapping[str, MemberBounds]) -> dict[str, Any]:
-    """Return the bounds of all members as a record."""
-    return {
-        name: {
-            "disturbances": float_out(one.disturbances),
-            "response": float_out(one.response),
-            "leakage": {fault: float_out(value) for fault, value in one.leakage.items()},
-        }
-        for name, one in bounds.items()
-    }
-
-
 def bounds_in(value: Any, where: str, members: Sequence[str]) -> dict[str, MemberBounds]:
     """Return the bounds of all members from a record."""
-    out = {}
-    for name, entry in table_in(value, where).items():
-        at = joined(where, name)
-        content = record(entry, at, ("disturbances", "response", "leakage"))
-        leakage = table_in(content["leakage"], joined(at, "leakage"))
-        out[name] = MemberBounds(
-            float_in(content["disturbances"], joined(at, "disturbances"), BOUND),
-            float_in(content["response"], joined(at, "response"), POSITIVE),
-            {fault: float_in(bound, joined(joined(at, "leakage"), fault), BOUND) for fault, bound in leakage.items()},
-        )
-    if out and set(out) != set(members):
+    bounds: dict[str, MemberBounds] = {
+        name: values_in(entry, joined(where, name), MemberBounds) for name, entry in table_in(value, where).items()
+    }
+    if bounds and set(bounds) != set(members):
         raise FileFormatError(f"{where} must have each member once: {', '.join(members)}")
-    return out
+    return bounds
 
 
 def leakage_cautions(
@@ -97,9 +84,9 @@ def leakage_cautions(
                 "design has certified"
             )
         if cautions:
-            more = f"; and {len(cautions) - _TOLD} more" if len(cautions) > _TOLD else ""
+            more = f"; and {len(cautions) - _LISTED} more" if len(cautions) > _LISTED else ""
             where = f"in alarm {k} " if len(alarms) > 1 else ""
-            out.append(f"other faults leak: {where}{'; '.join(text for _, text in cautions[:_TOLD])}{more}")
+            out.append(f"other faults leak: {where}{'; '.join(text for _, text in cautions[:_LISTED])}{more}")
     return tuple(out)
 
 
@@ -116,10 +103,10 @@ def _explained(
         excess = peaks[name] - bounds[name].disturbances
         for other, leak in bounds[name].leakage.items():
             needed = excess / leak if excess > 0 and leak > 0 else np.inf
-            own = bounds.get(other)  # members are named by their faults
-            allowed = np.inf if own is None else (peaks[other] + own.disturbances) / own.response
+            of_other = bounds.get(other)  # members are named by their faults
+            allowed = np.inf if of_other is None else (peaks[other] + of_other.disturbances) / of_other.response
             if np.isfinite(needed) and needed <= allowed:
                 room = f"its own residual allows up to {allowed:.3g} of a lasting one"
-                reason = "no member sees it" if own is None else room
+                reason = "no member sees it" if of_other is None else room
                 text = f"what fires {name!r} may be {other!r} alone, if that reaches {needed:.3g} or more ({reason})"
                 yield needed / allowed, text

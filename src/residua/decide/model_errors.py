@@ -107,15 +107,15 @@ def errors_of_parameters(uncertain: ParameterBox) -> tuple[tuple[OutputError, ..
         rows = np.where(np.eye(len(names), dtype=bool), far, middle)
         labels = list(names)
     base = _from_inputs(uncertain.nominal)
-    made = []
+    errors = []
     for label, row in zip(labels, rows, strict=True):
         if (row == middle).all():
             continue
         apart = _from_inputs(uncertain.member(row)).parallel(_times(base, -1.0))
-        made.append(OutputError(label, apart.A, apart.B, apart.C, apart.D, apart.dt))
-    if not made:
+        errors.append(OutputError(label, apart.A, apart.B, apart.C, apart.D, apart.dt))
+    if not errors:
         raise ModelError("no parameter of this uncertain plant is uncertain: it has no member but the nominal one")
-    return tuple(made), together
+    return tuple(errors), together
 
 
 def errors_of_gains(plant: Plant, *, changes: bool = False) -> tuple[OutputError, ...]:
@@ -124,7 +124,7 @@ def errors_of_gains(plant: Plant, *, changes: bool = False) -> tuple[OutputError
     With ``changes`` also where it comes a sample late: the difference of the response to that of the sample before.
     """
     whole = _from_inputs(plant)
-    made = []
+    errors = []
     for i, output in enumerate(plant.outputs):
         for j, command in enumerate(plant.inputs):
             one = whole.select(outputs=[i], inputs=[j])
@@ -135,13 +135,13 @@ def errors_of_gains(plant: Plant, *, changes: bool = False) -> tuple[OutputError
             onto = np.zeros((len(plant.outputs), 1))
             onto[i, 0] = 1.0
             name = f"{output} by {command}"
-            made.append(OutputError(name, one.A, one.B @ into, onto @ one.C, onto @ one.D @ into, one.dt))
+            errors.append(OutputError(name, one.A, one.B @ into, onto @ one.C, onto @ one.D @ into, one.dt))
             if changes:
                 late = _change(one)
-                made.append(
+                errors.append(
                     OutputError(f"{name}, late", late.A, late.B @ into, onto @ late.C, onto @ late.D @ into, late.dt)
                 )
-    return tuple(made)
+    return tuple(errors)
 
 
 def residual_errors(errors: Sequence[OutputError], generator: ResidualGenerator) -> tuple[StateSpace, ...]:
@@ -192,6 +192,3 @@ def _change(system: StateSpace) -> StateSpace:
     A = np.block([[system.A, np.zeros((n, p))], [system.C, np.zeros((p, p))]])
     B = np.vstack([system.B, system.D])
     return StateSpace(A, B, np.hstack([system.C, -np.eye(p)]), system.D, dt=system.dt)
-
-
-__all__ = ["OutputError", "ParameterBox", "errors_of_gains", "errors_of_parameters", "residual_errors"]

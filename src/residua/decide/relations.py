@@ -130,18 +130,18 @@ class Relations(Record):
         z = features = _in_spreads(signals, self.middle, self.spread)
         judged = self.moving
         if self.form == HORIZON:
-            state, left = self._over_horizon(state, innovations)
+            state, residuals = self._over_horizon(state, innovations)
         elif self.form == CURVE:
-            left = self._off_curves(z)
+            residuals = self._off_curves(z)
         else:
             if self.form == LAGS:
                 rows = state.rows[:, None] + np.cumsum(np.isfinite(z).all(axis=2), axis=1)
                 judged = judged & (rows[..., None] >= _FORGOTTEN)  # before, the means are of the first row
                 state, features = self._with_lags(state, z)
-            left = z - self.constant - ordered_product(features, self.gains)
+            residuals = z - self.constant - ordered_product(features, self.gains)
         beyond = np.maximum(np.maximum(self.lows - features, features - self.highs), 0.0)
         within = ordered_product(np.where(np.isfinite(beyond), beyond, 0.0), self.reach.T) <= 1.0
-        return state, np.where(judged & within, left, np.nan)
+        return state, np.where(judged & within, residuals, np.nan)
 
     def _with_lags(self, state: RelationsState, z: NDArray[np.float64]) -> tuple[RelationsState, NDArray[np.float64]]:
         """Return channels beside their means; rows with a missing value change none of these.
@@ -151,20 +151,20 @@ class Relations(Record):
         plants, time, q = z.shape
         low, high = self.lows[:q], self.highs[:q]
         entering = np.clip(z, 2 * low - high, 2 * high - low)
-        known = np.asarray(np.isfinite(z).all(axis=2))
+        complete = np.asarray(np.isfinite(z).all(axis=2))
         means = np.repeat(state.averages[:, None], time, axis=1)
         averages, count = state.averages.copy(), state.rows.copy()
         for plant in range(plants):
-            at = np.flatnonzero(known[plant])
+            at = np.flatnonzero(complete[plant])
             if not at.size:
                 continue
             if not count[plant]:
                 averages[plant] = entering[plant, at[0]]
-            held = np.maximum.accumulate(np.where(known[plant], np.arange(time), -1))
-            rows = np.cumsum(known[plant])[held] - 1
+            latest = np.maximum.accumulate(np.where(complete[plant], np.arange(time), -1))
+            rows = np.cumsum(complete[plant])[latest] - 1
             for k, weight in enumerate(LAG_WEIGHTS):
                 after, last = averaged(weight, averages[plant, k][None], entering[plant, at][None])
-                means[plant, :, k] = np.where((held >= 0)[:, None], after[0][rows], averages[plant, k])
+                means[plant, :, k] = np.where((latest >= 0)[:, None], after[0][rows], averages[plant, k])
                 averages[plant, k] = last[0]
             count[plant] += len(at)
         features = np.concatenate([z, means.reshape(plants, time, len(LAG_WEIGHTS) * q)], axis=2)
@@ -172,30 +172,30 @@ class Relations(Record):
 
     def _off_curves(self, z: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the deviation of each channel from its curve, in deviations there."""
-        left = np.full(z.shape, np.nan)
+        residuals = np.full(z.shape, np.nan)
         for i, (first, second) in enumerate(self.drivers.tolist()):
             if first < 0:
                 continue
             off = z[..., i] - np.interp(z[..., first], self.knots[first], self.curves[i, 0])
             if second >= 0:
                 off = off - np.interp(z[..., second], self.knots[second], self.curves[i, 1])
-            left[..., i] = off / np.interp(z[..., first], self.knots[first], self.scales[i])
-        return left
+            residuals[..., i] = off / np.interp(z[..., first], self.knots[first], self.scales[i])
+        return residuals
 
     def _over_horizon(
         self, state: RelationsState, innovations: NDArray[np.float64]
     ) -> tuple[RelationsState, NDArray[np.float64]]:
         """Return the errors of predictions so many rows ahead; an unknown innovation counts as zero."""
-        known = np.asarray(np.isfinite(innovations).all(axis=2))
-        e = np.where(known[..., None], innovations, 0.0)
+        complete = np.asarray(np.isfinite(innovations).all(axis=2))
+        e = np.where(complete[..., None], innovations, 0.0)
         past, rows = len(self.ahead), e.shape[1]
         whole = np.concatenate([state.innovations, e], axis=1)
         errors = e.copy()
         for j, gain in enumerate(self.ahead, 1):
             errors += ordered_product(whole[:, past - j : past - j + rows], gain.T)
-        left = np.full((*known.shape, len(self.spread)), np.nan)
-        left[..., self.outputs] = np.where(known[..., None], errors, np.nan)
-        return replace(state, innovations=whole[:, len(whole[0]) - past :].copy()), left
+        residuals = np.full((*complete.shape, len(self.spread)), np.nan)
+        residuals[..., self.outputs] = np.where(complete[..., None], errors, np.nan)
+        return replace(state, innovations=whole[:, len(whole[0]) - past :].copy()), residuals
 
 
 # ------------------------------------------------------------------------------ fitting
@@ -226,7 +226,7 @@ def fit_relations(
     Returns
     -------
     relations : Relations
-    left : ndarray, shape (time, channels)
+    residuals : ndarray, shape (time, channels)
 
     Raises
     ------
@@ -249,11 +249,11 @@ def fit_relations(
     )  # fmt: skip
     if form == HORIZON:
         size = np.sqrt(np.nanmean(innovations[used] ** 2, axis=0))
-        made = replace(blank, ahead=_ahead(system, inputs, size), outputs=_outputs_of(system, inputs))
-        left = np.concatenate(
-            [made.run(made.start(1), signals[None, p], innovations[None, p])[1][0] for p in recordings]
+        relations = replace(blank, ahead=_ahead(system, inputs, size), outputs=_outputs_of(system, inputs))
+        residuals = np.concatenate(
+            [relations.run(relations.start(1), signals[None, p], innovations[None, p])[1][0] for p in recordings]
         )
-        return made, np.where(used[:, None], left, np.nan)
+        return relations, np.where(used[:, None], residuals, np.nan)
     features = z
     if form == LAGS:
         whole = _in_spreads(signals, middle, spread)
@@ -261,9 +261,9 @@ def fit_relations(
         features = np.concatenate(parts)[used]
     folds = np.minimum(np.arange(count) * _FOLDS // count, _FOLDS - 1)
     fitted, off = _curves(z, folds) if form == CURVE else _regressions(features, z, folds)
-    left = np.full(signals.shape, np.nan)
-    left[used] = off
-    return replace(blank, **fitted), np.where(spread > 0, left, np.nan)
+    residuals = np.full(signals.shape, np.nan)
+    residuals[used] = off
+    return replace(blank, **fitted), np.where(spread > 0, residuals, np.nan)
 
 
 def _in_spreads(
@@ -278,7 +278,7 @@ def _normal_equations(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the products of a basis with itself and with targets, of each fold."""
     parts = [(basis[folds == f], targets[folds == f]) for f in range(_FOLDS)]
-    return np.array([own.T @ own for own, _ in parts]), np.array([own.T @ one for own, one in parts])
+    return np.array([rows.T @ rows for rows, _ in parts]), np.array([rows.T @ one for rows, one in parts])
 
 
 def _regressions(
@@ -294,10 +294,10 @@ def _regressions(
     moving = np.concatenate([[True], np.diag(total)[1:] > 0])
     for i in range(q):
         mine = np.flatnonzero((owner != i) & moving)
-        square, held = np.ix_(mine, mine), np.diag((mine > 0) * 1.0)
+        square, penalised = np.ix_(mine, mine), np.diag((mine > 0) * 1.0)
         best = np.inf
         for penalty in _PENALTIES:
-            ridge = penalty * count * held
+            ridge = penalty * count * penalised
             errors = np.empty(count)
             for f in range(_FOLDS):
                 weights = np.linalg.solve((total - grams[f])[square] + ridge, (whole - right[f])[mine, i])
@@ -318,11 +318,12 @@ def _curves(z: NDArray[np.float64], folds: NDArray[np.int64]) -> tuple[dict[str,
     """Return each channel as a piecewise linear curve of one other, or a sum of two, chosen by cross-validation."""
     count, q = z.shape
     knots = [np.unique(np.quantile(z[:, j], np.linspace(0, 1, _KNOTS))) for j in range(q)]
-    hats = [_hats(z[:, j], own) for j, own in enumerate(knots)]
+    # weights of the knots in piecewise linear interpolation, a row for each value
+    hats = [np.stack([np.interp(z[:, j], at, one) for one in np.eye(len(at))], axis=1) for j, at in enumerate(knots)]
     alone = np.full((q, q), np.inf)
     for j in range(q):
         if len(knots[j]) > 1:
-            alone[:, j] = np.mean(_foretold(hats[j], z, folds)[0] ** 2, axis=0)
+            alone[:, j] = np.mean(_cross_validated(hats[j], z, folds)[0] ** 2, axis=0)
     np.fill_diagonal(alone, np.inf)
     drivers, curves, scales = np.full((q, 2), -1), np.zeros((q, 2, _KNOTS)), np.ones((q, _KNOTS))
     off, reach = np.full((count, q), np.nan), np.zeros((q, q))
@@ -331,11 +332,11 @@ def _curves(z: NDArray[np.float64], folds: NDArray[np.int64]) -> tuple[dict[str,
             continue
         order = np.argsort(alone[i], kind="stable")
         first = int(order[0])
-        chosen, (errors, weights) = [first], _foretold(hats[first], z[:, [i]], folds)
+        chosen, (errors, weights) = [first], _cross_validated(hats[first], z[:, [i]], folds)
         best = alone[i, first]
         for other in order[1 : 1 + _TRIED].tolist():
             if np.isfinite(alone[i, other]):
-                found = _foretold(np.hstack([hats[first], hats[other]]), z[:, [i]], folds)
+                found = _cross_validated(np.hstack([hats[first], hats[other]]), z[:, [i]], folds)
                 error = float(np.mean(found[0] ** 2))
                 if error < min(best, alone[i, first] * (1 - _SAVES) ** 2):
                     best, chosen, (errors, weights) = error, [first, other], found
@@ -349,7 +350,7 @@ def _curves(z: NDArray[np.float64], folds: NDArray[np.int64]) -> tuple[dict[str,
             drivers[i, k], curves[i, k] = j, _padded(at[k])
             ends = np.abs(np.diff(at[k]) / np.diff(knots[j]))[[0, -1]]
             reach[i, j] = ends.max() / (_OUTSIDE * max(whole, TINY))
-    grid = np.array([_padded(own, 1.0) for own in knots])
+    grid = np.array([_padded(values, 1.0) for values in knots])
     return {"drivers": drivers, "knots": grid, "curves": curves, "scales": scales, "reach": reach}, off
 
 
@@ -359,22 +360,17 @@ def _padded(values: NDArray[np.float64], step: float = 0.0) -> NDArray[np.float6
     return np.concatenate([values, values[-1] + step * np.arange(1, more + 1)])
 
 
-def _hats(x: NDArray[np.float64], knots: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the weights of the knots in piecewise linear interpolation, a row for each value."""
-    return np.stack([np.interp(x, knots, one) for one in np.eye(len(knots))], axis=1)
-
-
-def _foretold(
+def _cross_validated(
     basis: NDArray[np.float64], targets: NDArray[np.float64], folds: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return cross-validated least-squares errors of targets, fold by fold, and the weights of all rows."""
     grams, right = _normal_equations(basis, targets, folds)
-    total, whole, held = grams.sum(axis=0), right.sum(axis=0), DATA_ROUNDING * len(basis) * np.eye(basis.shape[1])
+    total, whole, ridge = grams.sum(axis=0), right.sum(axis=0), DATA_ROUNDING * len(basis) * np.eye(basis.shape[1])
     errors = np.empty_like(targets)
     for f in range(_FOLDS):
-        weights = np.linalg.solve(total - grams[f] + held, whole - right[f])
+        weights = np.linalg.solve(total - grams[f] + ridge, whole - right[f])
         errors[folds == f] = targets[folds == f] - basis[folds == f] @ weights
-    return errors, np.linalg.solve(total + held, whole)
+    return errors, np.linalg.solve(total + ridge, whole)
 
 
 def _ahead(system: StateSpace, inputs: int, size: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -401,6 +397,3 @@ def _outputs_of(system: StateSpace, inputs: int) -> NDArray[np.int64]:
     if now.shape[0] != now.shape[1] or not np.array_equal(now, np.eye(len(now))):
         raise DataError("a horizon needs residuals that are outputs less their predictions, as of a Kalman filter")
     return inputs + np.arange(len(now))
-
-
-__all__ = ["CURVE", "FORMS", "HORIZON", "LAGS", "STATIC", "Relations", "RelationsState", "fit_relations"]

@@ -201,7 +201,7 @@ def findings_of(
     covariance : ndarray, shape (k, k), optional
         By the noise model.
     white : bool, optional
-        Whether the residual is white by the noise model; omitted without one.
+        True if the residual is white by the noise model; omitted without one.
     """
     whole, count = FaultFree(run.residuals, run.usable, 1, run.seams), int(run.usable.sum())
     check_enough(count, run.residuals.shape[1], 1)
@@ -214,7 +214,7 @@ def findings_of(
     data = _without(places, whole)
     moves = np.array([bool(column.any()) for column in data.deviations[data.usable].T])
     expected = None if covariance is None else np.sqrt(np.diag(covariance))
-    facts, left = [], []
+    facts, errors = [], []
     for j, name in enumerate(names):
         one, e = _facts(
             data,
@@ -225,11 +225,11 @@ def findings_of(
             None if expected is None else float(expected[j]),
         )
         facts.append(one)
-        left.append(e)
+        errors.append(e)
     moved = [j for j in range(len(names)) if moves[j]]
-    made = treated(data, "auto", CUSUM().harmless_offset)
-    parts, independent, notes = made.parts, made.moving, made.notes
-    bursts = _bursts(left, facts, moved)
+    treatment = treated(data, "auto", CUSUM().harmless_offset)
+    parts, independent, notes = treatment.parts, treatment.moving, treatment.notes
+    bursts = _bursts(errors, facts, moved)
     found = [
         *_memory(data, facts, moved, white, bursts),
         *bursts,
@@ -240,7 +240,7 @@ def findings_of(
     ]
     level = max(1 - SURE_OF_CHANGE, LEVEL)
     found += [Finding("drift", one.residuals, one.sentence(len(whole.parts) > 1), level) for one in places]
-    worth = count / max(float(correlation_times(_squares(data), data.parts)[0]), 1.0)
+    effective = count / max(float(correlation_times(_squares(data), data.parts)[0]), 1.0)
     return ResidualReport(
         count,
         len(whole.parts),
@@ -248,7 +248,7 @@ def findings_of(
         tuple(found),
         places,
         independent,
-        least_rate(worth),
+        least_rate(effective),
         _advice(found, len(parts["coefficients"]), count),
     )
 
@@ -283,18 +283,23 @@ def _facts(
     order, e = 0, column[data.usable, 0]
     if p < LEVEL:
         model = autoregression(column, data.usable, data.parts)
-        order, e = model.order, _left(model.coefficients, column, data)
+        order, e = model.order, _innovations(model.coefficients, column, data)
     e = (e - e.mean()) / max(float(e.std()), np.finfo(float).tiny)
     skewness, kurtosis, normality = _moments(e)
-    tail, tail_error = _tail(np.abs(e))
-    worth = count / float(correlation_times(column, data.parts)[0])
+    size = np.abs(e)
+    start = float(np.quantile(size, 1 - _TAIL))
+    over = size[size > start] - start
+    tail, tail_error = ParetoTail(start, over, _TAIL, float(max(len(over), 1))).shape
+    independent = count / float(correlation_times(column, data.parts)[0])
     return ResidualFacts(
-        name, unit, mean, deviation, expected, worth, largest + 1, float(rho[largest]), p, order,
+        name, unit, mean, deviation, expected, independent, largest + 1, float(rho[largest]), p, order,
         skewness, kurtosis, normality, float(np.mean(e < 0)), tail, tail_error, len(np.unique(used)),
     ), e  # fmt: skip
 
 
-def _left(coefficients: NDArray[np.float64], column: NDArray[np.float64], data: FaultFree) -> NDArray[np.float64]:
+def _innovations(
+    coefficients: NDArray[np.float64], column: NDArray[np.float64], data: FaultFree
+) -> NDArray[np.float64]:
     """Return the innovations of the samples whose past is known."""
     out = []
     for part in data.parts:
@@ -313,9 +318,9 @@ def _correlations(x: NDArray[np.float64], parts: Sequence[slice], lags: int) -> 
     """Return the correlations in time, of the lags from one."""
     total = np.zeros(lags + 1)
     for part in parts:
-        here = x[part]
-        for lag in range(min(lags, len(here) - 1) + 1):
-            total[lag] += here[: len(here) - lag] @ here[lag:]
+        column = x[part]
+        for lag in range(min(lags, len(column) - 1) + 1):
+            total[lag] += column[: len(column) - lag] @ column[lag:]
     return total[1:] / total[0]
 
 
@@ -327,13 +332,6 @@ def _moments(e: NDArray[np.float64]) -> tuple[float, float, float]:
     from scipy.stats import kurtosistest, skewtest  # slow to import, and needed only here
 
     return skewness, kurtosis, float(min(1.0, 2 * min(skewtest(e).pvalue, kurtosistest(e).pvalue)))
-
-
-def _tail(size: NDArray[np.float64]) -> tuple[float, float]:
-    """Return the shape of the tail of the sizes of samples, and its standard deviation."""
-    start = float(np.quantile(size, 1 - _TAIL))
-    over = size[size > start] - start
-    return ParetoTail(start, over, _TAIL, float(max(len(over), 1))).shape
 
 
 def _squares(data: FaultFree) -> NDArray[np.float64]:
@@ -374,16 +372,18 @@ def _memory(
     return [Finding("memory", names, text, LEVEL)]
 
 
-def _bursts(left: Sequence[NDArray[np.float64]], facts: Sequence[ResidualFacts], moved: Sequence[int]) -> list[Finding]:
+def _bursts(
+    errors: Sequence[NDArray[np.float64]], facts: Sequence[ResidualFacts], moved: Sequence[int]
+) -> list[Finding]:
     """Find residuals whose innovations have a size correlated in time: by ranks, for any tails."""
     from scipy.special import ndtri
 
     names = []
     for j in moved:
-        n = len(left[j])
+        n = len(errors[j])
         if n < _LEAST:
             continue
-        _, place, count = np.unique(np.abs(left[j]), return_inverse=True, return_counts=True)
+        _, place, count = np.unique(np.abs(errors[j]), return_inverse=True, return_counts=True)
         ranks = np.cumsum(count) - (count + 1) / 2  # of equal values the mean
         z = ndtri((ranks + 0.5) / n)[place][:, None]
         if whiteness(z - z.mean(), np.ones(n, dtype=bool), (slice(0, n),), most=_lags(n)) < LEVEL / len(moved):
@@ -479,8 +479,8 @@ def _copies(names: Sequence[str], moves: NDArray[np.bool_], independent: int, no
     if still:
         found.append(f"{some(still, _LISTED)} never move{'s' * (len(still) == 1)}")
     if independent < int(moves.sum()):
-        said = [one for one in notes if "independent" in one or "predicted exactly" in one]
-        found.append("; ".join(said) or f"{independent} of the {len(names)} residuals are independent")
+        reasons = [one for one in notes if "independent" in one or "predicted exactly" in one]
+        found.append("; ".join(reasons) or f"{independent} of the {len(names)} residuals are independent")
     return [Finding("copies", (), "; ".join(found), 0.0)] if found else []
 
 
@@ -519,6 +519,3 @@ def _advice(found: Sequence[Finding], order: int, samples: int) -> tuple[str, ..
             "a designed test holds: CUSUM(mean_time_between_false_alarms=...), or NormThreshold for single samples"
         )
     return tuple(out)
-
-
-__all__ = ["LEVEL", "Finding", "ResidualFacts", "ResidualReport", "findings_of"]

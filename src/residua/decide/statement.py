@@ -91,9 +91,9 @@ def statement_by_score(
 def statement_by_word(
     alarm: Alarm, word: Word, clock: Clock, sentences: Sequence[str], rules: str, margin: float | None = None
 ) -> Statement:
-    """Return the statement about an alarm that has a word, with its basis and how to read it."""
-    said = (*sentences, *(line for group in word.faults[:1] for line in not_apart(group)))
-    return Statement(word.headline(raised_text(alarm, clock)), word.kind, margin, said, (word.line,), rules=rules)
+    """Return the statement about an alarm that has a word, with its basis and the reading of its numbers."""
+    basis = (*sentences, *(line for group in word.faults[:1] for line in not_apart(group)))
+    return Statement(word.headline(raised_text(alarm, clock)), word.kind, margin, basis, (word.line,), rules=rules)
 
 
 def word_by_score(alarm: Alarm, window: int) -> Word | None:
@@ -102,13 +102,13 @@ def word_by_score(alarm: Alarm, window: int) -> Word | None:
     if not candidates:
         return None
     best = candidates[0]
-    made = Word(EITHER, (best.faults,), after=alarm.samples)
+    word = Word(EITHER, (best.faults,), after=alarm.samples)
     if alarm.samples < window:
-        return replace(made, kind=TOO_EARLY, why=too_short(window))
+        return replace(word, kind=TOO_EARLY, why=too_short(window))
     if best.score < POOR_SCORE:
-        return replace(made, kind=POOR, why=f"the best score is {score(best.score)}, below {POOR_SCORE:.2f}")
+        return replace(word, kind=POOR, why=f"the best score is {score(best.score)}, below {POOR_SCORE:.2f}")
     close = tuple(c.faults for c in candidates if c.score > best.score - CLOSE_MARGIN)
-    return replace(made, faults=close, unlisted=ANYTHING)
+    return replace(word, faults=close, unlisted=ANYTHING)
 
 
 def scored(alarm: Alarm) -> list[Candidate]:

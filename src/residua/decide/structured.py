@@ -13,21 +13,44 @@ from numpy.typing import ArrayLike, NDArray
 from residua.analysis.codes import equal_codes, strongly_isolating
 from residua.decide.alarm import Alarm, Candidate, PresentFault
 from residua.decide.checks import check_samples, is_number
-from residua.decide.code_reading import CodeReading, distinct_rows, each_once, pairs_of
-from residua.decide.code_words import statement_by_code, word_by_code
+from residua.decide.code_reading import CodeReading, booleans, distinct_rows, each_once, pairs_of
 from residua.decide.compiled import CompiledCodes
 from residua.decide.isolation import Isolation, IsolationSettings, Named, Naming, Scores, Seen, check_groups, last_over
 from residua.decide.member_bounds import MemberBounds, leakage_cautions
 from residua.decide.sizes import sizes_over, with_sizes
-from residua.decide.statement import Statement
+from residua.decide.statement import Statement, capital, raised_text, statement_by_word, too_short
 from residua.decide.test import Block, ResidualTest, Tested, TestSettings, Watched
 from residua.decide.window import WindowState, empty_window, moving_sum
-from residua.decide.word import Word
+from residua.decide.word import ANYTHING, EITHER, GOOD, POOR, TOO_EARLY, Word
 from residua.design import ResidualGenerator
 from residua.errors import DataError, FileFormatError, ModelError, SettingError
 from residua.number_kinds import SHARE, WINDOW, NumberKind
 from residua.recording.clock import Clock
 from residua.visible import echo
+from residua.words import listing, percent
+
+#: A code that stood in less than this fraction of an alarm's samples is unsteady: too early.
+_STEADY_SHARE = 0.5
+
+_CODE_RULES = (
+    "A code says which members a fault fires, not how strongly. Good match: just those of one listed fault fired for "
+    f"{100 * _STEADY_SHARE:g} % of the alarm at least, not all members did, and no other listed fault's code is one "
+    "member away. Either: it is the code of several listed faults, or one is a member away, or members of a code are "
+    "silent, or all members fired. Poor match: members fired that no listed fault fires together. Too early: the alarm "
+    "is short, or the members that fire change."
+)
+
+_SCORE_RULE = "The score is the fraction of the members that agree with a code."
+
+_DEDICATED_RULES = (
+    "Every fault fires a member of its own. A member that fires alone names its fault, a good match unless it is the "
+    "only one. Either: members that fire together, or one after the other in one alarm, are of several faults, each "
+    "there since its own member fired, or of one that is not listed. Too early: the alarm is short, or the members "
+    "that fire change."
+)
+
+#: Causes that an exact code cannot exclude.
+_SAME_CODE = "Just the members that answer to it fired; a fault that is not listed could fire the same ones."
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +97,7 @@ class CodeTest(Isolation):
     settled : tuple of tuple of str
         For each group, those of its faults that have this code only once they are constant.
     at_once : bool
-        Whether a member that fires counts as fired at once, in a dedicated bank: its test has a window of its own.
+        True if a member that fires counts as fired at once, in a dedicated bank: its test has a window of its own.
     """
 
     NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {"window": WINDOW, "share": SHARE}
@@ -119,9 +142,9 @@ class CodeTest(Isolation):
         """Read one pattern of fired members; see :func:`read_code`."""
         pattern = np.asarray(fired, dtype=bool)
         codes, groups, settled = self.codes, self.groups, self.settled
-        made = (tuple(bool(x) for x in pattern), self.members)
+        seen = (tuple(pattern.tolist()), self.members)
         if not pattern.any():
-            return CodeReading("none", (), 0, (), (), *made)
+            return CodeReading("none", (), 0, (), (), *seen)
         off = np.count_nonzero(codes != pattern[:, None], axis=0)
         below = np.flatnonzero((off > 0) & (codes <= pattern[:, None]).all(axis=0))
         first, second = np.triu_indices(len(below), 1)
@@ -132,21 +155,21 @@ class CodeTest(Isolation):
         if (off == 0).any():
             g = int(off.argmin())
             wider = each_once([groups[g], *(groups[j] for j in above[off[above] > 0])])[1:]
-            return CodeReading("exact", groups[g], 0, pairs, (), *made, settled[g], wider)
+            return CodeReading("exact", groups[g], 0, pairs, (), *seen, settled[g], wider)
         if self.dedicated and (codes.any(axis=1) | ~pattern).all():  # each member that fired has a fault of its own
-            own = sorted((groups[g] for g in np.flatnonzero(pattern @ codes)), key=self.member_of)
-            return CodeReading("several", (), 0, pairs, (), *made, together=tuple(own))
+            together = sorted((groups[g] for g in np.flatnonzero(pattern @ codes)), key=self.member_of)
+            return CodeReading("several", (), 0, pairs, (), *seen, together=tuple(together))
         if len({groups[g] for g in above}) == 1 and self.strongly_isolating:  # its own settled code may be there too
             g = int(above[0])
-            return CodeReading("degraded", groups[g], int(off[g]), pairs, (), *made, settled[g])
+            return CodeReading("degraded", groups[g], int(off[g]), pairs, (), *seen, settled[g])
         smallest = int(off.min(initial=len(pattern) + 1))
         near = np.flatnonzero(off == smallest)
         nearest = tuple(dict.fromkeys(groups[g] for g in near))  # both codes of one fault can be equally near
         possible = each_once(groups[g] for g in above)
         alone = len(nearest) == 1 and all(set(group) <= set(nearest[0]) for group in possible)
         if alone and smallest <= self.distance and not pattern.all():
-            return CodeReading("nearest", nearest[0], smallest, pairs, (), *made, settled[near[0]])
-        return CodeReading("unknown", (), smallest if len(near) else -1, pairs, nearest, *made, possible=possible)
+            return CodeReading("nearest", nearest[0], smallest, pairs, (), *seen, settled[near[0]])
+        return CodeReading("unknown", (), smallest if len(near) else -1, pairs, nearest, *seen, possible=possible)
 
     # ------------------------------------------------------------------------ running
 
@@ -184,36 +207,52 @@ class CodeTest(Isolation):
     def name(self, seen: Seen, start: int, stop: int, last: int) -> Named:
         """Return the pattern of members that stood the longest, and the candidates by it.
 
-        Of a dedicated bank with all members that lasted: each is a fault of its own.
+        Of a dedicated bank with every other member that counted as fired for an isolation window in all: a fault that
+        came later has its member too, and a false alarm of a member is shorter. By a peak test they are all members
+        that fired: one sample over its threshold declares the fault, and its own window holds it.
         """
-        code, usable = seen.scores.code, seen.tested.usable
-        assert code is not None
+        assert seen.scores.code is not None
         judged = slice(start, last + 1)
-        pattern, share = longest_code(code[judged], usable[judged])
+        code, fired, usable = seen.scores.code[judged], seen.tested.fired, seen.tested.usable
+        pattern, share = longest_code(code, usable[judged])
         if self.dedicated:
-            pattern, share = named_pattern(self, pattern, code[judged], seen.tested.fired[judged], usable[judged])
+            counted = code & usable[judged, None]
+            later = fired[judged].any(axis=0) if self.at_once else counted.sum(axis=0) >= self.window
+            pattern = pattern | later
+            shown = code[usable[judged] & code.any(axis=1)]
+            share = float((shown == pattern).all(axis=1).mean()) if len(shown) else 0.0
         reading = self.read(pattern)
-        first = max(start, last - self.window + 1)
-        sizes = sizes_over(seen.generator, seen.residuals, usable, first, last)
+        sizes = sizes_over(seen.generator, seen.residuals, usable, max(start, last - self.window + 1), last)
+        present = []
+        for group in reading.named if self.dedicated else ():
+            member = self.member_of(group)
+            on = start + np.flatnonzero(fired[start:stop, member])
+            if on.size:  # a member may count as fired for a moment longer than its alarm lasts
+                after = int(on[-1]) + 1
+                until = float(seen.time[after]) if after < len(seen.time) else None
+                present.append(PresentFault(group, self.members[member], float(seen.time[on[0]]), until))
         return Named(
             candidates=with_sizes(candidates_of_code(reading, self), sizes),
             sizes=sizes,
             reading=reading,
             read_share=share,
-            present=present_faults(self, reading, seen.tested.fired, seen.time, start, stop),
+            present=tuple(sorted(present, key=lambda fault: fault.since)),
         )
 
     def name_now(self, seen: Seen) -> Named:
-        """Read the members that fired over the window up to now."""
+        """Read the members that fired over the window up to now, with the time at which each first fired."""
         assert seen.scores.code is not None
-        reading = self.read(seen.scores.code[0])
-        present = present_now(self, reading, seen.state.since[0], seen.generator.dt)
+        reading, since = self.read(seen.scores.code[0]), seen.state.since[0]
+        fired = [(group, self.member_of(group)) for group in (reading.named if self.dedicated else ())]
+        step = seen.generator.dt
+        present = [PresentFault(g, self.members[m], (int(since[m]) - 1) * step) for g, m in fired if since[m] > 0]
+        present = tuple(sorted(present, key=lambda fault: fault.since))
         return Named(candidates=candidates_of_code(reading, self), reading=reading, present=present)
 
     def same_event(self, before: Alarm, alarm: Alarm) -> bool:
         """Tell whether two alarms have the same leader; of a dedicated bank, one of their faults in common."""
         if self.dedicated:
-            one, other = _named_by(before), _named_by(alarm)
+            one, other = (set(alarm.reading.named) if alarm.reading else set() for alarm in (before, alarm))
             if one or other:
                 return bool(one & other)
         return super().same_event(before, alarm)
@@ -242,7 +281,7 @@ class CodeTest(Isolation):
         return 1 if self.at_once and self.dedicated else self.window
 
     def words(self, step: float) -> dict[str, str]:
-        """Describe how faults are named."""
+        """Describe the naming of faults."""
         if self.dedicated and self.at_once:
             return {
                 "isolation": "every fault has a member of its own: each member that fires in an alarm names its fault"
@@ -255,19 +294,46 @@ class CodeTest(Isolation):
             return {"isolation": f"{sentence}; every fault has a member of its own, so several at once are all named"}
         return {"isolation": f"{sentence}; nearest codes up to {self.distance} off"}
 
-    def statement(self, alarm: Alarm, clock: Clock, window: int) -> Statement:
-        """Return the statement about an alarm: the members that fired, and their reading."""
-        return statement_by_code(alarm, clock, self.word(alarm, window), dedicated=self.dedicated)
-
     def word(self, alarm: Alarm, window: int) -> Word:
-        """Return how well the code of a listed fault explains the members that fired."""
-        assert alarm.reading is not None
-        pattern = np.array(alarm.reading.pattern, dtype=bool)[:, None]
+        """Return the word for an alarm: the fit of the codes of listed faults to the members that fired."""
+        reading = alarm.reading
+        assert reading is not None
+        word = Word(GOOD, reading.named, why="by its code", after=alarm.samples)
+        wavers = not reading.together and alarm.read_share is not None and alarm.read_share < _STEADY_SHARE
+        if reading.answer == "none" or alarm.samples < window or wavers:
+            why = too_short(window) if alarm.samples < window else "the members that fire change"
+            return replace(word, kind=TOO_EARLY, why=why, together=bool(reading.together))
+        if reading.together:
+            return replace(word, kind=EITHER, why="", unlisted=ANYTHING, together=True)
+        pattern = np.array(reading.pattern, dtype=bool)[:, None]
         off = np.count_nonzero(self.codes != pattern, axis=0)
-        around = np.flatnonzero((self.codes >= pattern).all(axis=0))
+        around = np.flatnonzero((self.codes >= pattern).all(axis=0))  # codes that hold the pattern, the nearest first
         around = around[np.argsort(off[around], kind="stable")]
-        near = np.flatnonzero(off == 1)
-        return word_by_code(alarm, window, *(each_once(self.groups[g] for g in which) for which in (around, near)))
+        if not around.size:
+            faults = reading.named or ((reading.close,) if reading.close else ())
+            return replace(word, kind=POOR, faults=faults, why="no listed fault fires just these members")
+        close = each_once(self.groups[g] for g in (*around, *np.flatnonzero(off == 1)))
+        unlisted = "" if reading.answer == "exact" and not all(reading.pattern) else ANYTHING
+        if unlisted or sum(map(len, close)) > 1:
+            return replace(word, kind=EITHER, why="", faults=close, unlisted=unlisted)
+        return word
+
+    def statement(self, alarm: Alarm, clock: Clock, window: int) -> Statement:
+        """Return the statement about an alarm: the members that fired, their reading, and its certainty."""
+        reading, word = alarm.reading, self.word(alarm, window)
+        assert reading is not None
+        sentences = [f"Fired: {listing(reading.fired) or 'none'}; {reading.meaning}."]
+        if alarm.read_share:
+            share = percent(round(1000 * alarm.read_share), 1000)
+            these = "all of these members had fired" if reading.together else "these were the members that fired"
+            sentences.append(f"In {share} of the alarm's samples {these}.")
+        rules = (_DEDICATED_RULES if self.dedicated else _CODE_RULES) + (f" {_SCORE_RULE}" if alarm.candidates else "")
+        if reading.together:
+            return _statement_about_several(alarm, word, clock, sentences, rules)
+        if word.kind == GOOD:
+            sentences.append(_SAME_CODE)
+        statement = statement_by_word(alarm, word, clock, sentences, rules, alarm.margin)
+        return replace(statement, lines=(str(reading), *statement.lines))
 
     def cautions(self, bounds: Mapping[str, MemberBounds], alarms: Sequence[Alarm], seen: Seen) -> tuple[str, ...]:
         """Return for each alarm its residuals that a single other fault may have driven over their thresholds."""
@@ -284,8 +350,8 @@ class CodeTest(Isolation):
             set(s) - set(g) for s, g in zip(self.settled, self.groups, strict=True)
         ):
             raise FileFormatError(f"{where}: settled must name faults of each of the {len(self.groups)} groups")
-        own = [[x for x in g if x not in s] for g, s in zip(self.groups, self.settled, strict=True)]
-        check_groups(own, self.unjudged, where, watched.generator.faults)
+        lasting = [[x for x in g if x not in s] for g, s in zip(self.groups, self.settled, strict=True)]
+        check_groups(lasting, self.unjudged, where, watched.generator.faults)
         if len(self.members) != count or self.codes.shape != (count, len(self.groups)):
             raise FileFormatError(f"{where}: codes must be true or false, {count} members x {len(self.groups)} groups")
         if self.at_once != (test.horizon > 0):
@@ -379,6 +445,30 @@ class Structured(IsolationSettings):
             raise FileFormatError(f"{where}.window must be that of isolate, {self.window}")
 
 
+def _statement_about_several(alarm: Alarm, word: Word, clock: Clock, sentences: list[str], rules: str) -> Statement:
+    """Return the statement for several faults of a dedicated bank, each with its own time."""
+    reading = alarm.reading
+    assert reading is not None
+    sentences += [
+        f"{p.name}: its member fell silent at {clock.at(p.until)}." for p in alarm.present if p.until is not None
+    ]
+    sentences += [
+        f"This monitor does not distinguish {listing(group)}." for group in reading.together if len(group) > 1
+    ]
+    sentences.append("Each fault has a member of its own here; one that is not listed may fire any of them.")
+    timed = [p.faults for p in alarm.present]
+    names = listing(
+        [f"{p.name} (fired from {clock.at(p.since)})" for p in alarm.present]
+        + [" or ".join(group) for group in reading.together if group not in timed]
+    )
+    headline = f"Fault found: either {len(reading.together)} at once, {names}, or one that is not listed."
+    if word.kind == TOO_EARLY:
+        when = capital(raised_text(alarm, clock))
+        headline = f"{when}, too early to be sure of the names, for {word.why}; so far {names}."
+    lines = (str(reading), *(str(fault) for fault in alarm.present), word.line)
+    return Statement(headline, word.kind, None, tuple(sentences), lines, reading.together, rules)
+
+
 def settled_codes(generator: ResidualGenerator) -> NDArray[np.bool_]:
     """Return the members that a constant fault still fires once the residual has settled: (members, faults).
 
@@ -396,8 +486,8 @@ def codes_of(generator: ResidualGenerator, isolate: Structured, *, at_once: bool
     """Return the codes of a bank: those of its faults, and those of constant faults if they differ."""
     assert generator.codes is not None
     names = [member.name for member in generator.members]
-    made = code_test(isolate, generator.codes, generator.faults, names, settled=settled_codes(generator))
-    return replace(made, at_once=at_once)
+    codes = code_test(isolate, generator.codes, generator.faults, names, settled=settled_codes(generator))
+    return replace(codes, at_once=at_once)
 
 
 def code_test(
@@ -413,9 +503,11 @@ def code_test(
     ``settled``, of the same shape, are the codes of constant faults: one that is not empty, and not the fault's own
     code, is a further code of the fault.
     """
-    table = np.asarray(codes, dtype=bool)
-    if table.ndim != 2 or table.shape[1] != len(faults) or (members is not None and len(table) != len(members)):
+    table = booleans(codes, "codes")
+    if table.ndim != 2 or table.shape[1] != len(faults):
         raise DataError(f"codes must have a row per member and a column per fault ({len(faults)}), got {table.shape}")
+    if members is not None and len(members) != len(table):
+        raise DataError(f"expected {len(table)} names of members, got {len(members)}")
     names = tuple(members) if members is not None else tuple(str(i + 1) for i in range(len(table)))
     later = np.zeros_like(table) if settled is None else np.asarray(settled, dtype=bool)
     if later.shape != table.shape:
@@ -429,127 +521,6 @@ def code_test(
     silent = tuple(fault for j, fault in enumerate(faults) if not table[:, j].any())
     marked = tuple(tuple(faults[j % n] for j in group if j >= n) for group in equal)
     return CodeTest(settings.window, settings.share, settings.distance, names, groups, columns, silent, marked)
-
-
-def read_code(
-    fired: ArrayLike,
-    codes: ArrayLike,
-    faults: Sequence[str],
-    *,
-    members: Sequence[str] | None = None,
-    distance: int = 1,
-) -> CodeReading:
-    """Read the fired members of a bank against the codes of the faults.
-
-    In this order:
-
-    1. no member fired: *none*, no fault;
-    2. the pattern is the code of a fault: *exact*;
-    3. every code is a single member (a dedicated bank), and each member that fired is one: *several*. There is just
-       one way to fire them, all of ``together`` at once;
-    4. it is the code of just one fault with some ones missing, and the set of codes is strongly isolating (no
-       code is another one with ones missing): *degraded*. A fault too small, or too slow, for some members does that;
-    5. one code is nearer than all others (Hamming distance), differs in no more than ``distance`` members, and the
-       pattern is part of no other fault's code: *nearest*. Not for a pattern in which all members fired: two faults
-       at once do that in most banks;
-    6. anything else: *unknown*: a single fault of whose code the pattern is part (``possible`` lists them), more than
-       one fault, or one that the bank does not know.
-
-    Guaranteed: a fault that fires just the members that its code promises is read exactly. A fault that fires only
-    some of them is not read as another one by a *degraded* or *nearest* code: as another one only where it fires all
-    members of that one's code and no more (*exact*; never in a strongly isolating set). Two faults at once whose
-    pattern is the code of a third, or comes near it, are read as that third; ``pairs`` then names them. In a dedicated
-    bank any number of faults at once that each fire their member, and no other, are read as just these. A fault that
-    the bank does not know may fire the members of others there, as in any bank.
-
-    Parameters
-    ----------
-    fired : array_like of bool, shape (members,)
-    codes : array_like of bool, shape (members, faults)
-        Which member each fault fires. Faults with equal codes are one group; one without any code is never read.
-    faults : sequence of str
-    members : sequence of str, optional
-        Their names, for texts; numbers when omitted.
-    distance : int
-
-    Returns
-    -------
-    CodeReading
-
-    Raises
-    ------
-    DataError
-        If the shapes do not fit.
-
-    References
-    ----------
-    Gertler (1991), section 4 (strongly isolating codes, degraded patterns).
-
-    Examples
-    --------
-    >>> from residua.decide import read_code
-    >>> codes = [[0, 1, 1], [1, 0, 1], [1, 1, 0]]
-    >>> print(read_code([True, False, True], codes, ["y1", "y2", "y3"], members=["A", "B", "C"]))
-    fired: A, C; code of 'y2' (exact)
-    >>> read_code([True, True, True], codes, ["y1", "y2", "y3"]).answer
-    'unknown'
-    >>> dedicated = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
-    >>> print(read_code([True, False, True], dedicated, ["y1", "y2", "y3"], members=["A", "B", "C"]))
-    fired: A, C; several faults: 'y1' and 'y3'
-    """
-    test = code_test(Structured(distance=distance), codes, faults, members)
-    pattern = np.asarray(fired)
-    if pattern.shape != (len(test.members),):
-        raise DataError(f"fired must have one entry per member ({len(test.members)}), got shape {pattern.shape}")
-    return test.read(pattern)
-
-
-def read_codes(
-    fired: ArrayLike,
-    codes: ArrayLike,
-    faults: Sequence[str],
-    *,
-    members: Sequence[str] | None = None,
-    distance: int = 1,
-) -> tuple[NDArray[np.int64], tuple[CodeReading, ...]]:
-    """Read many patterns at once, such as those of a fleet; see :func:`read_code`.
-
-    Parameters
-    ----------
-    fired : array_like of bool, shape (..., members)
-        Such as (plants, time, members).
-    codes, faults, members, distance
-        As for :func:`read_code`.
-
-    Returns
-    -------
-    index : ndarray of int, shape (...)
-        Number of the reading of each pattern.
-    readings : tuple of CodeReading
-        One for each pattern that occurs.
-
-    Raises
-    ------
-    DataError
-        If the shapes do not fit.
-
-    Examples
-    --------
-    >>> from residua.decide import read_codes
-    >>> index, readings = read_codes([[0, 1], [1, 1], [0, 1]], [[1, 0], [0, 1]], ["a", "b"])
-    >>> [readings[k].answer for k in index]
-    ['exact', 'several', 'exact']
-    """
-    test = code_test(Structured(distance=distance), codes, faults, members)
-    patterns = np.asarray(fired, dtype=bool)
-    if patterns.ndim < 1 or patterns.shape[-1] != len(test.members):
-        raise DataError(f"fired must have {len(test.members)} members in its last axis, got shape {patterns.shape}")
-    rows = patterns.reshape(-1, patterns.shape[-1])
-    _, first, index = distinct_rows(rows)
-    return index.reshape(patterns.shape[:-1]), tuple(test.read(rows[k]) for k in first)
-
-
-# ------------------------------------------------------------------ the attribution of an alarm
 
 
 def candidates_of_code(reading: CodeReading, codes: CodeTest) -> tuple[Candidate, ...]:
@@ -597,71 +568,6 @@ def longest_code(code: NDArray[np.bool_], counted: NDArray[np.bool_]) -> tuple[N
     return rows[::-1][first[best]], float(counts[best] / len(rows))
 
 
-def named_pattern(
-    codes: CodeTest,
-    longest: NDArray[np.bool_],
-    code: NDArray[np.bool_],
-    fired: NDArray[np.bool_],
-    usable: NDArray[np.bool_],
-) -> tuple[NDArray[np.bool_], float]:
-    """Return the members that an alarm of a dedicated bank names, and the share of its samples with just these.
-
-    They are those of the pattern that stood the longest, and every other that counted as fired for an isolation window
-    in all: a fault that came later has its member too, and a false alarm of a member is shorter. By a peak test they
-    are all members that fired: one sample over its threshold declares the fault, and its own window holds it.
-    ``code`` and ``fired``, of shape (time, members), and ``usable`` are those of the samples of the alarm.
-    """
-    if codes.at_once:
-        more = fired.any(axis=0)
-    else:
-        more = np.count_nonzero(code & usable[:, None], axis=0) >= codes.window
-    pattern = longest | more
-    read = code[usable & code.any(axis=1)]
-    return pattern, float((read == pattern).all(axis=1).mean()) if len(read) else 0.0
-
-
-def present_faults(
-    codes: CodeTest, reading: CodeReading, fired: NDArray[np.bool_], time: NDArray[np.float64], start: int, stop: int
-) -> tuple[PresentFault, ...]:
-    """Return the faults that were read with the times at which their members fired, the first one first.
-
-    Parameters
-    ----------
-    codes : CodeTest
-    reading : CodeReading
-    fired : ndarray of bool, shape (time, members)
-        Of the whole recording.
-    time : ndarray, shape (time,)
-    start, stop : int
-        First sample of the alarm and the one after it.
-    """
-    present = []
-    for group in reading.named if codes.dedicated else ():
-        member = codes.member_of(group)
-        on = start + np.flatnonzero(fired[start:stop, member])
-        if on.size:  # a member may count as fired for a moment longer than its alarm lasts
-            after = int(on[-1]) + 1
-            until = float(time[after]) if after < len(time) else None
-            present.append(PresentFault(group, codes.members[member], float(time[on[0]]), until))
-    return tuple(sorted(present, key=lambda fault: fault.since))
-
-
-def present_now(
-    codes: CodeTest, reading: CodeReading, since: NDArray[np.int64], step: float
-) -> tuple[PresentFault, ...]:
-    """Return the faults that are read now; ``since``: sample at which each member first fired, ``step`` in seconds."""
-    if not codes.dedicated:
-        return ()
-    fired = [(group, codes.member_of(group)) for group in reading.named]
-    present = [PresentFault(g, codes.members[m], (int(since[m]) - 1) * step) for g, m in fired if since[m] > 0]
-    return tuple(sorted(present, key=lambda fault: fault.since))
-
-
-def _named_by(alarm: Alarm) -> set[tuple[str, ...]]:
-    """Return the groups of faults that an alarm names by code."""
-    return set(alarm.reading.named) if alarm.reading else set()
-
-
 def alarms_since(fired: NDArray[np.bool_], state: CodeState, count: int | NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the sample number at which each member first fired in the standing alarm.
 
@@ -686,6 +592,3 @@ def alarms_since(fired: NDArray[np.bool_], state: CodeState, count: int | NDArra
     standing = fired & (samples > last_off[:, None])[..., None]
     first = np.where(standing.any(axis=1), np.reshape(count, (-1, 1)) + 1 + standing.argmax(axis=1), 0)
     return np.where((last_off == -1)[:, None] & (before > 0), before, first)
-
-
-__all__ = ["CodeReading", "CodeTest", "Structured", "code_test", "distinct_rows", "read_code", "read_codes"]

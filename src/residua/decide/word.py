@@ -1,4 +1,4 @@
-"""Word of a verdict: whether a listed fault explains an alarm, and its wording."""
+"""Word of a verdict: the fit of listed faults to an alarm, and its wording."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ class Word:
     why : str
         Reason for a good match, or for another word; empty if faults were fitted to the residual.
     together : bool
-        Whether the faults are present at once, rather than one of them.
+        True if the faults are present at once, rather than one of them.
     quieter : bool
-        Whether the rest is less than the noise of the fit: a frozen sensor, or other units.
+        True if the rest is less than the noise of the fit: a frozen sensor, or other units.
     from_start : bool
-        Whether it was present when judging began, or too soon after for a comparison with earlier samples.
+        True if it was present when judging began, or too soon after for a comparison with earlier samples.
     after : int
         Samples of the alarm that it rests on.
     evidence : float
@@ -114,11 +114,11 @@ class Word:
         """Sentences on the basis of the word."""
         if not self.names or not self.fitted:
             return ()
-        said = f"After {self.after} samples of the alarm, {self.names[0]} explains {100 * self.share:.0f} % of the "
-        said += "residual beyond noise"
+        text = f"After {self.after} samples of the alarm, {self.names[0]} explains {100 * self.share:.0f} % of the "
+        text += "residual beyond noise"
         if math.isfinite(self.size) and math.isfinite(self.deviation):
-            said += f"; as a step, its size is {number(self.size, 3)} ± {number(self.deviation, 2)}"
-        return (f"{said}.",)
+            text += f"; as a step, its size is {number(self.size, 3)} ± {number(self.deviation, 2)}"
+        return (f"{text}.",)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -131,6 +131,3 @@ class Word:
             "after": self.after,
             **{name: value if math.isfinite(value) else None for name, value in values.items()},
         }
-
-
-__all__ = ["ANYTHING", "EITHER", "GOOD", "POOR", "RULES", "TOO_EARLY", "Word"]

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.decide.clear_mean import WEIGHTS
 from residua.decide.compiled import CompiledIsolation, CompiledTest
+from residua.decide.directional import MEAN_WEIGHTS
 from residua.errors import ModelError, SettingError
 from residua.export import step_texts as texts
 from residua.export.judging import OF_PARTS, Judging, judging_of
@@ -209,7 +209,7 @@ def _sizes(spec: Specification, judging: Judging, inputs: int) -> dict[str, int]
         "FIRST": 0 if spec.first is None else spec.first.samples,
         "TEST_WINDOW": test.window,
         "NAMING_WINDOW": naming.window,
-        "LONG_MEANS": 0 if naming.window else len(WEIGHTS),
+        "LONG_MEANS": 0 if naming.window else len(MEAN_WEIGHTS),
         "PERSISTENCE": test.persistence,
         "RELEASE": test.release,
         "REMEMBERS": int(test.statistic not in ("norm", OF_PARTS)),
@@ -307,9 +307,9 @@ def _constants(
         array("clips", test.lengths[0] if test.lengths else None),
         array("fulls", test.lengths[1] if test.lengths else None),
         array("roots", np.sqrt(np.arange(1.0, test.window + 1))),
-        array("long_weights", WEIGHTS),
-        array("long_old_weights", [1 - weight for weight in WEIGHTS]),
-        array("long_factors", [(2 - weight) / weight for weight in WEIGHTS]),
+        array("long_weights", MEAN_WEIGHTS),
+        array("long_old_weights", [1 - weight for weight in MEAN_WEIGHTS]),
+        array("long_factors", [(2 - weight) / weight for weight in MEAN_WEIGHTS]),
         array("bases", np.hstack(naming.bases) if naming.bases else None),
         array("group_of_column", columns, "count"),
         array("dimension", [basis.shape[1] for basis in naming.bases], "count"),

@@ -15,17 +15,15 @@ from residua.identify.channel_facts import channel_facts
 from residua.identify.equations import EquationChoice, Equations, choose_equations, fit_equations, most_orders
 from residua.identify.fit_report import FitReport, facts_of_fit, order_table, share
 from residua.identify.hankel_factor import hankel_factor
-from residua.identify.identified_model import Prediction, one_step_predictions, uncertain_along, with_faults_of
+from residua.identify.identified_model import RecordedModel
 from residua.identify.segments import Names, checked_count, gather
-from residua.plant import InputOutputModel, Plant, UncertainPlant
+from residua.plant import InputOutputModel, Plant
 from residua.progress import Progress, progress_of
 from residua.shown import Shown
 from residua.visible import echo
 from residua.words import counted
 
 PastOf = Literal["auto", "own", "all"]
-#: Directions of the uncertainty that are kept, unless the caller says otherwise.
-_DIRECTIONS = 6
 #: Terms of an equation that a text shows.
 _SHOWN = 12
 #: Orders that a text lists on each side of the chosen one.
@@ -141,7 +139,7 @@ class EquationReport(Shown, FitReport):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ArxModel:
+class ArxModel(RecordedModel):
     """Linear equations from recordings, one for each output, with their report and uncertainty.
 
     Attributes
@@ -174,102 +172,21 @@ class ArxModel:
         size = np.concatenate(self.basis.scale())
         return self.basis.covariance * np.outer(size, size)
 
-    def uncertain_plant(
-        self, plant: Plant | None = None, *, level: float = 0.95, directions: int = _DIRECTIONS
-    ) -> UncertainPlant:
-        r"""Return the plant with the uncertainty of its coefficients.
+    def _directions(self, most: int) -> tuple[NDArray[np.float64], list[dict[str, NDArray[np.float64]]]]:
+        """Return the leading directions of the covariance of the coefficients."""
+        return self.basis.directions(most)
 
-        The covariance of the coefficients of all equations is :math:`\sum_k \lambda_k v_k v_k^T`, in units of the
-        channels' standard deviations; the leading directions :math:`v_k` are the parameters, each within
-        :math:`\pm q \sqrt{\lambda_k}` with the quantile ``q`` of the level for all of them together.
-
-        Parameters
-        ----------
-        plant : Plant, optional
-            The model's plant with faults; :attr:`plant` when omitted. The columns of actuator faults vary with those
-            of their inputs.
-        level : float
-            Probability that a Gaussian estimate lies in the box.
-        directions : int
-            Directions that are kept, the largest ones first.
-
-        Raises
-        ------
-        SettingError
-            If the level is no probability, the plant is not this one with faults, or there are more than 2000
-            coefficients.
-
-        Notes
-        -----
-        An :class:`residua.InputOutputModel` has no uncertain form: designs from its equations take the nominal one.
-
-        Assumes white equation errors: where the report calls them coloured, the box is too small. What the directions
-        that are left out would add is not covered, and where an input acts within the row (feedthrough) products of
-        two errors are left out.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> import residua as rs
-        >>> rng = np.random.default_rng(0)
-        >>> u = rng.standard_normal((2000, 1))
-        >>> plant = rs.Plant([[0.8]], [[1.0]], [[1.0]], dt=1)
-        >>> y = plant.system("control").simulate(u) + 0.1 * rng.standard_normal((2000, 1))
-        >>> model = rs.identify.arx(u, y, order=1)
-        >>> model.uncertain_plant().names
-        ('model 1', 'model 2')
-        """
-        nominal = with_faults_of(self.plant, plant)
-        values, vectors = self.basis.directions(directions)
-        return uncertain_along(nominal, values, vectors, level)
-
-    def predict(self, recordings: Any, y: ArrayLike | None = None) -> tuple[Prediction, ...]:
-        r"""Return the one-step predictions of the outputs of recordings by the equations, in plant units.
-
-        The first rows of each stretch without missing values, as many as the longest equation looks back, have none.
-
-        Parameters
-        ----------
-        recordings : Recording, data frame, path, array, pair (u, y), or a list of these
-            As in :func:`residua.identify.arx`; they need not be those that the model is from.
-        y : array_like, shape (time, outputs), optional
-
-        Returns
-        -------
-        tuple of Prediction
-            One for each recording.
-
-        Raises
-        ------
-        DataError
-            If a channel is missing, the step is another, or no row is complete.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> import residua as rs
-        >>> rng = np.random.default_rng(0)
-        >>> u = rng.standard_normal((2000, 1))
-        >>> plant = rs.Plant([[0.8]], [[1.0]], [[1.0]], dt=1)
-        >>> y = plant.system("control").simulate(u) + 0.1 * rng.standard_normal((2000, 1))
-        >>> [seen] = rs.identify.arx(u, y).predict(u, y)
-        >>> float(np.nanstd(seen.error).round(1))
-        0.1
-        """
-        channels = {name: i for i, name in enumerate(self.plant.inputs + self.plant.outputs)}
-        equations = self.report.equations
+    def _predicted(self, Z: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the predictions of the equations."""
+        equations, channels = self.report.equations, self.plant.inputs + self.plant.outputs
         past = max((row for one in equations for _, row in one.terms), default=0)
-
-        def predicted(Z: NDArray[np.float64]) -> NDArray[np.float64]:
-            out = np.full((len(Z), len(equations)), np.nan)
-            if len(Z) > past:
-                out[past:] = 0.0
-                for i, one in enumerate(equations):
-                    for (name, row), value in zip(one.terms, one.coefficients, strict=True):
-                        out[past:, i] += value * Z[past - row : len(Z) - row, channels[name]]
-            return out
-
-        return one_step_predictions(self.plant, recordings, y, predicted)
+        out = np.full((len(Z), len(equations)), np.nan)
+        if len(Z) > past:
+            out[past:] = 0.0
+            for i, one in enumerate(equations):
+                for (name, row), value in zip(one.terms, one.coefficients, strict=True):
+                    out[past:, i] += value * Z[past - row : len(Z) - row, channels.index(name)]
+        return out
 
     def __repr__(self) -> str:
         orders = ", ".join(str(one.order) for one in self.report.equations)
@@ -417,26 +334,20 @@ def arx(
     finally:
         close()
     plant, V = basis.plant(units=units, name=name)
-    report = EquationReport(
-        **facts_of_fit(basis.innovations(), first, last, facts, factor, feedthrough=feedthrough),
-        method="ARX",
-        steady_gain=basis.steady_gain(),
-        equations=_in_own_units(basis, choices),
-    )
-    report = replace(report, notes=(*gathered.notes, *facts.notes(gathered), *report.notes))
-    model = basis.model(name=name, units=units, plant=plant)
-    return ArxModel(model, plant.with_identification(report.identification), report, V, basis)
-
-
-def _in_own_units(basis: Equations, choices: tuple[EquationChoice, ...]) -> tuple[Equation, ...]:
-    """Return the equations as users see them."""
-    made = []
-    channels, m = basis.inputs + basis.outputs, len(basis.inputs)
+    equations, channels, m = [], basis.inputs + basis.outputs, len(basis.inputs)
     for i, (one, size, choice) in enumerate(zip(basis.each, basis.scale(), choices, strict=True)):
         variance, inverse = basis.error_covariance[i, i], one.inverse[1:]
         C = variance * (inverse @ inverse.T) * np.outer(size, size)
         terms = tuple((channels[c], row + basis.delays.get(channels[c], 0)) for c, row in one.terms)
         error, errors = float(np.sqrt(variance) * basis.units[m + i]), np.sqrt(np.diag(C))
         kind = (basis.outputs[i], one.shape.order, one.shape.coupled)
-        made.append(Equation(*kind, terms, one.values * size, errors, C, error, choice))
-    return tuple(made)
+        equations.append(Equation(*kind, terms, one.values * size, errors, C, error, choice))
+    report = EquationReport(
+        **facts_of_fit(basis.innovations(), first, last, facts, factor, feedthrough=feedthrough),
+        method="ARX",
+        steady_gain=basis.steady_gain(),
+        equations=tuple(equations),
+    )
+    report = replace(report, notes=(*gathered.notes, *facts.notes(gathered), *report.notes))
+    model = basis.model(name=name, units=units, plant=plant)
+    return ArxModel(model, plant.with_identification(report.identification), report, V, basis)

@@ -181,7 +181,7 @@ def channel_facts(gathered: Gathered) -> ChannelFacts:
         count[segment.recording] += len(block)
         total[segment.recording] += (block - first).sum(axis=0)
     seen = count > 0
-    own_mean = first + total / np.maximum(count, 1.0)[:, None]
+    means = first + total / np.maximum(count, 1.0)[:, None]
     mean = first + total.sum(axis=0) / count.sum()
     outer, within = np.zeros((n, n)), np.zeros((recordings, n))
     slope, spread_of_time = np.zeros((recordings, n)), np.zeros(recordings)
@@ -191,10 +191,10 @@ def channel_facts(gathered: Gathered) -> ChannelFacts:
     for segment, start, block in gathered.blocks():
         k, centred = segment.recording, block - mean
         outer += centred.T @ centred
-        own = centred - (own_mean[k] - mean)
-        within[k] += np.einsum("ij,ij->j", own, own)
-        times = segment.start + start + np.arange(len(own)) - middle[k]
-        slope[k] += times @ own
+        within_recording = centred - (means[k] - mean)
+        within[k] += np.einsum("ij,ij->j", within_recording, within_recording)
+        times = segment.start + start + np.arange(len(within_recording)) - middle[k]
+        slope[k] += times @ within_recording
         spread_of_time[k] += times @ times
     explained = (slope**2 / np.maximum(spread_of_time, 1.0)[:, None])[seen].sum(axis=0)
     within_all = within[seen].sum(axis=0)
@@ -210,7 +210,7 @@ def channel_facts(gathered: Gathered) -> ChannelFacts:
         mean,
         np.sqrt(np.diag(outer) / count.sum()),
         outer / count.sum(),
-        np.where(seen[:, None], own_mean, np.nan),
+        np.where(seen[:, None], means, np.nan),
         np.where(seen[:, None], np.sqrt(within / np.maximum(count, 1.0)[:, None]), np.nan),
         explained / np.where(within_all > 0, within_all, 1.0),
         np.array([len(np.unique(column)) for column in np.vstack(longest).T]),
@@ -323,16 +323,16 @@ def outlying_values(gathered: Gathered) -> tuple[str, ...]:
         usual = f"the middle is {number(float(middle[k]))}, the usual distance {number(float(unit[k]))}"
         share = f"{100 * far_squares[k] / squares[k]:.3g} % of its variance"
         if count[k] == 1:
-            said = (
+            remark = (
                 f"a value far outside the rest, {place} ({usual}): this one row makes {share}, and decides what a "
                 "model says of it; set it missing (NaN) unless it is a measurement"
             )
         else:
-            said = (
+            remark = (
                 f"{counted(int(count[k]), 'value')} far outside the rest, the first one {place} ({usual}): they make "
                 f"{share}, and decide what a model says of it; set them missing (NaN) unless they are measurements"
             )
-        notes.append(f"{plain.channels[k]!r} has {said}")
+        notes.append(f"{plain.channels[k]!r} has {remark}")
     return (*notes, *_standstills(plain, runs))
 
 
@@ -359,15 +359,15 @@ def _standstills(gathered: Gathered, runs: list[_Runs]) -> list[str]:
             shared = min(length + first, other[0] + other[2]) - max(first, other[2])
             if recording == other[1] and shared > 0.8 * max(length, other[0]) and name not in together:
                 together.append(name)
-    said = [note for name, (_, note) in notes.items() if name not in together]
+    remarks = [note for name, (_, note) in notes.items() if name not in together]
     if together:
         length, recording, first, _ = notes[together[0]][0].longest
-        said.append(
+        remarks.append(
             f"{some(map(repr, together))} {'stands' if len(together) == 1 else 'stand'} still together with other "
             f"outputs for about {counted(length, 'row')} from row {first}{_where(gathered, recording)} on: was the "
             "plant at rest, or did the recording stop? Rows that show no normal operation are better left out"
         )
-    return said
+    return remarks
 
 
 def _where(gathered: Gathered, recording: int) -> str:
@@ -393,8 +393,8 @@ def guessed_inputs(recordings: Sequence[NDArray[np.float64]], channels: Sequence
     """
     steps = np.vstack([np.diff(one, axis=0) for one in recordings])
     known = np.isfinite(steps)
-    held = (known & (steps == 0)).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
-    found = tuple(name for name, share in zip(channels, held.tolist(), strict=True) if _HELD <= share < 1)
+    repeated = (known & (steps == 0)).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+    found = tuple(name for name, share in zip(channels, repeated.tolist(), strict=True) if _HELD <= share < 1)
     return () if len(found) == len(channels) else found
 
 

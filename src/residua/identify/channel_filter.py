@@ -202,13 +202,13 @@ class Treated:
 
         As arrays of shape (lags + 1, residuals, channels), the present sample first; a difference reads one more.
         """
-        own = weights / self.units.spread
+        plain = weights / self.units.spread
         differenced = [self.ways.get(name) == DIFFERENCE for name in self.gathered.channels]
         if any(differenced):
-            own = np.concatenate([own, np.zeros_like(own[:1])])
-            own[1:, :, differenced] -= own[:-1, :, differenced].copy()
-        out = np.zeros((*own.shape[:2], len(self.whole.channels)))
-        out[:, :, list(self.used)] = own
+            plain = np.concatenate([plain, np.zeros_like(plain[:1])])
+            plain[1:, :, differenced] -= plain[:-1, :, differenced].copy()
+        out = np.zeros((*plain.shape[:2], len(self.whole.channels)))
+        out[:, :, list(self.used)] = plain
         return out
 
 
@@ -256,12 +256,12 @@ def treated(gathered: Gathered, drifts: Any) -> Treated:
     anywhere = (
         () if found is None else [name for name, moves in zip(found.names, found.moves.T, strict=True) if any(moves)]
     )
-    told = []
+    remarks = []
     for name in (*anywhere, *(name for name, way in ways.items() if name not in anywhere and way != KEEP)):
-        said = f"{name!r} was named (drifts=)" if found is None else found.sentence(name)
-        told.append(f"{said}; {_DONE[ways.get(name, KEEP)]}")
+        remark = f"{name!r} was named (drifts=)" if found is None else found.sentence(name)
+        remarks.append(f"{remark}; {_DONE[ways.get(name, KEEP)]}")
     if not left_out and not changing:
-        notes = (*whole.facts.notes(gathered, drifts=found is None), *told)
+        notes = (*whole.facts.notes(gathered, drifts=found is None), *remarks)
         return replace(untreated(gathered, whole, notes), ways=dict(ways))
     part = gathered.of_channels(kept, changing)
     if not part.segments:
@@ -270,7 +270,7 @@ def treated(gathered: Gathered, drifts: Any) -> Treated:
     used = tuple(i for i, name in enumerate(gathered.channels) if name in kept)
     spread = whole.spread.copy()
     spread[list(used)] = units.spread
-    notes = (*units.facts.notes(part, drifts=found is None), *told)
+    notes = (*units.facts.notes(part, drifts=found is None), *remarks)
     return Treated(gathered, part, units, dict(ways), whole.mean, spread, used, notes)
 
 

@@ -88,8 +88,8 @@ class Drifts:
         return f"{name!r} drifts: {how}{often}"
 
     def __repr__(self) -> str:
-        said = "".join(f"\n  {self.sentence(name)}" for name in self.drifting)
-        return f"Drifts({len(self.drifting)} of {counted(len(self.names), 'channel')}){':' * bool(said)}{said}"
+        head = f"Drifts({len(self.drifting)} of {counted(len(self.names), 'channel')}){':' * bool(self.drifting)}"
+        return "\n  ".join([head, *map(self.sentence, self.drifting)])
 
 
 def drifting_channels(
@@ -100,7 +100,7 @@ def drifting_channels(
     outputs: Names = None,
     dt: float | None = None,
 ) -> Drifts:
-    r"""Return which channels of fault-free recordings do not keep their level.
+    r"""Find the channels of fault-free recordings that do not keep their level.
 
     A monitor compares with the mean of the recordings. Of a channel that warms up, or wanders for longer than they
     last, they do not tell it, and the channel raises alarms later, whatever happens. It drifts in a recording if
@@ -199,7 +199,7 @@ def drifts_in(gathered: Gathered, facts: ChannelFacts) -> Drifts:
         means = _stretches(gathered, int(k), length, facts)
         deviation = facts.recording_deviation[k] / facts.units
         for j in range(n):
-            worth[k, j] = _worth(means[:, j])
+            worth[k, j] = _effective_means(means[:, j])
             found = likeliest_change(means[:, j], (1 - CONFIDENCE) / n)
             if found is not None:
                 place[k, j] = found[0] * length
@@ -208,8 +208,8 @@ def drifts_in(gathered: Gathered, facts: ChannelFacts) -> Drifts:
                 shift = float(other.mean() - one.mean())
                 # the means of stretches of many rows leave out the rows within them
                 sides = max(deviation[j] ** 2 - part * (1 - part) * shift**2, 0.0)
-                own = np.concatenate([one - one.mean(), other - other.mean()])
-                change[k, j] = shift / float(np.sqrt(max(sides, np.mean(own**2))))
+                rest = np.concatenate([one - one.mean(), other - other.mean()])
+                change[k, j] = shift / float(np.sqrt(max(sides, np.mean(rest**2))))
     found = Drifts(gathered.channels, (), rows, change, place, worth)
     judged = rows * found.judged
     share = judged @ found.moves / judged.sum()
@@ -217,7 +217,7 @@ def drifts_in(gathered: Gathered, facts: ChannelFacts) -> Drifts:
     return replace(found, drifting=drifting)
 
 
-def _worth(means: NDArray[np.float64]) -> float:
+def _effective_means(means: NDArray[np.float64]) -> float:
     """Return the number of independent samples in means over stretches: the most for any length of them.
 
     Neighbours of an oscillation that is sampled finely are as alike as those of a walk; over longer stretches it is

@@ -139,8 +139,8 @@ class Equations:
     def error_covariance(self) -> Matrix:
         """Covariance of the equation errors, each product over the windows less the coefficients of both."""
         E = np.array([one.residual for one in self.each])
-        left = np.sqrt([self.windows - 1 - len(one.terms) for one in self.each])
-        E = np.where((np.linalg.norm(E, axis=1) > NOISE_FREE * np.sqrt(self.windows))[:, None], E, 0.0) / left[:, None]
+        root = np.sqrt([self.windows - 1 - len(one.terms) for one in self.each])
+        E = np.where((np.linalg.norm(E, axis=1) > NOISE_FREE * np.sqrt(self.windows))[:, None], E, 0.0) / root[:, None]
         return E @ E.T
 
     @cached_property
@@ -214,8 +214,8 @@ class Equations:
     def plant(self, **options: object) -> tuple[Plant, Matrix]:
         """Return the plant in the units of the recordings, and the covariance of the equation errors."""
         around = (self.inputs, self.outputs, self.dt, self.reference, self.units)
-        made, _, V = plant_of(self.innovations(), *around, **options)
-        return with_input_delays(made, self.delays), V
+        plant, _, V = plant_of(self.innovations(), *around, **options)
+        return with_input_delays(plant, self.delays), V
 
     def directions(self, most: int) -> tuple[Matrix, list[dict[str, Matrix]]]:
         """Return the largest standard deviations of the coefficients, and their effects on the plant's matrices."""
@@ -229,7 +229,7 @@ class Equations:
         keep = min(most, decision.rank)
         sizes = np.sqrt(decision.singular_values[:keep])
         cuts = np.cumsum([len(one.terms) for one in self.each])[:-1]
-        made = []
+        effects = []
         for size, direction in zip(sizes, root.T, strict=False):
             step, ends = size if size > 0 else 1.0, []
             for sign in (1, -1):
@@ -237,8 +237,8 @@ class Equations:
                 each = (replace(one, values=one.values + part) for one, part in zip(self.each, parts, strict=True))
                 ends.append(replace(self, each=tuple(each)).plant()[0])
             up, down = ends
-            made.append({name: (getattr(up, name) - getattr(down, name)) / (2 * step) for name in ("A", "B", "C", "D")})
-        return sizes, made
+            effects.append({name: (getattr(up, name) - getattr(down, name)) / (2 * step) for name in "ABCD"})
+        return sizes, effects
 
     def model(self, *, name: str, units: Mapping[str, str] | None, plant: Plant) -> InputOutputModel:
         """Return the equations as polynomials, in the units of the recordings."""
@@ -275,10 +275,10 @@ class Equations:
             return None
         M = np.linalg.inv(np.eye(len(theta)) - theta[:, m:])
         gain = M @ theta[:, :m]
-        seen = np.vstack([np.eye(m), gain])  # each channel at rest for each input
+        rest = np.vstack([np.eye(m), gain])  # each channel at rest for each input
         variance = np.zeros(gain.shape)
         for r, j in np.ndindex(gain.shape):
-            moved = [M[r, i] * seen[[c for c, _ in one.terms], j] @ one.inverse[1:] for i, one in enumerate(self.each)]
+            moved = [M[r, i] * rest[[c for c, _ in one.terms], j] @ one.inverse[1:] for i, one in enumerate(self.each)]
             variance[r, j] = max(float(np.sum(self.error_covariance * (np.array(moved) @ np.array(moved).T))), 0.0)
         scale = self.units[m:, None] / self.units[:m]
         return SteadyGain(gain * scale, np.sqrt(variance) * scale)
@@ -383,8 +383,8 @@ def choose_equations(
     for coupled in kinds:
         for group in [list(range(p))] if coupled else [[i] for i in range(p)]:
             columns = columns_of(factor, terms_of(Shape(most, coupled), group[0], m, p, feedthrough=feedthrough))
-            ours, d = [targets[i] for i in group], len(columns)
-            T = np.asarray(np.linalg.qr(factor.R[:, [*columns, *ours]], mode="r"))
+            responses, d = [targets[i] for i in group], len(columns)
+            T = np.asarray(np.linalg.qr(factor.R[:, [*columns, *responses]], mode="r"))
             left = determined(T[:d, :d])
             for order in range(most + 1):
                 k = d - (most - order) * (m + (p if coupled else 1))
@@ -394,7 +394,7 @@ def choose_equations(
                 criterion[group, int(coupled), order] = 2 * factor.windows * np.log(error) + k * np.log(factor.windows)
                 if unseen.windows:
                     theta = solve_triangular(T[:k, :k], T[:k, d:])
-                    errors = np.linalg.norm(H[:, ours] - H[:, columns[:k]] @ theta, axis=0)
+                    errors = np.linalg.norm(H[:, responses] - H[:, columns[:k]] @ theta, axis=0)
                     share[group, int(coupled), order] = errors / spread[group]
     wanted = {} if orders == "auto" else orders
     return tuple(

@@ -237,9 +237,9 @@ class FitReport:
             pairs = listing(f"{given!r} follows {output!r}" for output, given in self.feedback[:4])
             lines.append(f"closed loop: {pairs}, {self.about_feedback}")
         for name in self.weak_inputs:
-            own = self.excitation.unexplained[self.inputs.index(name)]
+            free = self.excitation.unexplained[self.inputs.index(name)]
             lines.append(
-                f"the past determines {name!r} but for {share(own)} of its variance: its effect is hardly "
+                f"the past determines {name!r} but for {share(free)} of its variance: its effect is hardly "
                 "told from that of a controller; move it on purpose (dither)"
             )
         if self.uncertain_gains:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.arrays import frozen, positions
+from residua.decide.checks import check_probability
 from residua.errors import DataError, SettingError
 from residua.identify.parameter_search import Found, Parameter, PlantAt, Task, parameters_of, search
 from residua.identify.prediction import ljung_box
@@ -81,7 +82,7 @@ class Identifiability:
         return float(s[0] / s[-1]) if s[-1] > 0 else float("inf")
 
     def moves(self, i: int) -> dict[str, float]:
-        """Return how parameters move along a combination, the largest share of the bounds being that of a whole one.
+        """Return the moves of the parameters along a combination, the largest share of the bounds being a whole one.
 
         Of parameters with even bounds the largest moves by 1; what moves by next to nothing is left out.
         """
@@ -164,13 +165,13 @@ def sandwich_covariance(
     scores = [np.einsum("tpi,tp->ti", S, e) @ root for S, e in zip(sensitivities, errors, strict=True)]
     samples = sum(map(len, scores))
     power = sum((s**2).sum(axis=0) for s in scores)
-    beside = sum((s[:-1] * s[1:]).sum(axis=0) for s in scores)
-    r = np.clip(beside / np.maximum(power, TINY), -_STRONGEST, _STRONGEST)
+    neighbours = sum((s[:-1] * s[1:]).sum(axis=0) for s in scores)
+    r = np.clip(neighbours / np.maximum(power, TINY), -_STRONGEST, _STRONGEST)
     variance = power / max(samples, 1) * (1 - r**2)
     above = float((4 * r**2 * variance**2 / ((1 - r) ** 6 * (1 + r) ** 2)).sum())
     below = float((variance**2 / (1 - r) ** 4).sum())
-    wanted = int(np.ceil(1.1447 * (above / max(below, TINY) * samples) ** (1 / 3)))
-    lags = min(wanted, int(_MOST_LAGS * samples))
+    optimal = int(np.ceil(1.1447 * (above / max(below, TINY) * samples) ** (1 / 3)))
+    lags = min(optimal, int(_MOST_LAGS * samples))
     middle = sum((s.T @ s for s in scores), np.zeros((k, k)))
     for lag in range(1, lags + 1):
         product = sum((s[:-lag].T @ s[lag:] for s in scores if len(s) > lag), np.zeros((k, k)))
@@ -249,8 +250,7 @@ class GreyBox(Shown):
         """
         from scipy.special import ndtri  # slow to import, and needed only here
 
-        if not (isinstance(level, (int, float)) and 0 < level < 1):
-            raise SettingError(f"level must lie between 0 and 1, got {echo(level)}")
+        check_probability(level, "level")
         out = (1 - level) / (2 * len(self.parameters) if together else 2)
         width = -float(ndtri(out))
         return {
@@ -475,7 +475,7 @@ def _outcome(task: Task, found: Found, held_out: list[Matrix], notes: tuple[str,
             "(priors={name: (mean, standard deviation)}), or a recording in which the inputs move more"
         )
     notes += (*found.notes, *(f"{facts.sentence(i)}; the priors do" for i in facts.unknown))
-    errors = task.errors(found.z).left(found.weights)
+    errors = task.errors(found.z).projected(found.weights)
     sandwich, plain, lags = sandwich_covariance(S, errors, rows.T @ rows)
     scale = np.outer(task.widths, task.widths)
     values, covariance = task.values(found.z), found.covariance
@@ -524,9 +524,9 @@ def _checks(
     spread = np.sqrt(sum(((d[:, -p:] - mean) ** 2).sum(axis=0) for d in data))
     out = []
     for simulation in (False, True):
-        errors = model_errors(model, data, task.dt, task.offsets, simulation=simulation).left(weights)
-        left = np.sqrt(sum((e**2).sum(axis=0) for e in errors)) / np.diag(weights)
-        out.append(1 - left / np.where(spread > 0, spread, np.nan))
+        errors = model_errors(model, data, task.dt, task.offsets, simulation=simulation).projected(weights)
+        unexplained = np.sqrt(sum((e**2).sum(axis=0) for e in errors)) / np.diag(weights)
+        out.append(1 - unexplained / np.where(spread > 0, spread, np.nan))
         if not simulation:
             white = _whiteness(errors)
     return tuple({n: float(v) for n, v in zip(plant.outputs, one, strict=True)} for one in (*out, white))  # pyright: ignore
@@ -563,9 +563,9 @@ def _remarks(
     if ratio.max() > _APART or ratio.min() < 1 / _APART:
         times = " to ".join(dict.fromkeys(number(float(r), 2) for r in (ratio.min(), ratio.max())))
         out.append(f"standard errors are {times} times those for white errors (over {counted(lags, 'lag')})")
-    said = predictor(task.plant_at.plant(task.values(found.z)), task.dt).innovation_covariance
-    if said is not None:
-        variances = np.diag(found.covariance) / np.diag(said)
+    modelled = predictor(task.plant_at.plant(task.values(found.z)), task.dt).innovation_covariance
+    if modelled is not None:
+        variances = np.diag(found.covariance) / np.diag(modelled)
         names = task.plant_at.like.outputs if task.plant_at.like else ()
         off = [
             f"{n} {number(float(v), 2)}"

@@ -1,14 +1,16 @@
-"""A model identified from recordings: the plant with its noise, the report, and how uncertain its matrices are."""
+"""Models identified from recordings: the plant with its noise, the report, predictions and uncertainty."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from residua.decide.checks import check_probability
 from residua.errors import DataError, SettingError
 from residua.identify.fit_report import IdentificationReport
 from residua.identify.prediction import Innovations, one_step_predictor
@@ -46,8 +48,151 @@ class Prediction:
         return self.measured - self.predicted
 
 
+class RecordedModel(ABC):
+    """Base of models from recordings: the predictions of a plant, and the uncertainty of its matrices.
+
+    Attributes
+    ----------
+    plant : Plant
+        Sampled, without faults.
+    """
+
+    plant: Plant
+
+    @abstractmethod
+    def _predicted(self, Z: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the predicted outputs for inputs and outputs without gaps, all in deviations from the point."""
+
+    @abstractmethod
+    def _directions(self, most: int) -> tuple[NDArray[np.float64], list[dict[str, NDArray[np.float64]]]]:
+        """Return the largest standard deviations of the estimate, and their effects on the plant's matrices."""
+
+    def predict(self, recordings: Any, y: ArrayLike | None = None) -> tuple[Prediction, ...]:
+        r"""Return the one-step predictions of the outputs of recordings, in plant units.
+
+        .. math:: \hat y_k = C x_k + D u_k, \qquad x_{k+1} = A x_k + B u_k + K (y_k - \hat y_k)
+
+        in deviations from the operating point. The first rows of each stretch without missing values have none: of
+        equations as many as the longest looks back; of a state-space model the ``past`` of the report and the delays,
+        from which the state is estimated, by least squares in units of the innovations.
+
+        Parameters
+        ----------
+        recordings : Recording, data frame, path, array, pair (u, y), or a list of these
+            As for the identification; they need not be those that the model is from.
+        y : array_like, shape (time, outputs), optional
+
+        Returns
+        -------
+        tuple of Prediction
+            One for each recording.
+
+        Raises
+        ------
+        DataError
+            If a channel is missing, the step is another, or no row is complete.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import residua as rs
+        >>> rng = np.random.default_rng(0)
+        >>> u = rng.standard_normal((2000, 1))
+        >>> plant = rs.Plant([[0.8]], [[1.0]], [[1.0]], dt=1)
+        >>> y = plant.system("control").simulate(u) + 0.1 * rng.standard_normal((2000, 1))
+        >>> for model in (rs.identify.subspace(u, y, order=1), rs.identify.arx(u, y)):
+        ...     [seen] = model.predict(u, y)
+        ...     print(np.nanstd(seen.error).round(1))
+        0.1
+        0.1
+        """
+        plant = self.plant
+        gathered = gather(recordings, y, inputs=plant.inputs, outputs=plant.outputs)
+        if gathered.timed and abs(gathered.dt - plant.dt) > REGULAR * plant.dt:
+            raise DataError(f"the model has a step of {plant.dt:g} s, the recordings have {gathered.dt:g} s")
+        point, m = np.array([*plant.operating_point.inputs, *plant.operating_point.outputs]), len(plant.inputs)
+        shapes = [(rows, plant.n_outputs) for rows in gathered.samples]
+        measured, predicted = ([np.full(shape, np.nan) for shape in shapes] for _ in range(2))
+        for segment in gathered.segments:
+            Z = segment.rows(0, len(segment))
+            rows = slice(segment.start, segment.stop)
+            measured[segment.recording][rows] = Z[:, m:]
+            predicted[segment.recording][rows] = self._predicted(Z - point) + point[m:]
+        return tuple(map(Prediction, gathered.sources, measured, predicted))
+
+    def uncertain_plant(
+        self, plant: Plant | None = None, *, level: float = 0.95, directions: int = _DIRECTIONS
+    ) -> UncertainPlant:
+        r"""Return the plant with the uncertainty of its matrices, as far as the data leave it open.
+
+        The covariance of the estimate is :math:`\sum_k \lambda_k v_k v_k^T`; the leading directions :math:`v_k` are the
+        parameters, each within :math:`\pm q \sqrt{\lambda_k}` with the quantile ``q`` of the level for all of them
+        together. Of equations it is that of the coefficients, in units of the channels' standard deviations; of a
+        state-space model that of the entries of ``A``, ``B``, ``C`` and ``D`` over parts of the data (the jackknife),
+        which a controller that moved during the recording, or a plant that is not linear, widens.
+
+        Parameters
+        ----------
+        plant : Plant, optional
+            The model's plant with faults; :attr:`plant` when omitted. The columns of actuator faults vary with those
+            of their inputs.
+        level : float
+            Probability that a Gaussian estimate lies in the box.
+        directions : int
+            Directions that are kept, the largest ones first.
+
+        Raises
+        ------
+        DataError
+            If there are too few parts of data for a spread.
+        SettingError
+            If the level is no probability, the plant is not this one with faults, or there are more than 2000
+            coefficients.
+
+        Notes
+        -----
+        The directions that are left out are not covered. Of equations it assumes white errors: where the report calls
+        them coloured, the box is too small; and where an input acts within the row (feedthrough) products of two errors
+        are left out. An :class:`residua.InputOutputModel` has no uncertain form.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import residua as rs
+        >>> rng = np.random.default_rng(0)
+        >>> u = rng.standard_normal((2000, 1))
+        >>> plant = rs.Plant([[0.8]], [[1.0]], [[1.0]], dt=1)
+        >>> y = plant.system("control").simulate(u) + 0.1 * rng.standard_normal((2000, 1))
+        >>> rs.identify.subspace(u, y, order=1).uncertain_plant().names
+        ('model 1', 'model 2', 'model 3')
+        >>> rs.identify.arx(u, y, order=1).uncertain_plant().names
+        ('model 1', 'model 2')
+        """
+        from scipy.special import ndtri  # slow to import, and needed only here
+
+        nominal = self.plant if plant is None else plant
+        if nominal.A.shape != self.plant.A.shape or not np.array_equal(nominal.A, self.plant.A):
+            raise SettingError("plant must be the plant of this model, with faults added")
+        sizes, vectors = self._directions(directions)
+        check_probability(level, "level")
+        quantile = float(-ndtri((1 - level ** (1 / max(len(sizes), 1))) / 2))
+        deltas: list[Perturbation] = []
+        for k, (size, matrices) in enumerate(zip(sizes, vectors, strict=True), 1):
+            Bf, Df = np.zeros(nominal.Bf.shape), np.zeros(nominal.Df.shape)
+            for column, fault in enumerate(nominal.fault_list):
+                if fault.kind == "actuator":
+                    given = nominal.inputs.index(fault.component)
+                    Bf[:, column], Df[:, column] = matrices["B"][:, given], matrices["D"][:, given]
+            most = quantile * size
+            for letter, M in {**matrices, "Bf": Bf, "Df": Df}.items():
+                if M.any():  # a channel for each singular value
+                    U, _ = range_basis(M)
+                    deltas.append(Perturbation(letter, -U, U.T @ M, -most, most, [f"model {k}"] * U.shape[1]))
+        return UncertainPlant(nominal, deltas)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class IdentifiedModel:
+class IdentifiedModel(RecordedModel):
     """A plant from recordings, in innovation form, with its report and uncertainty.
 
     Attributes
@@ -72,95 +217,6 @@ class IdentifiedModel:
     innovation_covariance: NDArray[np.float64]
     resampled: tuple[Plant, ...] = ()
 
-    def uncertain_plant(
-        self, plant: Plant | None = None, *, level: float = 0.95, directions: int = _DIRECTIONS
-    ) -> UncertainPlant:
-        r"""Return the plant with the uncertainty of its matrices, as far as the data leave it open.
-
-        The covariance of the entries of ``A``, ``B``, ``C`` and ``D`` over parts of the data (the jackknife) is
-        :math:`\sum_k \lambda_k v_k v_k^T`; the leading directions :math:`v_k` are the parameters, each within
-        :math:`\pm q \sqrt{\lambda_k}` with the quantile ``q`` of the level for all of them together. A controller
-        that moved during the recording, or a plant that is not linear, widens it: the parts then differ by more than
-        noise.
-
-        Parameters
-        ----------
-        plant : Plant, optional
-            The model's plant with faults; :attr:`plant` when omitted. The columns of actuator faults vary with those
-            of their inputs.
-        level : float
-            Probability that a Gaussian estimate lies in the box.
-        directions : int
-            Directions that are kept, the largest ones first.
-
-        Raises
-        ------
-        DataError
-            If there are too few parts of data for a spread.
-        SettingError
-            If the level is no probability, or the plant is not this one with faults.
-
-        Notes
-        -----
-        The directions that are left out are not covered.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> import residua as rs
-        >>> rng = np.random.default_rng(0)
-        >>> u = rng.standard_normal((2000, 1))
-        >>> plant = rs.Plant([[0.8]], [[1.0]], [[1.0]], dt=1)
-        >>> y = plant.system("control").simulate(u) + 0.1 * rng.standard_normal((2000, 1))
-        >>> model = rs.identify.subspace(u, y, order=1)
-        >>> model.uncertain_plant().names
-        ('model 1', 'model 2', 'model 3')
-        """
-        if len(self.resampled) < 3:
-            raise DataError("too few parts of data to tell how uncertain the model is: identify from more rows")
-        nominal = with_faults_of(self.plant, plant)
-        return uncertain_along(nominal, *self._spread(directions), level)
-
-    def predict(self, recordings: Any, y: ArrayLike | None = None) -> tuple[Prediction, ...]:
-        r"""Return the one-step predictions of the outputs of recordings, in plant units.
-
-        .. math:: \hat y_k = C x_k + D u_k, \qquad x_{k+1} = A x_k + B u_k + K (y_k - \hat y_k)
-
-        in deviations from the operating point. The state at the start of each stretch without missing values is the
-        one that explains its first rows best, by least squares in units of the innovations; these rows, the ``past``
-        of the report and the delays, have no prediction.
-
-        Parameters
-        ----------
-        recordings : Recording, data frame, path, array, pair (u, y), or a list of these
-            As in :func:`residua.identify.subspace`; they need not be those that the model is from.
-        y : array_like, shape (time, outputs), optional
-
-        Returns
-        -------
-        tuple of Prediction
-            One for each recording.
-
-        Raises
-        ------
-        DataError
-            If a channel is missing, the step is another, or no row is complete.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> import residua as rs
-        >>> rng = np.random.default_rng(0)
-        >>> u = rng.standard_normal((2000, 1))
-        >>> plant = rs.Plant([[0.8]], [[1.0]], [[1.0]], dt=1)
-        >>> y = plant.system("control").simulate(u) + 0.1 * rng.standard_normal((2000, 1))
-        >>> model = rs.identify.subspace(u, y, order=1)
-        >>> [seen] = model.predict(u, y)
-        >>> float(np.nanstd(seen.error).round(1))
-        0.1
-        """
-        return one_step_predictions(self.plant, recordings, y, self._predicted)
-
     def _predicted(self, Z: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the predictions for inputs and outputs without gaps, all in deviations."""
         plant, K, m, p = self.plant, self.gain, len(self.plant.inputs), self.plant.n_outputs
@@ -183,8 +239,10 @@ class IdentifiedModel:
         predicted[:first] = np.nan
         return predicted
 
-    def _spread(self, directions: int) -> tuple[NDArray[np.float64], list[dict[str, NDArray[np.float64]]]]:
+    def _directions(self, most: int) -> tuple[NDArray[np.float64], list[dict[str, NDArray[np.float64]]]]:
         """Return the sizes of the leading directions of the jackknife's covariance, and their effects on matrices."""
+        if len(self.resampled) < 3:
+            raise DataError("too few parts of data to tell how uncertain the model is: identify from more rows")
         names = ("A", "B", "C", "D")
         nominal = [getattr(self.plant, name) for name in names]
         # entries are compared in units of their rows and columns: those of signals of mean square one
@@ -194,7 +252,7 @@ class IdentifiedModel:
         unit = np.linalg.norm(spread, axis=0)
         unit = np.where(unit > 0, unit, 1.0)
         basis, decision = range_basis((spread / unit).T)
-        keep = min(directions, decision.rank)
+        keep = min(most, decision.rank)
         vectors = []
         for row in basis.T[:keep] * unit:
             parts = np.split(row, np.cumsum([M.size for M in nominal])[:-1])
@@ -203,65 +261,6 @@ class IdentifiedModel:
 
     def __repr__(self) -> str:
         return f"IdentifiedModel(order {self.report.order} by {self.report.method}, {self.plant!r})"
-
-
-def one_step_predictions(
-    plant: Plant, recordings: Any, y: ArrayLike | None, predict: Callable[[NDArray[np.float64]], NDArray[np.float64]]
-) -> tuple[Prediction, ...]:
-    """Return the predictions of recordings by a function of each stretch without gaps, in deviations from the point."""
-    gathered = gather(recordings, y, inputs=plant.inputs, outputs=plant.outputs)
-    if gathered.timed and abs(gathered.dt - plant.dt) > REGULAR * plant.dt:
-        raise DataError(f"the model has a step of {plant.dt:g} s, the recordings have {gathered.dt:g} s")
-    point, m = np.array([*plant.operating_point.inputs, *plant.operating_point.outputs]), len(plant.inputs)
-    shapes = [(rows, plant.n_outputs) for rows in gathered.samples]
-    measured, predicted = ([np.full(shape, np.nan) for shape in shapes] for _ in range(2))
-    for segment in gathered.segments:
-        Z = segment.rows(0, len(segment))
-        rows = slice(segment.start, segment.stop)
-        measured[segment.recording][rows] = Z[:, m:]
-        predicted[segment.recording][rows] = predict(Z - point) + point[m:]
-    return tuple(map(Prediction, gathered.sources, measured, predicted))
-
-
-def with_faults_of(nominal: Plant, plant: Plant | None) -> Plant:
-    """Return the plant with faults that a caller handed over, if it is the model's own."""
-    if plant is None:
-        return nominal
-    if plant.A.shape != nominal.A.shape or not np.array_equal(plant.A, nominal.A):
-        raise SettingError("plant must be the plant of this model, with faults added")
-    return plant
-
-
-def uncertain_along(
-    nominal: Plant, sizes: NDArray[np.float64], directions: Sequence[dict[str, NDArray[np.float64]]], level: float
-) -> UncertainPlant:
-    """Return a plant whose matrices vary along directions, each a parameter of its own with this standard deviation.
-
-    The box holds a Gaussian estimate with a probability of ``level``.
-
-    Raises
-    ------
-    SettingError
-        If the level is no probability.
-    """
-    from scipy.special import ndtri  # slow to import, and needed only here
-
-    if not 0 < level < 1:
-        raise SettingError(f"level must be a probability between 0 and 1, got {level!r}")
-    quantile = float(-ndtri((1 - level ** (1 / max(len(sizes), 1))) / 2))
-    deltas: list[Perturbation] = []
-    for k, (size, matrices) in enumerate(zip(sizes, directions, strict=True), 1):
-        Bf, Df = np.zeros(nominal.Bf.shape), np.zeros(nominal.Df.shape)
-        for column, fault in enumerate(nominal.fault_list):
-            if fault.kind == "actuator":
-                given = nominal.inputs.index(fault.component)
-                Bf[:, column], Df[:, column] = matrices["B"][:, given], matrices["D"][:, given]
-        most = quantile * size
-        for letter, M in {**matrices, "Bf": Bf, "Df": Df}.items():
-            if M.any():  # a channel for each singular value
-                U, _ = range_basis(M)
-                deltas.append(Perturbation(letter, -U, U.T @ M, -most, most, [f"model {k}"] * U.shape[1]))
-    return UncertainPlant(nominal, deltas)
 
 
 def plant_of(
@@ -322,7 +321,7 @@ def with_input_delays(plant: Plant, delays: Mapping[str, int]) -> Plant:
         B[:n, j], B[first, j] = 0.0, 1.0
         A[range(first + 1, last + 1), range(first, last)] = 1.0
         first += rows
-    made = Plant(
+    delayed = Plant(
         A,
         B,
         C,
@@ -335,8 +334,8 @@ def with_input_delays(plant: Plant, delays: Mapping[str, int]) -> Plant:
         units=plant.units,
     )
     if not plant.Bw.shape[1]:
-        return made
-    return made.with_noise_input(np.vstack([plant.Bw, np.zeros((total, plant.Bw.shape[1]))]), plant.Dw)
+        return delayed
+    return delayed.with_noise_input(np.vstack([plant.Bw, np.zeros((total, plant.Bw.shape[1]))]), plant.Dw)
 
 
 def with_channel_faults(plant: Plant, *, sensors: bool, actuators: bool) -> Plant:

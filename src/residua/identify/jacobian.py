@@ -220,8 +220,8 @@ def first_look(
             sizeless.append(columns[j])
         known[j] = effect or known[j] or 1.0
         slopes[:, j] = _rough_slope(f, z, value, int(j), known[j])
-    said = (f"no size is known of {some(sizeless)}: steps are fractions of 1; sizes={{name: size}} tells it",)
-    return FirstLook(value, terms, slopes, known, said if sizeless else ())
+    notes = (f"no size is known of {some(sizeless)}: steps are fractions of 1; sizes={{name: size}} tells it",)
+    return FirstLook(value, terms, slopes, known, notes if sizeless else ())
 
 
 def _moved(z: Vector, j: int, step: float) -> Vector:

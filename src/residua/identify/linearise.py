@@ -206,7 +206,7 @@ def tangent_model(
     name: str = "plant",
     description: str = "",
 ) -> TangentModel:
-    r"""Return the plant of :func:`linearise`, with the point and with how accurate it is.
+    r"""Return the plant of :func:`linearise`, with the point and its accuracy.
 
     .. math:: f(x_0 + \delta x, u_0 + \delta u) = f(x_0, u_0) + A\, \delta x + B\, \delta u + \ldots
 
@@ -243,10 +243,27 @@ def tangent_model(
     >>> round(model.states["level"], 9), model.complex_step
     (2.0, True)
     """
-    model = _model(
-        rate, output, at, tuple([faults] if isinstance(faults, str) else faults), dt, inputs, outputs, states
-    )
-    n, m = len(model.states), len(model.inputs)
+    if not callable(rate) or not (output is None or callable(output)):
+        raise ModelError("rate and output must be functions of (x, u), or of (x, u, f) with faults")
+    if not isinstance(at, (tuple, list)) or len(at) != 2:
+        raise ModelError(f"at must be a pair (states, inputs) of vectors or mappings, got {echo(at)}")
+    x, states = _values(at[0], states, "x", "states")
+    u, inputs = _values(at[1], inputs, "u", "inputs")
+    faults = tuple([faults] if isinstance(faults, str) else faults)
+    faults = names(faults, len(faults), "f", "faults")
+    rate = _named_call(rate, "rate", states, inputs, faults)
+    output = None if output is None else _named_call(output, "output", states, inputs, faults)
+    if outputs is None and output is None:
+        outputs = states
+        if set(states) & set(inputs):
+            raise ModelError("give names for the outputs: the states are measured, and inputs have the same names")
+    else:
+        arguments = (x.copy(), u.copy(), *((np.zeros(len(faults)),) if faults else ()))
+        count = len(x) if output is None else int(np.size(output(*arguments)))  # pyright: ignore[reportArgumentType]
+        outputs = names(outputs, count, "y", "outputs")
+    unique((*states, *inputs, *faults), "states, inputs and faults")
+    model = _Model(rate, output, np.concatenate([x, u]), states, inputs, outputs, faults, sample_step(dt))
+    n, m = len(states), len(inputs)
     point = model.start if hold == "point" else model.rest(hold, sizes)
     x0, u0, z = point[:n], point[n:], np.concatenate([point, np.zeros(len(model.faults))])
     rows = (*(f"the rate of {echo(x)}" for x in model.states), *(f"the output {echo(y)}" for y in model.outputs))
@@ -255,20 +272,19 @@ def tangent_model(
     values = np.asarray(model.everything(z), dtype=float)
     drift, terms = values[:n] - (x0 if model.dt else 0.0), slopes.terms[:n]
     residual = float((np.abs(drift) / np.where(terms > 0, terms, 1.0)).max(initial=0.0))
-    notes, own = slopes.notes, slopes.sizes[:n]
-    if n and own.max() >= _UNLIKE * own.min():
-        most, least = int(own.argmax()), int(own.argmin())
+    notes, size = slopes.notes, slopes.sizes[:n]
+    if n and size.max() >= _UNLIKE * size.min():
+        extremes = (f"{model.states[k]} {number(size[k], 2)}" for k in (size.argmax(), size.argmin()))
         notes += (
-            f"states are of very different sizes: {model.states[most]} {number(own[most], 2)}, {model.states[least]} "
-            f"{number(own[least], 2)}; designs work in units of their own, but tables are easier to read in other "
-            "units",
+            f"states are of very different sizes: {', '.join(extremes)}; designs work in units of their own, but "
+            "tables are easier to read in other units",
         )
     if hold == "point" and np.any(drift):
-        said = some(f"{state} by {number(v, 3)}" for state, v in zip(model.states, drift, strict=True) if v)
-        notes += (f"the states do not rest at the point, which was taken as it is; they drift {said} per unit of time",)
+        rates = some(f"{state} by {number(v, 3)}" for state, v in zip(model.states, drift, strict=True) if v)
+        notes += (f"the states do not rest at the point, which was taken as is; they drift {rates} per unit of time",)
     way = "a complex step" if slopes.complex_step else "differences"
     about = (
-        f"Linearised at {_point(_named(model.states, x0))} and {_point(_named(model.inputs, u0))} by {way}, slopes "
+        f"Linearised at {_point(_by_name(model.states, x0))} and {_point(_by_name(model.inputs, u0))} by {way}, slopes "
         f"known to {number(slopes.relative_error, 2)}, at rest to {number(residual, 2)} of the terms."
     )
     upper, lower = slopes.matrix[:n], slopes.matrix[n:]
@@ -283,14 +299,14 @@ def tangent_model(
         plant = plant.with_faults({fault: (frozen(upper[:, k]), frozen(lower[:, k]))})
     return TangentModel(
         plant,
-        _named(model.inputs, u0),
-        _named(model.states, x0),
-        _named(model.outputs, plant.operating_point.outputs),
+        _by_name(model.inputs, u0),
+        _by_name(model.states, x0),
+        _by_name(model.outputs, plant.operating_point.outputs),
         residual,
-        _named(model.states, drift),
+        _by_name(model.states, drift),
         slopes.relative_error,
         slopes.complex_step,
-        _named(variables, slopes.sizes),
+        _by_name(variables, slopes.sizes),
         notes,
     )
 
@@ -347,52 +363,20 @@ class _Model:
                 "as many of the one as of the other, by naming inputs with their values"
             )
 
-        def left(z: Vector) -> Vector:
+        def miss(z: Vector) -> Vector:
             values = self.everything(np.concatenate([z, np.zeros(len(self.faults))]))
             rest = values[:n] - z[:n] if self.dt else values[:n]
             return np.concatenate([rest, [values[n + i] - value for i, value in targets.items()]])
 
         rows = (*(f"the rate of {x}" for x in self.states), *(f"the miss of {self.outputs[i]}" for i in targets))
         known = {k: v for k, v in (sizes or {}).items() if k not in self.faults}
-        return steady_state(left, start, free, rows, (*self.states, *self.inputs), known)
-
-
-def _model(
-    rate: Equations,
-    output: Equations | None,
-    at: tuple[Any, Any],
-    faults: tuple[str, ...],
-    dt: float,
-    inputs: Iterable[str] | str | None,
-    outputs: Iterable[str] | str | None,
-    states: Iterable[str] | str | None,
-) -> _Model:
-    """Return the functions with names for their arguments and values, or raise where something does not fit."""
-    if not callable(rate) or not (output is None or callable(output)):
-        raise ModelError("rate and output must be functions of (x, u), or of (x, u, f) with faults")
-    if not isinstance(at, (tuple, list)) or len(at) != 2:
-        raise ModelError(f"at must be a pair (states, inputs) of vectors or mappings, got {echo(at)}")
-    x, states = _values(at[0], states, "x", "states")
-    u, inputs = _values(at[1], inputs, "u", "inputs")
-    faults = names(faults, len(faults), "f", "faults")
-    rate = _named_call(rate, "rate", states, inputs, faults)
-    output = None if output is None else _named_call(output, "output", states, inputs, faults)
-    if outputs is None and output is None:
-        known = states
-        if set(states) & set(inputs):
-            raise ModelError("give names for the outputs: the states are measured, and inputs have the same names")
-    else:
-        arguments = (x.copy(), u.copy(), *((np.zeros(len(faults)),) if faults else ()))
-        count = len(x) if output is None else int(np.size(output(*arguments)))  # pyright: ignore[reportArgumentType]
-        known = names(outputs, count, "y", "outputs")
-    unique((*states, *inputs, *faults), "states, inputs and faults")
-    return _Model(rate, output, np.concatenate([x, u]), states, inputs, known, faults, sample_step(dt))
+        return steady_state(miss, start, free, rows, (*self.states, *self.inputs), known)
 
 
 def _named_call(
     function: Equations, what: str, states: tuple[str, ...], inputs: tuple[str, ...], faults: tuple[str, ...]
 ) -> Equations:
-    """Return the function of a user with an error that says at which point it was called, if it raises one."""
+    """Return the function of a user, whose errors name the point at which it was called."""
 
     def called(*arguments: Vector) -> Any:
         at = [np.array(one) for one in arguments]  # the function may change its arguments
@@ -401,7 +385,7 @@ def _named_call(
         except Exception as error:  # whatever a user's function raises
             if any(map(np.iscomplexobj, at)):
                 raise  # it need not take complex numbers
-            point = _point(_named((*states, *inputs, *faults), np.concatenate(at)))
+            point = _point(_by_name((*states, *inputs, *faults), np.concatenate(at)))
             raise ModelError(f"{what} raised {type(error).__name__} at {point}: {error}") from error
 
     return called
@@ -420,7 +404,7 @@ def _values(value: Any, given: Iterable[str] | str | None, prefix: str, what: st
     return np.array(channel_values(np.reshape(value, (count, 1)), known, (), f"at, {what}")), known
 
 
-def _named(keys: tuple[str, ...], values: Iterable[float]) -> dict[str, float]:
+def _by_name(keys: tuple[str, ...], values: Iterable[float]) -> dict[str, float]:
     return {key: float(value) for key, value in zip(keys, values, strict=True)}
 
 

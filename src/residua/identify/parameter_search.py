@@ -98,20 +98,20 @@ class PlantAt:
         except Exception as error:  # whatever a user's function raises
             raised = f"raised {type(error).__name__}: {error}"
             if self.by_keywords:
-                raise ModelError(f"{self.said(given)} {raised}") from error
-            called = f"plant_at{inspect.signature(self.function)} was called with the mapping {{{self._given(given)}}}"
+                raise ModelError(f"{self.words(given)} {raised}") from error
+            called = f"plant_at{inspect.signature(self.function)} was called with the mapping {{{self._text(given)}}}"
             raise ModelError(
                 f"{called}, since it takes no keyword of these names, and {raised}; the parameters are "
                 f"{some(self.names)}: it must take these as keywords, or one mapping of names to values"
             ) from error
         if not isinstance(model, (Plant, NonlinearModel)):
-            raise ModelError(f"{self.said(given)} must return a Plant or NonlinearModel, got {type(model).__name__}")
+            raise ModelError(f"{self.words(given)} must return a Plant or NonlinearModel, got {type(model).__name__}")
         plant = plant_of(model)
         like = self.like or plant
         for what in ("inputs", "outputs", "dt"):
             if getattr(plant, what) != getattr(like, what):
                 raise ModelError(
-                    f"{self.said(given)} has the {what} {getattr(plant, what)}, "
+                    f"{self.words(given)} has the {what} {getattr(plant, what)}, "
                     f"other parameters give {getattr(like, what)}"
                 )
         self.like = like
@@ -121,11 +121,11 @@ class PlantAt:
         """Return the linear plant with these parameters."""
         return plant_of(self(values))
 
-    def said(self, values: Mapping[str, float]) -> str:
+    def words(self, values: Mapping[str, float]) -> str:
         """Return the call in words."""
-        return f"plant_at({self._given(values, '=')})"
+        return f"plant_at({self._text(values, '=')})"
 
-    def _given(self, values: Mapping[str, float], link: str = ": ") -> str:
+    def _text(self, values: Mapping[str, float], link: str = ": ") -> str:
         return ", ".join(f"{name}{link}{number(values[name], 8)}" for name in self.names)
 
 
@@ -184,7 +184,7 @@ class Task:
         except DataError:
             raise
         except Exception as error:  # of a user's equations too
-            raise ModelError(f"{self.plant_at.said(values)}: {error}") from error
+            raise ModelError(f"{self.plant_at.words(values)}: {error}") from error
 
     def sensitivities(self, z: Vector, weights: Matrix) -> list[NDArray[np.float64]]:
         """Return the derivatives of the weighted errors by differences of second order, one-sided at a bound."""
@@ -199,7 +199,7 @@ class Task:
                 h = h if z[i] + 2 * h <= high[i] else -h
                 places, factors = (0.0, h, 2 * h), (-1.5, 2.0, -0.5)
             step = np.eye(len(z))[i]
-            at = [self.errors(z + place * step).left(weights) for place in places]
+            at = [self.errors(z + place * step).projected(weights) for place in places]
             columns.append(
                 [sum(f * e for f, e in zip(factors, parts, strict=True)) / h for parts in zip(*at, strict=True)]
             )
@@ -230,7 +230,7 @@ def search(task: Task, starts: int, tell: Progress) -> Found:
     """
     from scipy.optimize import least_squares  # slow to import, and not needed to run a monitor
 
-    z, said = _best_start(task, starts, tell)
+    z, start_notes = _best_start(task, starts, tell)
     signal = np.sqrt(
         np.mean(np.concatenate([np.diff(d[:, -task.n_outputs :], axis=0) ** 2 for d in task.data]), axis=0)
     )
@@ -243,7 +243,7 @@ def search(task: Task, starts: int, tell: Progress) -> Found:
 
         def residuals(at: Vector, W: Matrix = weights, n: int = turn, tried: Iterator[int] = tried) -> Vector:
             tell(f"search, turn {n + 1}", min(next(tried), _MOST_TRIED), _MOST_TRIED)
-            return np.concatenate([*(e.ravel() for e in task.errors(at).left(W)), task.prior_rows(at)[0]])
+            return np.concatenate([*(e.ravel() for e in task.errors(at).projected(W)), task.prior_rows(at)[0]])
 
         def slopes(at: Vector, W: Matrix = weights) -> Matrix:
             rows = [S.reshape(-1, len(at)) for S in task.sensitivities(at, W)]
@@ -273,7 +273,7 @@ def search(task: Task, starts: int, tell: Progress) -> Found:
     near = ((z - low <= _AT_BOUND) & (fit.grad > 0)) | ((high - z <= _AT_BOUND) & (fit.grad < 0))
     z = np.where(near & (fit.grad > 0), low, np.where(near, high, z))
     covariance = _covariance(task, z)
-    return Found(z, weights_of(covariance, signal)[0], covariance, near, (*said, *notes))
+    return Found(z, weights_of(covariance, signal)[0], covariance, near, (*start_notes, *notes))
 
 
 def _covariance(task: Task, z: Vector) -> Matrix:
@@ -282,7 +282,7 @@ def _covariance(task: Task, z: Vector) -> Matrix:
     spread = np.sqrt(np.mean(np.vstack(errors.raw) ** 2, axis=0))
     size = np.where(spread > 0, spread, 1.0)
     for _ in range(2):
-        covariance = error_covariance([e * size for e in errors.left(np.diag(1 / size))], errors.unknowns)
+        covariance = error_covariance([e * size for e in errors.projected(np.diag(1 / size))], errors.unknowns)
         spread = np.sqrt(np.diag(covariance))
         size = np.where(spread > 0, spread, size)
     return covariance

@@ -191,12 +191,13 @@ class DataParity:
         known = after.windows.effective
         stacked = lagged_of(after.hankel, units, round(known))
         stacked = replace(stacked, factor=stacked.factor * np.sqrt(known / after.windows.total))
-        made = _parity(after, kept, stacked, self.relations, notes)
-        if made.supported <= made.relations:  # where it is less, there is a note already
-            return made
-        note = f"the data now support {counted(made.supported, 'relation')}, and {made.relations} are kept as before"
-        evidence = made.generator.evidence.extended(notes=(note,))
-        return replace(made, generator=replace(made.generator, evidence=evidence))
+        relations = _parity(after, kept, stacked, self.relations, notes)
+        if relations.supported <= relations.relations:  # where it is less, there is a note already
+            return relations
+        supported = counted(relations.supported, "relation")
+        note = f"the data now support {supported}, and {relations.relations} are kept as before"
+        evidence = relations.generator.evidence.extended(notes=(note,))
+        return replace(relations, generator=replace(relations.generator, evidence=evidence))
 
     def __repr__(self) -> str:
         return (
@@ -348,7 +349,7 @@ class Weights:
 
     @property
     def effective(self) -> float:
-        """As many equal weights would know a mean as well."""
+        """Number of equal weights that would know a mean as well."""
         return self.total**2 / self.squares
 
     def and_new(self, count: int, forgetting: float) -> Weights:

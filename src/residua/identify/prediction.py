@@ -159,7 +159,7 @@ def error_facts(model: Innovations, gathered: Gathered, reference: NDArray, unit
     level = counts[:, None, None] * np.outer(mean[m + p :], mean[:m])
     # many short pieces have fewer pairs of rows at a lag than rows
     share = np.maximum(counts, 1.0)[:, None] / rows
-    own = products[1:] / np.where(products[0] > 0, products[0], 1.0)
+    autocorrelation = products[1:] / np.where(products[0] > 0, products[0], 1.0)
     scale = np.sqrt(np.maximum(np.outer(products[0], inputs), TINY)) * share[:, None]
     after, before = (after - level) / scale, (before - level)[1:] / scale[1:]
     return ErrorFacts(
@@ -167,8 +167,8 @@ def error_facts(model: Innovations, gathered: Gathered, reference: NDArray, unit
         np.sqrt(squares[m + p :] / rows) * units[m:],
         1 - np.sqrt(squares[m + p :] / variance),
         1 - np.sqrt(simulated / simulated_rows / (variance / rows)) if simulated_rows else None,
-        np.abs(own / share[1:]).max(axis=0),
-        ljung_box(own, counts[1:], rows),
+        np.abs(autocorrelation / share[1:]).max(axis=0),
+        ljung_box(autocorrelation, counts[1:], rows),
         _significant(after, before, counts, gathered.outputs, gathered.inputs),
     )
 

@@ -62,9 +62,9 @@ def predictor(plant: Plant, dt: float, *, simulation: bool = False) -> Predictor
     elif np.any(sampled.measurement_noise) and not simulation:
         covariance = np.asarray(sampled.measurement_noise)
     point = np.array([*plant.operating_point.inputs, *plant.operating_point.outputs])
-    made = one_step_predictor(A, B, C, D, K, dt=sampled.dt)
+    filter_ = one_step_predictor(A, B, C, D, K, dt=sampled.dt)
     outputs = np.hstack([np.zeros(D.shape), np.eye(len(C))])
-    return Predictor(made.A, made.B, -made.C, outputs - made.D, point, covariance)
+    return Predictor(filter_.A, filter_.B, -filter_.C, outputs - filter_.D, point, covariance)
 
 
 def _kalman_gain(plant: Plant) -> tuple[Matrix, Matrix]:
@@ -126,7 +126,7 @@ class Errors:
     raw: list[Matrix]
     nuisance: list[NDArray[np.float64]]
 
-    def left(self, weights: Matrix) -> list[Matrix]:
+    def projected(self, weights: Matrix) -> list[Matrix]:
         """Return the weighted errors less their projection on start and offsets (least squares)."""
         return [_without(e @ weights.T, weights @ G) for e, G in zip(self.raw, self.nuisance, strict=True)]
 
@@ -166,14 +166,14 @@ def _responses(filter_: Predictor, samples: int, offsets: Sequence[int]) -> NDAr
     """Return the responses of the errors to a start in each state, and to a constant one in each of some channels."""
     n, m = len(filter_.A), filter_.B.shape[1]
     count = n + len(offsets)
-    held = np.zeros((count, m))
-    held[np.arange(n, count), list(offsets)] = 1.0
+    constant = np.zeros((count, m))
+    constant[np.arange(n, count), list(offsets)] = 1.0
     state = np.zeros((count, n))
     state[:n] = np.eye(n)
     parts, done, most = [], 0, TINY
     while done < samples:
         rows = min(_CHUNK, samples - done)
-        chunk = np.ascontiguousarray(np.broadcast_to(held[:, None, :], (count, rows, m)))
+        chunk = np.ascontiguousarray(np.broadcast_to(constant[:, None, :], (count, rows, m)))
         state, e = run_filter(*filter_[:4], state, chunk)
         parts.append(e)
         done += rows

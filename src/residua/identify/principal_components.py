@@ -208,7 +208,7 @@ def principal_components(
     values, vectors = np.linalg.eigh(stacked.factor.T @ stacked.factor / (stacked.count - 1))
     variances, loadings = np.maximum(values[::-1], 0.0), with_signs(vectors[:, ::-1])
     edge = (1 + np.sqrt(d / stacked.count)) ** 2
-    kept = _kept(components, variances, edge)
+    kept = _dimension(components, variances, edge)
     scale = np.ones(d)
     scale[:kept] = 1 / np.sqrt(variances[:kept])
     weights = (loadings * scale).T.reshape(d, lags + 1, q).transpose(1, 0, 2)
@@ -245,7 +245,7 @@ def principal_components(
     )
 
 
-def _kept(components: object, variances: NDArray[np.float64], edge: float) -> int:
+def _dimension(components: object, variances: NDArray[np.float64], edge: float) -> int:
     """Return the number of components to keep."""
     d = len(variances)
     wanted = f"components must be a whole number from 1 to {d}, or a share of the variance between 0 and 1"

@@ -13,10 +13,9 @@ from residua.arrays import runs
 from residua.design import kalman_filter
 from residua.design.core.brought import for_monitor
 from residua.errors import AccuracyError, DataError, DesignError, ModelError, SettingError
-from residua.identify.arx import ArxModel
 from residua.identify.channel_facts import channel_facts
 from residua.identify.channel_filter import KNOWN
-from residua.identify.identified_model import IdentifiedModel
+from residua.identify.identified_model import RecordedModel
 from residua.identify.principal_components import principal_components
 from residua.identify.segments import Gathered, Names, Segment, checked_count, gather
 from residua.shown import Shown
@@ -61,18 +60,18 @@ class ModeSignals:
 
     def label(self, key: Key) -> str:
         """Return a mode in words."""
-        said = []
+        parts = []
         for name, value, edges in zip(self.names, key, self.edges, strict=True):
             k = int(value) if edges is not None else 0
             if edges is None:
-                said.append(f"{name} = {_text(value)}")
+                parts.append(f"{name} = {_text(value)}")
             elif k == 0:
-                said.append(f"{name} < {_text(edges[0])}")
+                parts.append(f"{name} < {_text(edges[0])}")
             elif k == len(edges):
-                said.append(f"{name} >= {_text(edges[-1])}")
+                parts.append(f"{name} >= {_text(edges[-1])}")
             else:
-                said.append(f"{_text(edges[k - 1])} <= {name} < {_text(edges[k])}")
-        return ", ".join(said)
+                parts.append(f"{_text(edges[k - 1])} <= {name} < {_text(edges[k])}")
+        return ", ".join(parts)
 
 
 def _text(value: float) -> str:
@@ -119,7 +118,7 @@ def distinct(keys: Iterable[NDArray[np.float64]]) -> list[Key]:
 
 
 def rows_in(keys: NDArray[np.float64], key: Key) -> NDArray[np.bool_]:
-    """Return which rows are in a mode."""
+    """Return the mask of the rows in a mode."""
     return np.asarray((keys == np.array(key)).all(axis=1))
 
 
@@ -236,7 +235,7 @@ class Regimes(Shown):
 
     @property
     def generator(self) -> NoReturn:
-        """There is none: each mode has a generator of its own.
+        """Refuse: each mode has a generator of its own.
 
         Raises
         ------
@@ -386,11 +385,11 @@ def regimes(
     without: dict[str, str] = {}
     for key in distinct(keys.values()):
         name = signals.label(key)
-        made = _mode(visited, key, name, method, wait, enough)
-        if isinstance(made, str):
-            without[name] = made
+        mode = _mode(visited, key, name, method, wait, enough)
+        if isinstance(mode, str):
+            without[name] = mode
         else:
-            modes[name] = made
+            modes[name] = mode
     if not modes:
         reasons = "; ".join(f"{name}: {why}" for name, why in without.items())
         raise DataError(f"no operating mode has a model: {reasons}")
@@ -439,17 +438,17 @@ def _mode(
         return f"{counted(rows, 'row')} of the {wanted} that it needs" + (
             f", {all_rows.n_samples - rows} more after changes" if transient else ""
         )
-    ours = tuple(one for one in gathered.inputs if one in moving)
-    theirs = tuple(one for one in gathered.outputs if one in moving)
-    if not theirs:
+    u_names = tuple(one for one in gathered.inputs if one in moving)
+    y_names = tuple(one for one in gathered.outputs if one in moving)
+    if not y_names:
         return f"none of {listed([one for one in gathered.outputs if one in candidates])} ever changes in {rows} rows"
-    u = [gathered.channels.index(one) for one in ours]
-    y = [gathered.channels.index(one) for one in theirs]
+    u = [gathered.channels.index(one) for one in u_names]
+    y = [gathered.channels.index(one) for one in y_names]
     pairs = [(data[:, u], data[:, y]) for data in settled.data()]
     try:
-        made = method(pairs, inputs=ours or None, outputs=theirs, dt=gathered.dt)
-        if isinstance(made, (ArxModel, IdentifiedModel)):
-            made = kalman_filter(made.plant.with_sensor_faults())
+        design = method(pairs, inputs=u_names or None, outputs=y_names, dt=gathered.dt)
+        if isinstance(design, RecordedModel):
+            design = kalman_filter(design.plant.with_sensor_faults())
     except (DataError, ModelError, DesignError, AccuracyError) as error:  # of this mode; the others may have a model
         return f"{counted(rows, 'row')}: {error}"
-    return OperatingMode(key, name, for_monitor(made), rows, transient, still)
+    return OperatingMode(key, name, for_monitor(design), rows, transient, still)

@@ -46,7 +46,7 @@ class Segment:
     delays : tuple of int
         For each channel, how many rows before the others it is read.
     differenced : tuple of bool
-        For each channel, whether it is read as the change from the row before.
+        For each channel, true if it is read as the change from the row before.
     """
 
     u: NDArray

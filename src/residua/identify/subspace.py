@@ -247,7 +247,7 @@ def subspace(
         most = min(_MOST_ORDERS if max_order is None else max_order, len(states.T))
         choice = choose_order(factor, states, most, first, last, order, feedthrough=feedthrough, progress=tell)
         model = realise(factor, states, choice["order"], feedthrough=feedthrough)
-        made = facts_of_fit(model, first, last, facts, factor, feedthrough=feedthrough)
+        facts_of_model = facts_of_fit(model, first, last, facts, factor, feedthrough=feedthrough)
         parts = len(factor.parts)
         again = resampled(factor, states, model.order, method, feedthrough=feedthrough) if parts >= _LEAST_PARTS else []
     finally:
@@ -256,15 +256,15 @@ def subspace(
     plant, K, V = plant_of(model, *around, units=units, name=name)
     others = [plant_of(one, *around)[0] for one in again]
     gain = None
-    if plant.inputs and np.abs(made["poles"] - 1).min(initial=np.inf) >= POLE:
+    if plant.inputs and np.abs(facts_of_model["poles"] - 1).min(initial=np.inf) >= POLE:
         gains = np.array([one.system("control").dc_gain() for one in others])
         error = np.sqrt((len(gains) - 1) * gains.var(axis=0)) if len(gains) else None
         if error is not None:
             # all parts may agree on what no row of any of them shows
-            error[:, made["excitation"].unexplained < RANK] = np.inf
+            error[:, facts_of_model["excitation"].unexplained < RANK] = np.inf
         gain = SteadyGain(plant.system("control").dc_gain(), error)
     report = IdentificationReport(
-        **made,
+        **facts_of_model,
         **choice,
         method=method.upper(),
         singular_values=states.singular_values,

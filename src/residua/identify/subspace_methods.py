@@ -152,15 +152,15 @@ def resampled(
         rest = [one for k, one in enumerate(factor.parts) if k != left_out]
         windows = round(factor.windows * len(rest) / len(factor.parts))
         one = replace(factor, R=triangle(np.vstack(rest)), parts=(), windows=windows)
-        own = state_map(method, one, states.past, feedthrough=feedthrough)
-        if len(own.T) < order:
+        candidates = state_map(method, one, states.past, feedthrough=feedthrough)
+        if len(candidates.T) < order:
             continue
         try:
-            model = realise(one, own, order, feedthrough=feedthrough)
+            model = realise(one, candidates, order, feedthrough=feedthrough)
         except DataError:  # no stable predictor: counted by who asks
             continue
         # the same states in other coordinates: S takes their own to those of the whole, for the rows of all data
-        S = regress(now @ states.T[:order].T, now @ own.T[:order].T)[0]
+        S = regress(now @ states.T[:order].T, now @ candidates.T[:order].T)[0]
         back = np.linalg.pinv(S)
         models.append(
             replace(

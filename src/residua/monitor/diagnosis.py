@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from residua.decide.alarm import Alarm, Beginning, Candidate, PresentFault
 from residua.decide.explanation import FINAL, Explainer
 from residua.decide.isolation import Isolation, NoNames
-from residua.decide.matched_hold import Match
+from residua.decide.matched_recursion import Match
 from residua.decide.sizes import estimates_of
 from residua.decide.statement import (
     SHOWN_ALARMS,

@@ -11,8 +11,15 @@ from numpy.typing import NDArray
 
 from residua.decide.checks import is_number
 from residua.decide.isolation import Isolation, IsolationSettings
-from residua.decide.learnt_faults import LearntFault, learnt_code, learnt_direction
-from residua.decide.learnt_isolation import LearntCodes, LearntDirections, learnt_label, with_learnt
+from residua.decide.learnt_faults import (
+    LearntCodes,
+    LearntDirections,
+    LearntFault,
+    learnt_code,
+    learnt_direction,
+    learnt_label,
+    with_learnt,
+)
 from residua.decide.structured import CodeTest, longest_code
 from residua.decide.test import ResidualTest
 from residua.decide.whitened_norm import is_selection

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.isolation import Scores
-from residua.decide.matched_hold import Match
+from residua.decide.matched_recursion import Match
 from residua.decide.test import Block, Tested
 from residua.monitor.filtering import Filtered, filter_block
 from residua.monitor.partial_update import empty_partial

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from residua.decide.isolation import IsolationSettings
 from residua.decide.kinds import read_isolation, read_test, settings_out
 from residua.decide.learnt_faults import LearntFault
-from residua.decide.member_bounds import bounds_in, bounds_out
+from residua.decide.member_bounds import bounds_in
 from residua.decide.test import TestSettings, Watched
 from residua.design import ResidualGenerator
 from residua.errors import FileFormatError, ResiduaError
@@ -110,7 +110,7 @@ def monitor_out(monitor: Monitor) -> dict[str, Any]:
         "state": None if monitor._state is None else values_out(monitor._state),
     }
     if monitor._bounds:  # entries of their own where there is something to tell: any other file stays as it was
-        content["bounds"] = bounds_out(monitor._bounds)
+        content["bounds"] = {name: values_out(one) for name, one in monitor._bounds.items()}
     if monitor._check is not None:
         content["fit_check"] = values_out(monitor._check)
     if test is not None and monitor._normal is not None and not whitens(test):

@@ -5,9 +5,8 @@ from typing import TYPE_CHECKING
 from residua.facade import hand_on
 
 if TYPE_CHECKING:
-    from residua.validate.campaign_result import Campaign, CaseFacts
+    from residua.validate.campaign_result import Campaign, CaseFacts, Comparison, PairedCase
     from residua.validate.campaigns import campaign
-    from residua.validate.comparison import Comparison, PairedCase
     from residua.validate.delays import Delays
     from residua.validate.detectability import Detectability, SmallestFault
     from residua.validate.figure_table import FigureTable
@@ -69,9 +68,8 @@ __all__ = [
 hand_on(
     __name__,
     {
-        "residua.validate.campaign_result": ("Campaign", "CaseFacts"),
+        "residua.validate.campaign_result": ("Campaign", "CaseFacts", "Comparison", "PairedCase"),
         "residua.validate.campaigns": ("campaign",),
-        "residua.validate.comparison": ("Comparison", "PairedCase"),
         "residua.validate.delays": ("Delays",),
         "residua.validate.detectability": ("Detectability", "SmallestFault"),
         "residua.validate.figure_table": ("FigureTable",),

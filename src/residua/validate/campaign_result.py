@@ -1,38 +1,105 @@
-"""Result of a campaign: its figures, each with its confidence interval."""
+"""Result of a campaign: its figures, each with its confidence interval, and the comparison of two on the same draws."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import io
+import json
+import zipfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import FileFormatError, SettingError
-from residua.number_kinds import KNOWN_OR_NOT
-from residua.records import float_in, float_out, list_in, record, table_in, text_in, texts_in, whole_in
+from residua.files import check_output, other_version, read_bytes, replacing
+from residua.number_kinds import KNOWN_OR_NOT, NumberKind
+from residua.records import Record, values_in, values_out
 from residua.shown import Shown, notes
-from residua.validate.campaign_file import read_runs, write_runs
-from residua.validate.comparison import Comparison, compared
 from residua.validate.delays import Delays, delays_of
 from residua.validate.figure_table import FigureTable
-from residua.validate.intervals import CONFIDENCE, Estimate, clustered_share, events_apart, wilson
+from residua.validate.intervals import CONFIDENCE, Estimate, bootstrap, clustered_share, events_apart, wilson
 from residua.validate.runs import NO_ALARM, SEVERAL, UNKNOWN, RunFigures
 from residua.validate.separation import Roc, roc_of
 from residua.validate.size_fit import DetectionProbability, detection_probability
-from residua.visible import echo, listed
 from residua.words import counted, number, percent
 
 #: Shares of the runs whose delays are in tables.
 _QUANTILES = (0.5, 0.9, 0.95)
 #: Share of the runs that count as detected by chance, from which on a note says so.
 _CHANCE = 0.1
+#: Version of the file of a campaign; files of another one are refused.
+VERSION = 1
+_ARRAYS = tuple(one.name for one in fields(RunFigures))
 
 
 @dataclass(frozen=True)
-class CaseFacts:
+class PairedCase:
+    """One case of two campaigns.
+
+    Attributes
+    ----------
+    fault, shape : str
+    size : float
+    only_first, only_second : int
+        Runs that only one of the monitors detected.
+    detected : Estimate
+        Share of the runs that the first detects less that of the second, with its bootstrap interval over runs.
+    p_value : float
+        That so uneven a split of these runs, or more so, comes by chance where neither detects more (McNemar, exact).
+    named : Estimate
+        Share of the runs in which the first names the fault less that of the second.
+    delay : Estimate
+        Delay of the first less that of the second, in seconds: mean over the runs that both detected.
+    """
+
+    fault: str
+    shape: str
+    size: float
+    only_first: int
+    only_second: int
+    detected: Estimate
+    p_value: float
+    named: Estimate
+    delay: Estimate
+
+
+@dataclass(frozen=True, repr=False)
+class Comparison(Shown):
+    """Two campaigns on the same draws, the first less the second. Prints as a table.
+
+    Attributes
+    ----------
+    false_alarm_rate : Estimate
+        Difference of the fractions of fault-free samples in alarm, with its bootstrap interval over runs.
+    cases : tuple of PairedCase
+
+    References
+    ----------
+    McNemar (1947), Psychometrika 12, 153-157.
+    """
+
+    false_alarm_rate: Estimate
+    cases: tuple[PairedCase, ...]
+
+    def table(self) -> FigureTable:
+        """Return a row for each case."""
+        header = ("fault", "shape", "size", "detected", "only first", "only second", "p", "named", "delay [s]")
+        rows = [
+            (c.fault, c.shape, c.size, c.detected, c.only_first, c.only_second, c.p_value, c.named, c.delay)
+            for c in self.cases
+        ]
+        return FigureTable(header, tuple(rows))
+
+    def __str__(self) -> str:
+        first = f"the first monitor less the second; false-alarm rate {self.false_alarm_rate}"
+        return f"{first}\n\n{self.table()}" if self.cases else first
+
+
+@dataclass(frozen=True)
+class CaseFacts(Record):
     """One case of a campaign: a fault of one size in one shape.
 
     Attributes
@@ -43,6 +110,8 @@ class CaseFacts:
     scenario : int
         Number of its scenario.
     """
+
+    NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {"size": KNOWN_OR_NOT}
 
     fault: str
     shape: str
@@ -144,7 +213,8 @@ class Campaign(Shown):
 
     def named(self, case: int) -> Estimate:
         """Return the share of the detected runs in which the group of the fault was named, with its Wilson interval."""
-        return wilson(self._right(case), int((self.figures.detected[case] >= 0).sum()), self.confidence)
+        detected = int((self.figures.detected[case] >= 0).sum())
+        return wilson(int(self._named_right(case).sum()), detected, self.confidence)
 
     def delay(self, case: int) -> Delays:
         """Return the distribution of the delay from onset to alarm, in seconds; runs without an alarm are censored."""
@@ -155,22 +225,12 @@ class Campaign(Shown):
 
     def table(self) -> FigureTable:
         """Return a row for each case: the share detected, by chance, the delay in seconds, and the named faults."""
-        header = (
-            "fault",
-            "shape",
-            "size",
-            "detected",
-            "by chance",
-            "median delay [s]",
-            "90 % delay [s]",
-            "named",
-        )
-        rows = []
-        for c, case in enumerate(self.cases):
-            median, ninety = self.delay(c).quantiles((0.5, 0.9))
-            figures = (self.detected(c), self.by_chance(c), median, ninety, self.named(c))
-            rows.append((case.fault, case.shape, case.size, *figures))
-        return FigureTable(header, tuple(rows))
+        header = ("detected", "by chance", "median delay [s]", "90 % delay [s]", "named")
+
+        def figures(c: int) -> tuple[Estimate, ...]:
+            return self.detected(c), self.by_chance(c), *self.delay(c).quantiles((0.5, 0.9)), self.named(c)
+
+        return self._by_case(header, figures)
 
     def delays(self) -> FigureTable:
         """Return a row for each case: the delay in seconds by which shares of the runs were detected.
@@ -178,14 +238,13 @@ class Campaign(Shown):
         Infinite where the runs do not show it: fewer were detected before their end. The mean is that of the detected
         runs alone, with its bootstrap interval.
         """
-        header = ("fault", "shape", "size", "censored", "mean of detected [s]")
-        header += tuple(f"{100 * share:g} % [s]" for share in _QUANTILES)
-        rows = []
-        for c, case in enumerate(self.cases):
+        header = ("censored", "mean of detected [s]", *(f"{100 * share:g} % [s]" for share in _QUANTILES))
+
+        def figures(c: int) -> tuple[int | Estimate, ...]:
             delay = self.delay(c)
-            figures = (delay.censored, delay.mean(self.seed), *delay.quantiles(_QUANTILES))
-            rows.append((case.fault, case.shape, case.size, *figures))
-        return FigureTable(header, tuple(rows))
+            return delay.censored, delay.mean(self.seed), *delay.quantiles(_QUANTILES)
+
+        return self._by_case(header, figures)
 
     def confusion(self) -> FigureTable:
         """Return the share of a case's runs in which each group was named, a row for each case.
@@ -198,13 +257,18 @@ class Campaign(Shown):
         if not (self.figures.named == SEVERAL).any():
             shown.remove(SEVERAL)
         words = {SEVERAL: "several", UNKNOWN: "unknown", NO_ALARM: "none"}
-        header = ("fault", "shape", "size", *(words.get(g) or " or ".join(self.groups[g]) for g in shown))
-        rows = []
-        for c, case in enumerate(self.cases):
+        header = tuple(words.get(g) or " or ".join(self.groups[g]) for g in shown)
+
+        def figures(c: int) -> tuple[Estimate, ...]:
             counts = [int((self.figures.named[c] == g).sum()) for g in shown]
-            shares = [wilson(count, self.runs, self.confidence) for count in counts]
-            rows.append((case.fault, case.shape, case.size, *shares))
-        return FigureTable(header, tuple(rows))
+            return tuple(wilson(count, self.runs, self.confidence) for count in counts)
+
+        return self._by_case(header, figures)
+
+    def _by_case(self, header: tuple[str, ...], figures: Callable[[int], tuple[Any, ...]]) -> FigureTable:
+        """Return a table with a row for each case."""
+        rows = tuple((case.fault, case.shape, case.size, *figures(c)) for c, case in enumerate(self.cases))
+        return FigureTable(("fault", "shape", "size", *header), rows)
 
     def roc(self, case: int | None = None) -> dict[str, Roc] | Roc:
         """Return the curves of detections against false alarms over all thresholds, by case; or that of one case.
@@ -215,8 +279,8 @@ class Campaign(Shown):
             f = self.figures
             return roc_of(f.peak[case], f.quiet_peak[case], self.threshold, self.confidence)
         names = [one.name for one in self.cases]
-        own = [name if names.count(name) == 1 else f"{name} (case {c})" for c, name in enumerate(names)]
-        return {name: self.roc(c) for c, name in enumerate(own)}  # pyright: ignore[reportReturnType]
+        labels = [name if names.count(name) == 1 else f"{name} (case {c})" for c, name in enumerate(names)]
+        return {name: self.roc(c) for c, name in enumerate(labels)}  # pyright: ignore[reportReturnType]
 
     def detection_probabilities(self) -> tuple[DetectionProbability, ...]:
         """Return the probability of detection by size for each scenario: fit, a90 and a90/95, or why there is none."""
@@ -243,15 +307,26 @@ class Campaign(Shown):
                 "the campaigns are not on the same draws: give both the same plants, scenarios, runs, samples, seed, "
                 "noise, inputs, disturbances, controller and within"
             )
-        return compared(
-            [(case.fault, case.shape, case.size) for case in self.cases],
-            self.figures,
-            other.figures,
-            [[campaign._named_right(c) for c in range(len(self.cases))] for campaign in (self, other)],
-            dt=self.dt,
-            seed=self.seed,
-            confidence=self.confidence,
-        )
+        first, second = self.figures, other.figures
+
+        def mean(values: NDArray[np.generic]) -> Estimate:
+            return bootstrap(values.astype(float), lambda drawn: drawn.mean(axis=1), self.seed, self.confidence)
+
+        def difference_of_rates(drawn: NDArray[np.float64]) -> NDArray[np.float64]:
+            sums = drawn.sum(axis=1)
+            return sums[:, 0] / np.maximum(sums[:, 1], 1) - sums[:, 2] / np.maximum(sums[:, 3], 1)
+
+        cases = []
+        for c, case in enumerate(self.cases):
+            one, two = first.detected[c] >= 0, second.detected[c] >= 0
+            alone = int((one & ~two).sum()), int((two & ~one).sum())
+            detected = mean(one.astype(float) - two)
+            named = mean(self._named_right(c).astype(float) - other._named_right(c))
+            delay = mean(self.dt * (first.detected[c] - second.detected[c])[one & two])
+            facts = (case.fault, case.shape, case.size)
+            cases.append(PairedCase(*facts, *alone, detected, mcnemar(*alone), named, delay))
+        rows = np.column_stack([first.alarmed, first.decided, second.alarmed, second.decided]).astype(float)
+        return Comparison(bootstrap(rows, difference_of_rates, self.seed, self.confidence), tuple(cases))
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -310,8 +385,14 @@ class Campaign(Shown):
         return write_campaign_page(self, path, title=title)
 
     def save(self, path: str | Path) -> Path:
-        """Write the campaign to a file, from which :meth:`load` reads it."""
-        return write_runs(path, self.head(), self.figures)
+        """Write the campaign to a file, whole or not at all, from which :meth:`load` reads it: arrays and JSON."""
+        path = Path(path)
+        check_output(path)
+        head = json.dumps({"version": VERSION, **values_out(self, but=("figures",))}, allow_nan=False)
+        arrays = {name: getattr(self.figures, name) for name in _ARRAYS}
+        with replacing(path) as partial, open(partial, "wb") as file:
+            np.savez(file, **arrays, head=np.array(head))  # pyright: ignore[reportArgumentType]
+        return path
 
     @staticmethod
     def load(path: str | Path) -> Campaign:
@@ -322,111 +403,60 @@ class Campaign(Shown):
         FileFormatError
             If the file is none, is damaged, or holds a campaign that is not complete.
         """
-        head, figures = read_runs(path)
-        whole = campaign_from(head, figures, str(path))
-        if figures.runs < whole.runs:
+        whole = read_campaign(path)
+        if whole.figures.runs < whole.runs:
             raise FileFormatError(
-                f"{path} holds {figures.runs} of {whole.runs} runs: call campaign(..., resume={str(path)!r}) again "
-                "with the same settings to go on"
+                f"{path} holds {whole.figures.runs} of {whole.runs} runs: call campaign(..., resume={str(path)!r}) "
+                "again with the same settings to go on"
             )
         return whole
 
-    def head(self) -> dict[str, Any]:
-        """Return everything but the figures of the runs, as a record."""
-        return {
-            "plant": self.plant,
-            "cases": [[c.fault, c.shape, float_out(c.size), c.scenario] for c in self.cases],
-            "groups": [list(group) for group in self.groups],
-            "runs": self.runs,
-            "samples": self.samples,
-            "seed": self.seed,
-            "dt": self.dt,
-            "threshold": float_out(self.threshold),
-            "window": self.window,
-            "settling": self.settling,
-            "settings": dict(self.settings),
-            "draws": self.draws,
-            "watched": self.watched,
-            "confidence": self.confidence,
-        }
-
-    # ------------------------------------------------------------------ helpers
-
     def _named_right(self, case: int) -> NDArray[np.bool_]:
-        own = [g for g, group in enumerate(self.groups) if self.cases[case].fault in group]
-        return np.isin(self.figures.named[case], own)
-
-    def _right(self, case: int) -> int:
-        return int(self._named_right(case).sum())
+        """Return the mask of the runs in which the group of the fault was named."""
+        groups = [g for g, group in enumerate(self.groups) if self.cases[case].fault in group]
+        return np.isin(self.figures.named[case], groups)
 
 
-_ENTRIES = (
-    *(
-        "plant",
-        "cases",
-        "groups",
-        "runs",
-        "samples",
-        "seed",
-        "dt",
-        "threshold",
-        "window",
-        "settling",
-        "settings",
-        "draws",
-    ),
-    *("watched", "confidence"),
-)
+def read_campaign(path: str | Path) -> Campaign:
+    """Read a campaign whose runs may not be complete.
+
+    Raises
+    ------
+    FileFormatError
+        If the file is none, or damaged.
+    """
+    content = read_bytes(path, "campaign file")
+    try:
+        with np.load(io.BytesIO(content), allow_pickle=False) as file:
+            head = json.loads(str(file["head"]))
+            arrays = {name: file[name] for name in _ARRAYS}
+    except (ValueError, KeyError, OSError, EOFError, zipfile.BadZipFile) as error:
+        raise FileFormatError(f"{path} is not the file of a campaign: {error}") from error
+    version = head.pop("version", None) if isinstance(head, dict) else None
+    if version != VERSION:
+        raise FileFormatError(other_version(str(path), version, VERSION, "run the campaign again"))
+    like = RunFigures.empty(len(arrays["onset"]), len(arrays["decided"]))
+    for name, values in arrays.items():
+        wanted = getattr(like, name)
+        if values.shape != wanted.shape or values.dtype != wanted.dtype:
+            got = f"{values.dtype} of shape {values.shape}"
+            raise FileFormatError(f"{path}: {name} must be {wanted.dtype} of shape {wanted.shape}, got {got}")
+    campaign: Campaign = values_in(head, f"{path}: head", Campaign, {"figures": RunFigures(**arrays)})
+    if len(campaign.cases) != len(arrays["onset"]):
+        raise FileFormatError(f"{path}: head.cases must be {len(arrays['onset'])}, as the figures are")
+    return campaign
 
 
-def campaign_from(head: Mapping[str, Any], figures: RunFigures, where: str) -> Campaign:
-    """Return the campaign of a file's head and figures."""
-    content = record({name: value for name, value in head.items() if name != "version"}, where, _ENTRIES)
-    cases = []
-    for k, one in enumerate(list_in(content["cases"], f"{where}: cases", figures.onset.shape[0])):
-        fault, shape, size, scenario = list_in(one, f"{where}: cases.{k}", 4)
-        at = f"{where}: cases.{k}"
-        cases.append(
-            CaseFacts(text_in(fault, at), text_in(shape, at), float_in(size, at, KNOWN_OR_NOT), whole_in(scenario, at))
-        )
-    settings = table_in(content["settings"], f"{where}: settings")
-    groups = list_in(content["groups"], f"{where}: groups")
+def mcnemar(first: int, second: int) -> float:
+    """Return the exact two-sided p-value of a split of discordant pairs.
 
-    def entry(name: str) -> tuple[Any, str]:
-        return content[name], f"{where}: {name}"
+    Examples
+    --------
+    >>> from residua.validate.campaign_result import mcnemar
+    >>> mcnemar(5, 5), mcnemar(0, 10)
+    (1.0, 0.001953125)
+    """
+    from scipy.special import bdtr  # slow to import, and needed only here
 
-    return Campaign(
-        plant=text_in(*entry("plant")),
-        cases=tuple(cases),
-        groups=tuple(texts_in(group, f"{where}: groups") for group in groups),
-        figures=figures,
-        runs=whole_in(*entry("runs")),
-        samples=whole_in(*entry("samples")),
-        seed=whole_in(*entry("seed")),
-        dt=float_in(*entry("dt")),
-        threshold=float_in(*entry("threshold")),
-        window=whole_in(*entry("window")),
-        settling=whole_in(*entry("settling")),
-        settings={str(name): str(value) for name, value in settings.items()},
-        draws=text_in(*entry("draws")),
-        watched=text_in(*entry("watched")),
-        confidence=float_in(*entry("confidence")),
-    )
-
-
-def check_goes_on(made: Campaign, new: Campaign, path: str | Path) -> None:
-    """Raise unless a file's campaign is the beginning of the one to be run."""
-    if (made.draws, made.watched) != (new.draws, new.watched) or made.figures.runs > new.runs:
-        changed = [name for name, value in new.settings.items() if made.settings.get(name) != value]
-        if made.watched != new.watched:
-            changed.append("monitor")
-        changed += [name for name in ("samples", "seed") if getattr(made, name) != getattr(new, name)]
-        if made.figures.runs > new.runs:
-            changed.append(f"runs, of which it has {made.figures.runs:,}")
-        raise SettingError(
-            f"{echo(str(path))} holds another campaign (different: {listed(changed) if changed else 'runs'}): name "
-            "another file, or remove that one"
-        )
-
-
-__all__ = ["Campaign", "CaseFacts", "campaign_from", "check_goes_on"]
+    pairs = first + second
+    return min(1.0, 2 * float(bdtr(min(first, second), pairs, 0.5))) if pairs else 1.0

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields, is_dataclass, replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from residua.decide.checks import check_samples, check_whole, is_number
+from residua.decide.checks import check_probability, check_samples, check_whole, is_number
 from residua.errors import NotFittedError, SettingError, missing_extra
 from residua.files import check_output
 from residua.linear import StateSpace
@@ -22,16 +23,15 @@ from residua.plant import Plant
 from residua.progress import Progress, progress_of
 from residua.robust.sets.uncertain_plant import UncertainPlant
 from residua.tolerances import SAME
-from residua.validate.campaign_file import digest, read_runs, write_runs
-from residua.validate.campaign_result import Campaign, CaseFacts, campaign_from, check_goes_on
+from residua.validate.campaign_result import Campaign, CaseFacts, read_campaign
 from residua.validate.given_signals import control_inputs, disturbance_signals
-from residua.validate.intervals import CONFIDENCE, check_confidence
+from residua.validate.intervals import CONFIDENCE
 from residua.validate.noise import NoiseModel, Resampled, white
 from residua.validate.runs import Plan, RunFigures, figures_of
 from residua.validate.scenario import Scenario, cases_of
 from residua.validate.shapes import StuckAt
 from residua.validate.truth import Truth, check_same_channels, truth_of
-from residua.visible import echo
+from residua.visible import echo, listed
 
 #: Seconds between two writings of the file that a campaign can be resumed from.
 _SAVED_EVERY = 10.0
@@ -148,72 +148,64 @@ def campaign(
     >>> made.false_alarm_rate().value < 0.02, made.detected(0).value > 0.9
     (True, True)
     """
-    check_confidence(confidence)
+    check_probability(confidence, "confidence")
     check_samples(samples, "samples")
-    for name, value in (("runs", runs), ("workers", workers)):
-        check_whole(value, name)
-    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
-        raise SettingError(f"seed must be a whole number, 0 or more, got {echo(seed)}")
+    for name, value, least in (("runs", runs, 1), ("workers", workers, 1), ("seed", seed, 0)):
+        check_whole(value, name, least=least)
     plan, words = plan_of(
         monitor, scenarios, int(samples), int(seed), noise, inputs, disturbances, plants, controller, within
     )
-    joined = _joblib() if workers > 1 else None
     new = _empty_campaign(plan, monitor, int(runs), words, float(confidence))
     figures, done = RunFigures.empty(len(new.cases), new.runs), 0
-    begun = _begun(new, resume)
+    begun = None if resume is None else _begun(new, resume)
     if begun is not None:
         figures.put(0, begun)
         done = begun.runs
+    step = plan.runs_at_once
+    parts = [(first, min(first + step, new.runs)) for first in range(done, new.runs, step)]
+    computed = (figures_of(plan, *part) for part in parts)
+    if workers > 1:
+        try:
+            import joblib  # pyright: ignore[reportMissingImports]
+        except ImportError as error:
+            raise missing_extra("joblib", "workers") from error
+        calls = (joblib.delayed(figures_of)(plan, *part) for part in parts)
+        computed = joblib.Parallel(n_jobs=int(workers), return_as="generator")(calls)
     tell, close = progress_of(progress)
     saved = time.monotonic()
     try:
-        for part in _computed(plan, _parts(plan, done, new.runs), joined, int(workers)):
+        for part in computed:
             figures.put(done, part)
             done += part.runs
             if resume is not None and time.monotonic() - saved > _SAVED_EVERY:
-                write_runs(resume, new.head(), figures.first(done))
+                replace(new, figures=figures.first(done)).save(resume)
                 saved = time.monotonic()
             tell("runs", done, new.runs)
     finally:
         close()
         if resume is not None:
-            write_runs(resume, new.head(), figures.first(done))
+            replace(new, figures=figures.first(done)).save(resume)
     return replace(new, figures=figures)
 
 
-def _computed(plan: Plan, parts: list[tuple[int, int]], joined: Any, workers: int) -> Iterator[RunFigures]:
-    """Yield the figures of the runs, in their order."""
-    if joined is None:
-        yield from (figures_of(plan, first, last) for first, last in parts)
-    else:
-        calls = (joined.delayed(figures_of)(plan, first, last) for first, last in parts)
-        yield from joined.Parallel(n_jobs=workers, return_as="generator")(calls)
-
-
-def _joblib() -> Any:
-    try:
-        import joblib  # pyright: ignore[reportMissingImports]
-    except ImportError as error:
-        raise missing_extra("joblib", "workers") from error
-    return joblib
-
-
-def _parts(plan: Plan, first: int, last: int) -> list[tuple[int, int]]:
-    """Return the runs to simulate together, as pairs of the first and the one after the last."""
-    step = plan.runs_at_once
-    return [(start, min(start + step, last)) for start in range(first, last, step)]
-
-
-def _begun(new: Campaign, resume: str | Path | None) -> RunFigures | None:
-    """Return the figures of the runs already in a file; ``None`` without one."""
-    if resume is None:
+def _begun(new: Campaign, path: str | Path) -> RunFigures | None:
+    """Return the figures of the runs already in a file, the beginning of the new campaign; ``None`` without one."""
+    check_output(path)
+    if not Path(path).exists():
         return None
-    check_output(resume)
-    if not Path(resume).exists():
-        return None
-    head, figures = read_runs(resume)
-    check_goes_on(campaign_from(head, figures, str(resume)), new, resume)
-    return figures
+    begun = read_campaign(path)
+    if (begun.draws, begun.watched) != (new.draws, new.watched) or begun.figures.runs > new.runs:
+        changed = [name for name, value in new.settings.items() if begun.settings.get(name) != value]
+        if begun.watched != new.watched:
+            changed.append("monitor")
+        changed += [name for name in ("samples", "seed") if getattr(begun, name) != getattr(new, name)]
+        if begun.figures.runs > new.runs:
+            changed.append(f"runs, of which it has {begun.figures.runs:,}")
+        raise SettingError(
+            f"{echo(str(path))} holds another campaign (different: {listed(changed) if changed else 'runs'}): name "
+            "another file, or remove that one"
+        )
+    return begun.figures
 
 
 def plan_of(
@@ -235,7 +227,7 @@ def plan_of(
         raise NotFittedError("this monitor has no threshold: fit it, or give its plant noise, before a campaign")
     generator, spec = monitor.generator, monitor._specification()
     dt = generator.dt
-    truths, uncertain, told, simulated = _truths(monitor.design.plant, plants, dt, controller, samples)
+    truths, uncertain, about_plant, simulated = _truths(monitor.design.plant, plants, dt, controller, samples)
     cases = cases_of(scenarios, monitor.design.plant, samples, dt)
     lacking = [case.fault for case in cases if case.fault not in truths[0].faults]
     if lacking:
@@ -250,7 +242,9 @@ def plan_of(
     u, about_inputs = control_inputs(inputs, one, generator.plant.inputs, samples, seeds)
     d, drawn, about_disturbances = disturbance_signals(disturbances, simulated.disturbances, samples)
     chosen = _noise(noise, one, spec, bool(disturbances))
-    counted = samples if within is None else _samples_within(within, dt)
+    if within is not None and not (is_number(within) and within >= dt):
+        raise SettingError(f"within must be one step ({dt:g} s) or more, in seconds, got {echo(within)}")
+    counted = samples if within is None else round(within / dt)
     late = [case for case in cases if within is not None and case.shape.latest_sample(dt) + counted > samples]
     if late:
         raise SettingError(
@@ -274,7 +268,7 @@ def plan_of(
         one.offset,
     )
     words = {
-        "plant": told,
+        "plant": about_plant,
         "noise": "none" if chosen is None else str(chosen),
         "inputs": about_inputs,
         "disturbances": about_disturbances,
@@ -282,12 +276,6 @@ def plan_of(
         "a detection counts": "to the end of the run" if within is None else f"within {within:g} s of the onset",
     }
     return plan, words
-
-
-def _samples_within(within: float, dt: float) -> int:
-    if not is_number(within) or not within >= dt:
-        raise SettingError(f"within must be one step ({dt:g} s) or more, in seconds, got {echo(within)}")
-    return round(within / dt)
 
 
 def _noise(
@@ -321,15 +309,15 @@ def _truths(
     """Return the plants to simulate, an uncertain plant if there is one, a description, and the first of the plants."""
     uncertain = plants if isinstance(plants, UncertainPlant) else None
     if plants is None:
-        several, told = [model], "that of the monitor"
+        several, about = [model], "that of the monitor"
     elif uncertain is not None:
-        several, told = [uncertain.nominal], f"a member of {uncertain!r} for each run"
+        several, about = [uncertain.nominal], f"a member of {uncertain!r} for each run"
     elif isinstance(plants, Plant):
-        several, told = [plants], repr(plants)
+        several, about = [plants], repr(plants)
     elif isinstance(plants, (list, tuple)):
-        several, told = list(plants), f"{len(plants)} plants in turn"
+        several, about = list(plants), f"{len(plants)} plants in turn"
     else:
-        several, told = [], ""
+        several, about = [], ""
     if not several or not all(isinstance(one, Plant) for one in several):
         raise SettingError(f"plants must be a Plant, several of them, or an UncertainPlant, got {echo(plants)}")
     first = several[0]
@@ -340,18 +328,26 @@ def _truths(
         alike = [(p.disturbances, p.faults, p.Bw.shape[1]) for p in (one, first)]
         if alike[0] != alike[1]:
             raise SettingError("the plants must have the same disturbances, faults and number of noises")
-    return tuple(truth_of(one, dt, controller, samples) for one in several), uncertain, told, first
+    return tuple(truth_of(one, dt, controller, samples) for one in several), uncertain, about, first
 
 
 def _empty_campaign(plan: Plan, monitor: Monitor, runs: int, words: dict[str, str], confidence: float) -> Campaign:
     """Return the campaign without its runs."""
-    cases = tuple(CaseFacts(one.fault, str(one.shape), _size(one), one.scenario) for one in plan.cases)
-    spec = plan.spec
-    draws = digest(
-        *(plan.truths, plan.uncertain, plan.controller and plan.controller.A, plan.controller and plan.controller.B),
-        *(plan.controller and plan.controller.C, plan.cases, plan.samples, plan.seed, plan.inputs, plan.disturbances),
-        *(plan.drawn, plan.noise, plan.within, plan.generator.dt),
+    cases = tuple(
+        CaseFacts(one.fault, str(one.shape), np.nan if isinstance(one.shape, StuckAt) else one.size, one.scenario)
+        for one in plan.cases
     )
+    spec, loop = plan.spec, plan.controller
+    draws = digest(
+        *(plan.truths, plan.uncertain, loop and loop.A, loop and loop.B, loop and loop.C, plan.cases, plan.samples),
+        *(plan.seed, plan.inputs, plan.disturbances, plan.drawn, plan.noise, plan.within, plan.generator.dt),
+    )
+    try:
+        own_version = metadata.version("residua")
+    except metadata.PackageNotFoundError:
+        own_version = "unknown"
+    software = {"residua": own_version, "NumPy": np.__version__, "SciPy": scipy.__version__}
+    versions = {f"version of {name}": version for name, version in software.items()}
     return Campaign(
         plant=monitor.design.plant.name,
         cases=cases,
@@ -364,24 +360,38 @@ def _empty_campaign(plan: Plan, monitor: Monitor, runs: int, words: dict[str, st
         threshold=float(spec.test.threshold),
         window=spec.test.samples,
         settling=spec.settle,
-        settings=words | settings_of(spec, plan.generator) | _versions(),
+        settings=words | settings_of(spec, plan.generator) | versions,
         draws=draws,
         watched=digest(spec),
         confidence=confidence,
     )
 
 
-def _size(case: Any) -> float:
-    return float("nan") if isinstance(case.shape, StuckAt) else case.size
+def digest(*values: Any) -> str:
+    """Return a digest that depends on all settings, matrices and signals."""
+    sha = hashlib.sha256()
+    for value in values:
+        _feed(sha, value)
+    return sha.hexdigest()
 
 
-def _versions() -> dict[str, str]:
-    """Return the versions of software on which the runs depend."""
-    try:
-        own = metadata.version("residua")
-    except metadata.PackageNotFoundError:
-        own = "unknown"
-    return {"version of residua": own, "version of NumPy": np.__version__, "version of SciPy": scipy.__version__}
-
-
-__all__ = ["campaign", "plan_of"]
+def _feed(sha: Any, value: Any) -> None:
+    """Feed a value: arrays by their bytes, dataclasses and containers by their parts, anything else by its text."""
+    if isinstance(value, np.ndarray):
+        sha.update(f"{value.dtype}{value.shape}".encode())
+        sha.update(np.ascontiguousarray(value).tobytes() if value.dtype != object else repr(value.tolist()).encode())
+    elif is_dataclass(value) and not isinstance(value, type):
+        sha.update(type(value).__qualname__.encode())
+        for one in fields(value):
+            sha.update(one.name.encode())
+            _feed(sha, getattr(value, one.name))
+    elif isinstance(value, Mapping):
+        _feed(sha, list(value.items()))
+    elif isinstance(value, (list, tuple)):
+        sha.update(f"{len(value)}[".encode())
+        for one in value:
+            _feed(sha, one)
+    elif isinstance(value, (str, int, float, complex, bool, bytes, np.generic)) or value is None:
+        sha.update(repr(value).encode())
+    else:
+        sha.update(getattr(value, "__qualname__", type(value).__qualname__).encode())

@@ -88,6 +88,3 @@ def delays_of(delay: NDArray[np.float64], seen: NDArray[np.bool_], confidence: f
     return Delays(
         times, survival, np.minimum(low, high), np.maximum(low, high), delay[seen], int((~seen).sum()), confidence
     )
-
-
-__all__ = ["Delays", "delays_of"]

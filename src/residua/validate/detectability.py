@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residua.decide.checks import check_whole, is_number
+from residua.decide.checks import check_probability, check_whole
+from residua.decide.sizes import fault_unit
 from residua.decide.stream_settings import is_white
 from residua.decide.test import Block, ResidualTest
 from residua.decide.whitened_norm import NormTest
@@ -22,7 +23,7 @@ from residua.progress import Progress, progress_of
 from residua.shown import Shown, line_chart, notes
 from residua.tolerances import SAME
 from residua.validate.figure_table import FigureTable
-from residua.validate.intervals import CONFIDENCE, UNKNOWN, Estimate, bootstrap, check_confidence, wilson
+from residua.validate.intervals import CONFIDENCE, UNKNOWN, Estimate, bootstrap, wilson
 from residua.validate.noise import Resampled, resampled
 from residua.validate.shapes import Shape, step
 from residua.visible import echo, listed
@@ -91,7 +92,7 @@ class Detectability(Shown):
     mean_time : float or None
         Seconds between false alarms that Lorden's delays are for.
     summed : bool
-        Whether that is the time of single samples, and sums over a window have false alarms more seldom.
+        True if that is the time of single samples, and sums over a window have false alarms more seldom.
     before : int
         Samples of a stream before the fault arrives.
     units : mapping of str to str
@@ -148,8 +149,13 @@ class Detectability(Shown):
         """
         if fault not in self.curves:
             raise SettingError(f"no fault {echo(fault)} here; the faults are: {listed(tuple(self.curves))}")
-        delays = self.delays
-        column = len(delays) - 1 if within is None else _nearest(delays, within)
+        delays, column = self.delays, -1
+        if within is not None:
+            column = int(np.argmin(np.abs(np.array(delays) - float(within))))
+            if not np.isclose(delays[column], within):
+                raise SettingError(
+                    f"within must be one of {', '.join(f'{one:g}' for one in delays)} s, got {echo(within)}"
+                )
         sizes, shares = self.curves[fault]
         return sizes.copy(), shares[:, column].copy()
 
@@ -269,11 +275,10 @@ def detectability(
         raise SettingError(f"detectability takes a Monitor, got {type(monitor).__name__}")
     if not monitor.is_fitted:
         raise NotFittedError("this monitor has no threshold: fit it, or give its plant noise, first")
-    check_confidence(confidence)
+    check_probability(confidence, "confidence")
     check_whole(runs, "runs", least=_FEWEST)
     check_whole(seed, "seed", least=0)
-    if not is_number(miss_rate) or not 0 < miss_rate < 1:
-        raise SettingError(f"miss_rate must lie between 0 and 1, got {echo(miss_rate)}")
+    check_probability(miss_rate, "miss_rate")
     generator, test = monitor.generator, monitor._specification().test
     if test.reads_signals:
         raise SettingError(
@@ -288,13 +293,14 @@ def detectability(
     chance = trials.delays(np.zeros((delays[-1], generator.n_residuals)))
     quick = generator.dt * np.array(delays)
     mean_time = None if test.mean_time is None else test.mean_time * generator.dt
+    is_known_white = residuals is None and (monitor.fit_check is not None or is_white(generator))
     smallest, curves = [], {}
     tell, close = progress_of(progress)
     try:
         for number_of, name in enumerate(names):
             response = _response(generator, name, course)
             search = _Search(trials, response, delays, 1 - float(miss_rate), float(confidence))
-            white = _white_response(generator, test, response, monitor.fit_check is not None, residuals is not None)
+            white = test.in_white_units(response) if is_known_white else None
             for count, seconds in zip(delays, quick.tolist(), strict=True):
                 size = search.smallest(count)
                 mean = search.mean_delay(size.value, count, int(seed))
@@ -317,7 +323,7 @@ def detectability(
         _settled(test),
         int(runs),
         int(seed),
-        {name: _unit(generator, name) for name in names},
+        {name: fault_unit(generator.plant, name) for name in names},
         _notes(trials, generator, test, words),
     )
 
@@ -341,7 +347,7 @@ class _Trials:
     residuals : ndarray, shape (runs, samples, k)
         Fault-free, from that moment on.
     quiet : ndarray of bool, shape (runs,)
-        Whether no false alarm stands at that moment; others are left out.
+        True if no false alarm stands at that moment; others are left out.
     alarms, before : int
         False alarms that were raised before, and the samples of all runs.
     """
@@ -466,8 +472,8 @@ def _response(generator: ResidualGenerator, fault: str, course: NDArray[np.float
     column = generator.faults.index(fault)
     form = generator.internal_form().select(inputs=[column])
     start = np.zeros((1, form.n_states))
-    made = run_filter(form.A, form.B, form.C, form.D, start, course[None, :, None])[1][0]
-    return np.where(generator.structure[:, column], made, 0.0)
+    response = run_filter(form.A, form.B, form.C, form.D, start, course[None, :, None])[1][0]
+    return np.where(generator.structure[:, column], response, 0.0)
 
 
 # ---------------------------------------------------------------------------- search
@@ -557,28 +563,19 @@ class _Search:
         return sizes, np.array(shares[:kept]).reshape(kept, len(self.delays))
 
 
-def _white_response(
-    generator: ResidualGenerator, test: ResidualTest, response: NDArray[np.float64], fitted: bool, given: bool
-) -> NDArray[np.float64] | None:
-    """Return the response in units in which the residual is white, with variance one; ``None`` without such units."""
-    if given or not (fitted or is_white(generator)):
-        return None
-    return test.in_white_units(response)
-
-
 def _asymptote(white: NDArray[np.float64] | None, size: float, mean_time: float | None) -> float:
     """Return the delay in samples at which the information on the fault matches the time between alarms."""
     if white is None or mean_time is None or not np.isfinite(size) or size == 0:
         return np.nan
-    told = np.cumsum(np.sum((size * white) ** 2, axis=1)) / 2
+    information = np.cumsum(np.sum((size * white) ** 2, axis=1)) / 2
     wanted = max(float(np.log(mean_time)), 0.0)
-    if told[-1] >= wanted:
-        k = int(np.searchsorted(told, wanted))
-        before = told[k - 1] if k else 0.0
-        samples = k + (wanted - before) / (told[k] - before)
+    if information[-1] >= wanted:
+        k = int(np.searchsorted(information, wanted))
+        before = information[k - 1] if k else 0.0
+        samples = k + (wanted - before) / (information[k] - before)
     else:
-        last = told[-1] - told[-2] if len(told) > 1 else told[-1]
-        samples = len(told) + (wanted - told[-1]) / last if last > 0 else np.inf
+        last = information[-1] - information[-2] if len(information) > 1 else information[-1]
+        samples = len(information) + (wanted - information[-1]) / last if last > 0 else np.inf
     return max(float(samples) - 1, 0.0)
 
 
@@ -604,12 +601,6 @@ def _checked_faults(faults: Iterable[str] | None, known: tuple[str, ...]) -> tup
     return names
 
 
-def _unit(generator: ResidualGenerator, fault: str) -> str:
-    """Return the unit of a sensor's or an actuator's fault: that of its channel."""
-    plant = generator.plant
-    return str(plant.units.get(plant.fault_components[plant.faults.index(fault)], ""))
-
-
 def _delays(within: float | Iterable[float] | None, dt: float, window: int) -> tuple[int, ...]:
     """Return the delays in samples, in ascending order."""
     if within is None:
@@ -618,12 +609,12 @@ def _delays(within: float | Iterable[float] | None, dt: float, window: int) -> t
             counts.append(10 * counts[-2])
         return tuple(counts)
     try:
-        asked = np.atleast_1d(np.asarray(within, dtype=float)).ravel()
+        seconds = np.atleast_1d(np.asarray(within, dtype=float)).ravel()
     except (TypeError, ValueError):
-        asked = np.zeros(0)
-    if not asked.size or not np.isfinite(asked).all() or not (asked >= dt * (1 - SAME)).all():
+        seconds = np.zeros(0)
+    if not seconds.size or not np.isfinite(seconds).all() or not (seconds >= dt * (1 - SAME)).all():
         raise SettingError(f"within must be one step ({dt:g} s) or more, in seconds, got {echo(within)}")
-    return tuple(sorted({round(one / dt) for one in asked.tolist()}))
+    return tuple(sorted({round(one / dt) for one in seconds.tolist()}))
 
 
 def _course(shape: Shape | None, dt: float, samples: int) -> NDArray[np.float64]:
@@ -639,19 +630,14 @@ def _course(shape: Shape | None, dt: float, samples: int) -> NDArray[np.float64]
     return shape.over(before + samples, dt, np.random.default_rng(0))[1][before:]
 
 
-def _nearest(delays: tuple[float, ...], within: float) -> int:
-    place = int(np.argmin(np.abs(np.array(delays) - float(within))))
-    if not np.isclose(delays[place], within):
-        raise SettingError(f"within must be one of {', '.join(f'{one:g}' for one in delays)} s, got {echo(within)}")
-    return place
-
-
 def _notes(trials: _Trials, generator: ResidualGenerator, test: ResidualTest, noise: str) -> tuple[str, ...]:
     """Return cautions: disturbances, unexpected rates of false alarms, runs left out."""
     notes = []
     if noise == _WHITE:
         notes.append("residuals are taken to be white: give residuals= of a fault-free recording where they are not")
-    if generator.plant.disturbances and not _decoupled(generator):
+    first, disturbances = len(generator.faults), len(generator.plant.disturbances)
+    form = generator.internal_form().select(inputs=range(first, first + disturbances))
+    if form.D.any() or (form.B.any() and form.C.any()):
         notes.append(f"disturbances are taken to be zero: {listed(generator.plant.disturbances)}")
     if test.mean_time is not None:
         expected = trials.before / test.mean_time
@@ -665,13 +651,3 @@ def _notes(trials: _Trials, generator: ResidualGenerator, test: ResidualTest, no
         verb = "is" if left == 1 else "are"
         notes.append(f"{left} of {len(trials.quiet):,} runs {verb} left out: a false alarm stands as the fault arrives")
     return tuple(notes)
-
-
-def _decoupled(generator: ResidualGenerator) -> bool:
-    """Tell whether the disturbances reach no residual."""
-    first = len(generator.faults)
-    form = generator.internal_form().select(inputs=range(first, first + len(generator.plant.disturbances)))
-    return not (form.D.any() or (form.B.any() and form.C.any()))
-
-
-__all__ = ["Detectability", "SmallestFault", "detectability"]

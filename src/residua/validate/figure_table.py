@@ -67,7 +67,7 @@ class FigureTable(Shown):
         return f"{len(self.rows)} rows of {', '.join(self.header)}"
 
     def _parts(self) -> list[str]:
-        rows = [[_shown(name, value) for name, value in zip(self.header, row, strict=True)] for row in self.rows]
+        rows = [[_cell(name, value) for name, value in zip(self.header, row, strict=True)] for row in self.rows]
         return [table(self.header, rows)]
 
     def __str__(self) -> str:
@@ -77,7 +77,7 @@ class FigureTable(Shown):
         return "\n".join(line.rstrip() for line in joined)
 
 
-def _shown(name: str, value: Any) -> Any:
+def _cell(name: str, value: Any) -> Any:
     """Return a cell for a notebook: shares with a bar."""
     is_share = isinstance(value, Estimate) and not name.endswith("]") and 0 <= value.value <= 1
     return Bar(value.value, str(value)) if is_share else value
@@ -85,6 +85,3 @@ def _shown(name: str, value: Any) -> Any:
 
 def _text(value: Any) -> str:
     return number(value) if isinstance(value, float) else str(value)
-
-
-__all__ = ["FigureTable"]

@@ -138,6 +138,3 @@ def disturbance_signals(
         fixed[:, column] = signal
         words.append(f"{name}: {'as given' if signal.ndim else f'constant {float(signal):g}'}")
     return fixed, tuple(drawn), "; ".join(words) or "none"
-
-
-__all__ = ["control_inputs", "disturbance_signals"]

@@ -8,9 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.decide.checks import is_number
-from residua.errors import SettingError
-from residua.visible import echo
+from residua.decide.checks import check_probability
 from residua.words import number
 
 #: How sure an interval is where nothing else is asked for.
@@ -57,13 +55,6 @@ def _short(value: float) -> str:
 UNKNOWN = Estimate(float("nan"), float("nan"), float("nan"))
 
 
-def check_confidence(confidence: float) -> float:
-    """Return a confidence, or raise unless it lies between 0 and 1."""
-    if not is_number(confidence) or not 0 < confidence < 1:
-        raise SettingError(f"confidence must lie between 0 and 1, got {echo(confidence)}")
-    return float(confidence)
-
-
 def wilson(count: float, of: float, confidence: float = CONFIDENCE) -> Estimate:
     r"""Return a share of independent trials with its Wilson score interval.
 
@@ -94,9 +85,10 @@ def wilson(count: float, of: float, confidence: float = CONFIDENCE) -> Estimate:
     """
     from scipy.special import ndtri  # slow to import, and needed only here
 
+    check_probability(confidence, "confidence")
     if not of > 0:
         return Estimate(float("nan"), 0.0, 1.0)
-    p, z = count / of, float(ndtri((1 + check_confidence(confidence)) / 2))
+    p, z = count / of, float(ndtri((1 + confidence) / 2))
     middle, half = p + z**2 / (2 * of), z * np.sqrt(p * (1 - p) / of + z**2 / (4 * of**2))
     low, high = (middle - half) / (1 + z**2 / of), (middle + half) / (1 + z**2 / of)
     return Estimate(p, 0.0 if count == 0 else float(low), 1.0 if count == of else float(high))
@@ -145,7 +137,8 @@ def events_apart(count: int, time: float, confidence: float = CONFIDENCE) -> Est
     """
     from scipy.special import gammaincinv  # slow to import, and needed only here
 
-    side = (1 - check_confidence(confidence)) / 2
+    check_probability(confidence, "confidence")
+    side = (1 - confidence) / 2
     most = float(gammaincinv(count + 1, 1 - side))
     fewest = float(gammaincinv(count, side)) if count else 0.0
     if not time > 0:
@@ -173,7 +166,8 @@ def bootstrap(
     ----------
     Efron and Tibshirani (1993), An introduction to the bootstrap, section 13.3.
     """
-    side = (1 - check_confidence(confidence)) / 2
+    check_probability(confidence, "confidence")
+    side = (1 - confidence) / 2
     if not len(values):
         return UNKNOWN
     rng, drawn = np.random.default_rng(seed), []
@@ -183,6 +177,3 @@ def bootstrap(
         drawn.append(statistic(values[rows]))
     low, high = np.quantile(np.concatenate(drawn), [side, 1 - side])
     return Estimate(float(statistic(values[None])[0]), float(low), float(high))
-
-
-__all__ = ["CONFIDENCE", "UNKNOWN", "Estimate", "bootstrap", "check_confidence", "clustered_share", "events_apart"]

@@ -257,6 +257,3 @@ def _stretches(part: Any) -> Sequence[NDArray[np.float64]]:
         return [rows]
     fine = np.flatnonzero(decided & np.isfinite(rows).all(axis=1))
     return np.split(rows[fine], np.flatnonzero(np.diff(fine) > 1) + 1) if len(fine) else []
-
-
-__all__ = ["NoiseModel", "Resampled", "coloured", "heavy_tailed", "resampled", "white"]

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.alarm import put_down_to
-from residua.decide.isolation import Named, Scores, Seen, last_over
+from residua.decide.isolation import Scores, Seen, last_over
 from residua.decide.test import Block, Tested
 from residua.design import ResidualGenerator
 from residua.linear import StateSpace
@@ -119,7 +119,7 @@ class RunFigures:
     peak, quiet_peak : ndarray, shape (cases, runs)
         Largest statistic over these samples, with and without the fault; minus infinity without a decision.
     by_chance : ndarray of bool, shape (cases, runs)
-        Whether the run without the fault is in alarm in these samples.
+        True if the run without the fault is in alarm in these samples.
     """
 
     decided: NDArray[np.int32]
@@ -184,20 +184,20 @@ class _Quiet:
 
     def __init__(self, plan: Plan, first: int, last: int) -> None:
         self.plan, self.runs = plan, last - first
-        self.made = _simulated(plan, first, last)
+        self.simulated = _simulated(plan, first, last)
         self.cuts = sorted({0, plan.samples, *(plan.first_sample(case) for case in plan.cases)})
         start = initial_state(plan.spec, self.runs)
         self.states: dict[int, tuple[FilterState, Any]] = {0: (start.filter, start.test)}
         self.pieces: list[_Watched] = []
         for a, b in pairwise(self.cuts):
-            piece = watch(plan, self.made.signals[:, a:b], self.residuals(a, b), self.states[a], a)
+            piece = watch(plan, self.simulated.signals[:, a:b], self.residuals(a, b), self.states[a], a)
             self.pieces.append(piece)
             self.states[b] = (piece.filter, piece.test)
         self.isolated: dict[int, Any] = {0: plan.spec.isolation.start(self.runs)}
 
     def residuals(self, a: int, b: int) -> NDArray[np.float64] | None:
         """Return resampled residuals from one sample up to another."""
-        return None if self.made.residuals is None else self.made.residuals[:, a:b]
+        return None if self.simulated.residuals is None else self.simulated.residuals[:, a:b]
 
     def of(self, name: str) -> NDArray[Any]:
         """Return a result of the test for all samples."""
@@ -237,10 +237,13 @@ def quiet_statistics(plan: Plan, first: int, last: int) -> tuple[NDArray[np.floa
 
 def _simulated(plan: Plan, first: int, last: int) -> _Simulated:
     """Return runs without a fault."""
-    truths = [_truth(plan, run) for run in range(first, last)]
+    if plan.uncertain is None:
+        truths = [plan.truths[run % len(plan.truths)] for run in range(first, last)]
+        truths = truths[:1] if len(plan.truths) == 1 else truths
+    else:
+        members = [plan.uncertain.sample(plan.stream(run, _MEMBER), 1)[0] for run in range(first, last)]
+        truths = [truth_of(member, plan.generator.dt, plan.controller, plan.samples) for member in members]
     one = truths[0]
-    if len(plan.truths) == 1:
-        truths = [one]
     m, q = one.inputs, one.disturbances
     z = np.zeros((last - first, plan.samples, one.B.shape[1]))
     z[:, :, :m], z[:, :, m : m + q] = plan.inputs, plan.disturbances
@@ -258,14 +261,6 @@ def _simulated(plan: Plan, first: int, last: int) -> _Simulated:
         rows = [plan.noise.draw(plan.stream(run, _NOISE), plan.samples) for run in range(first, last)]
         residuals = np.stack(rows)
     return _Simulated(truths, z, signals, residuals)
-
-
-def _truth(plan: Plan, run: int) -> Truth:
-    """Return the plant of a run."""
-    if plan.uncertain is None:
-        return plan.truths[run % len(plan.truths)]
-    (member,) = plan.uncertain.sample(plan.stream(run, _MEMBER), 1)
-    return truth_of(member, plan.generator.dt, plan.controller, plan.samples)
 
 
 def watch(
@@ -301,7 +296,7 @@ def _one_case(plan: Plan, number: int, case: Case, first: int, quiet: _Quiet, ou
     stops = np.minimum(onsets + plan.within, plan.samples)
     end = int(stops.max())
     share = np.stack([course for _, course in drawn])
-    signals = _with_fault(plan, case, quiet.made, onsets, share, slice(cut, end))
+    signals = _with_fault(plan, case, quiet.simulated, onsets, share, slice(cut, end))
     seen = watch(plan, signals, quiet.residuals(cut, end), quiet.states[cut], cut)
     out.onset[number], out.stop[number] = onsets, stops
     for k in range(runs):
@@ -317,21 +312,21 @@ def _one_case(plan: Plan, number: int, case: Case, first: int, quiet: _Quiet, ou
 def _with_fault(
     plan: Plan,
     case: Case,
-    made: _Simulated,
+    simulated: _Simulated,
     onsets: NDArray[np.int64],
     share: NDArray[np.float64],
     part: slice,
 ) -> NDArray[np.float64]:
     """Return a part of the recorded signals with a fault; ``share`` has one row for all runs, or one for each."""
-    truths = made.truths
+    truths = simulated.truths
     fault = truths[0].faults.index(case.fault)
     if case.shape.acts != "adds":
         kind, i = channel_of(case.fault, plan.generator.plant)
         channel = i if kind == "u" else truths[0].inputs + i
         acting = ActingFault(case.shape, case.size, fault, channel)  # pyright: ignore[reportArgumentType]
-        every = np.broadcast_to(share, (len(made.signals), share.shape[1]))
-        return with_acting_fault(truths, acting, made.z, made.signals, onsets, every)[:, part]
-    course, signals = case.size * share[:, part], made.signals[:, part]  # there is nothing before
+        every = np.broadcast_to(share, (len(simulated.signals), share.shape[1]))
+        return with_acting_fault(truths, acting, simulated.z, simulated.signals, onsets, every)[:, part]
+    course, signals = case.size * share[:, part], simulated.signals[:, part]  # there is nothing before
     if len(truths) == 1:
         return signals + truths[0].respond_to_fault(fault, course)
     rows = [course[k % len(course)][None] for k in range(len(truths))]
@@ -364,17 +359,12 @@ def _names(
         if len(faults) > 1:
             out[k] = SEVERAL
         elif faults:
-            out[k] = number.get(tuple(faults[0]), UNKNOWN) if _is_put_down(named) else UNKNOWN
+            blamed = named.reading is not None
+            if not blamed:  # not an unlisted fault, or none
+                best, others = named.candidates[0], max(named.unknown or 0.0, named.no_fault or 0.0)
+                blamed = np.isfinite(best.score) and (best.probability is None or best.probability >= others)
+            out[k] = number.get(tuple(faults[0]), UNKNOWN) if blamed else UNKNOWN
     return out
-
-
-def _is_put_down(named: Named) -> bool:
-    """Tell whether the alarm is attributed to the first candidate, not to an unlisted fault, or to none."""
-    if named.reading is not None:
-        return True
-    first = named.candidates[0]
-    others = (named.unknown or 0.0, named.no_fault or 0.0)
-    return bool(np.isfinite(first.score)) and (first.probability is None or first.probability >= max(others))
 
 
 def _longest_alarm(alarm: NDArray[np.bool_], first: int, stop: int) -> tuple[int, int]:
@@ -388,6 +378,3 @@ def _longest_alarm(alarm: NDArray[np.bool_], first: int, stop: int) -> tuple[int
     start, end = pairs[longest].tolist()
     before = np.flatnonzero(~alarm[:start])
     return (int(before[-1]) + 1 if before.size else 0) if start == first else start, end
-
-
-__all__ = ["NO_ALARM", "SEVERAL", "UNKNOWN", "Plan", "RunFigures", "figures_of", "quiet_statistics"]

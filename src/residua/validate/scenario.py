@@ -154,8 +154,8 @@ def channel_of(fault: str, plant: Plant, what: str = "") -> tuple[str, int]:
         return "y", int(d.argmax())
     if kind == "actuator" and component in plant.inputs:
         i = plant.inputs.index(component)
-        own, command = (np.concatenate(pair) for pair in ((plant.Bf[:, j], d), (plant.B[:, i], plant.D[:, i])))
-        if (np.abs(own - command) <= RESPONSE_ROUNDING * np.abs(command)).all():
+        effect, command = (np.concatenate(pair) for pair in ((plant.Bf[:, j], d), (plant.B[:, i], plant.D[:, i])))
+        if (np.abs(effect - command) <= RESPONSE_ROUNDING * np.abs(command)).all():
             return "u", i
     raise SettingError(
         f"{what}; only the signal of one sensor or actuator can be stuck or weakened (plant.with_sensor_faults, "
@@ -223,6 +223,3 @@ def _scenario(table: Any, where: str) -> Scenario:
         return Scenario(fault, SHAPES[shape](**entries), 1.0 if size is None else size)
     except (SettingError, TypeError, ValueError) as error:
         raise FileFormatError(f"{where}: {error}") from error
-
-
-__all__ = ["Case", "Scenario", "cases_of", "channel_of", "load_scenarios"]

@@ -72,6 +72,3 @@ def _shares_below(values: NDArray[np.float64], others: NDArray[np.float64]) -> N
     """Return for each value the share of the others below it, ties counting half."""
     low, high = (np.searchsorted(np.sort(others), values, side=side) for side in ("left", "right"))
     return (low + high) / (2 * len(others))
-
-
-__all__ = ["Roc", "roc_of"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import ClassVar
@@ -21,7 +21,7 @@ Onset = float | tuple[float, float]
 
 
 @dataclass(frozen=True)
-class Shape(ABC):
+class Shape:
     r"""Course of a fault: :math:`f(t) = s\, g(t - t_0)` for :math:`t \ge t_0`, zero before; times in seconds.
 
     Attributes
@@ -37,22 +37,29 @@ class Shape(ABC):
     acts: ClassVar[str] = "adds"
     #: Whether the course differs from run to run, whatever the onset.
     drawn: ClassVar[bool] = False
+    #: Parameters that are positive numbers.
+    positive: ClassVar[tuple[str, ...]] = ()
 
     at: Onset
     until: float | None
 
     def __post_init__(self) -> None:
-        """Check the times."""
+        """Check the times, and the parameters that are positive."""
         object.__setattr__(self, "at", _checked_onset(self.at))
         if self.until is not None:
             last = self.at[1] if isinstance(self.at, tuple) else self.at
             object.__setattr__(self, "until", _number(self.until, "until"))
             if not self.until > last:
                 raise SettingError(f"until={self.until:g} s must be after the onset at {last:g} s")
+        for name in self.positive:
+            value = _number(getattr(self, name), name)
+            if not value > 0:
+                raise SettingError(f"{name} must be positive, got {value:g}; the size of the scenario has the sign")
+            object.__setattr__(self, name, value)
 
-    @abstractmethod
     def course(self, since: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
-        """Return the size, as a share of the scenario's size, at times in seconds since the onset."""
+        """Return the size, as a share of the scenario's size, at times in seconds since the onset; one by default."""
+        return np.ones_like(since)
 
     @property
     def differs(self) -> bool:
@@ -75,7 +82,7 @@ class Shape(ABC):
     @property
     def name(self) -> str:
         """The shape in a word or two."""
-        return _NAMES[type(self)].replace("_", " ")
+        return re.sub("(?!^)(?=[A-Z])", " ", type(self).__name__).lower()
 
     def over(self, samples: int, dt: float, rng: np.random.Generator) -> tuple[int, NDArray[np.float64]]:
         """Return the sample of the onset, and the share of the size at each sample.
@@ -105,35 +112,30 @@ class Shape(ABC):
 class Step(Shape):
     """See :func:`step`."""
 
-    def course(self, since: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
-        """Return one."""
-        return np.ones_like(since)
-
 
 @dataclass(frozen=True)
-class Ramp(Shape):
-    """See :func:`ramp` and :func:`drift`."""
+class Drift(Shape):
+    """See :func:`drift`."""
 
+    positive: ClassVar[tuple[str, ...]] = ("slope",)
     slope: float
-    endless: bool = False
 
-    def __post_init__(self) -> None:
-        """Check the slope."""
-        super().__post_init__()
-        object.__setattr__(self, "slope", _positive(self.slope, "slope"))
-
-    @property
-    def name(self) -> str:
-        """The shape in a word."""
-        return "drift" if self.endless else "ramp"
+    def course(self, since: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
+        """Return the growing share."""
+        return self.slope * since
 
     def __str__(self) -> str:
         until = "" if self.until is None else f", until={_text(self.until)}"
         return f"{self.name}(slope={_text(self.slope)}, at={_text(self.at)}{until})"
 
+
+@dataclass(frozen=True)
+class Ramp(Drift):
+    """See :func:`ramp`."""
+
     def course(self, since: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
-        """Return the growing share."""
-        return self.slope * since if self.endless else np.minimum(self.slope * since, 1.0)
+        """Return the growing share, up to one."""
+        return np.minimum(super().course(since, rng), 1.0)
 
 
 @dataclass(frozen=True)
@@ -141,14 +143,9 @@ class Intermittent(Shape):
     """See :func:`intermittent`."""
 
     drawn: ClassVar[bool] = True
+    positive: ClassVar[tuple[str, ...]] = ("on", "off")
     on: float
     off: float
-
-    def __post_init__(self) -> None:
-        """Check the mean times."""
-        super().__post_init__()
-        for name in ("on", "off"):
-            object.__setattr__(self, name, _positive(getattr(self, name), name))
 
     def course(self, since: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
         """Return one while the fault is there."""
@@ -162,12 +159,8 @@ class Intermittent(Shape):
 class Oscillation(Shape):
     """See :func:`oscillation`."""
 
+    positive: ClassVar[tuple[str, ...]] = ("period",)
     period: float
-
-    def __post_init__(self) -> None:
-        """Check the period."""
-        super().__post_init__()
-        object.__setattr__(self, "period", _positive(self.period, "period"))
 
     def course(self, since: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
         """Return the sine."""
@@ -198,20 +191,12 @@ class StuckAt(Shape):
         if self.value is not None:
             object.__setattr__(self, "value", _number(self.value, "value"))
 
-    def course(self, since: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
-        """Return one while it is stuck."""
-        return np.ones_like(since)
-
 
 @dataclass(frozen=True)
 class LossOfEffectiveness(Shape):
     """See :func:`loss_of_effectiveness`."""
 
     acts: ClassVar[str] = "weakens"
-
-    def course(self, since: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
-        """Return one while it is weak."""
-        return np.ones_like(since)
 
 
 def step(at: Onset, *, until: float | None = None) -> Shape:
@@ -275,7 +260,7 @@ def drift(slope: float, at: Onset, *, until: float | None = None) -> Shape:
     >>> shape.over(6, 1.0, np.random.default_rng(0))[1]
     array([0. , 0. , 0. , 0.5, 1. , 1.5])
     """
-    return Ramp(at, until, slope, True)
+    return Drift(at, until, slope)
 
 
 def intermittent(on: float, off: float, at: Onset, *, until: float | None = None) -> Shape:
@@ -393,23 +378,8 @@ def loss_of_effectiveness(at: Onset, *, until: float | None = None) -> Shape:
 
 #: The shapes by the names that files use.
 SHAPES: dict[str, Callable[..., Shape]] = {
-    "step": step,
-    "ramp": ramp,
-    "drift": drift,
-    "intermittent": intermittent,
-    "oscillation": oscillation,
-    "noise_growth": noise_growth,
-    "stuck_at": stuck_at,
-    "loss_of_effectiveness": loss_of_effectiveness,
-}
-_NAMES = {
-    Step: "step",
-    Ramp: "ramp",
-    Intermittent: "intermittent",
-    Oscillation: "oscillation",
-    NoiseGrowth: "noise_growth",
-    StuckAt: "stuck_at",
-    LossOfEffectiveness: "loss_of_effectiveness",
+    one.__name__: one
+    for one in (step, ramp, drift, intermittent, oscillation, noise_growth, stuck_at, loss_of_effectiveness)
 }
 
 
@@ -430,13 +400,6 @@ def _number(value: object, name: str) -> float:
     raise SettingError(f"{name} must be a finite number, got {echo(value)}")
 
 
-def _positive(value: object, name: str) -> float:
-    number = _number(value, name)
-    if number > 0:
-        return number
-    raise SettingError(f"{name} must be positive, got {number:g}; the size of the scenario has the sign")
-
-
 def _checked_onset(at: object) -> Onset:
     """Return an onset as a number or a pair of numbers."""
     if isinstance(at, (tuple, list)):
@@ -450,17 +413,3 @@ def _checked_onset(at: object) -> Onset:
     if onset < 0:
         raise SettingError(f"at must be 0 s or later, got {onset:g} s")
     return onset
-
-
-__all__ = [
-    "SHAPES",
-    "Shape",
-    "drift",
-    "intermittent",
-    "loss_of_effectiveness",
-    "noise_growth",
-    "oscillation",
-    "ramp",
-    "step",
-    "stuck_at",
-]

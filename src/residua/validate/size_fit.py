@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,8 @@ from residua.words import number
 
 #: The share of a90.
 NINETY = 0.9
+#: Deviations of a one-sided bound of 95 % confidence.
+_ONE_SIDED = NormalDist().inv_cdf(0.95)
 #: Steps of Newton's method, and the largest argument of the logistic function that is told from certainty.
 _STEPS, _MOST = 100, 500.0
 
@@ -64,7 +67,7 @@ class DetectionProbability:
         rows = np.column_stack([np.ones_like(size), np.log(np.abs(size))])
         middle = rows @ self.beta
         spread = np.sqrt(np.einsum("ij,jk,ik->i", rows, self.covariance, rows))
-        return _logistic(middle), _logistic(middle - _one_sided() * spread)
+        return _logistic(middle), _logistic(middle - _ONE_SIDED * spread)
 
     def __str__(self) -> str:
         if self.beta is None:
@@ -166,7 +169,7 @@ def _bound(beta: NDArray[np.float64], covariance: NDArray[np.float64], wanted: f
 
     ``beta0 + beta1 x - z sqrt(v00 + 2 v01 x + v11 x^2) = wanted``, the larger root.
     """
-    z = _one_sided()
+    z = _ONE_SIDED
     (v00, v01), (_, v11) = covariance
     b0, b1 = beta[0] - wanted, beta[1]
     a, b, c = b1**2 - z**2 * v11, 2 * (b0 * b1 - z**2 * v01), b0**2 - z**2 * v00
@@ -176,14 +179,5 @@ def _bound(beta: NDArray[np.float64], covariance: NDArray[np.float64], wanted: f
     return float((-b + np.sqrt(inside)) / (2 * a))
 
 
-def _one_sided() -> float:
-    from scipy.special import ndtri  # slow to import, and needed only here
-
-    return float(ndtri(0.95))
-
-
 def _logistic(eta: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.exp(-np.logaddexp(0.0, -eta))
-
-
-__all__ = ["DetectionProbability", "detection_probability"]

@@ -35,7 +35,7 @@ class Truth:
     offset : ndarray, shape (channels,)
         Operating point of inputs and outputs.
     looped : bool
-        Whether there is a controller.
+        True if there is a controller.
     faults : tuple of str
         The columns of ``Bf``.
     """
@@ -155,40 +155,24 @@ def with_acting_fault(
     share : ndarray, shape (runs, time)
     """
     j, channel, first = acting.fault, acting.channel, truth[0]
-    fed_back = first.looped or (channel >= first.inputs and any(one.Bf[:, j].any() for one in truth))
     offset = float(first.offset[channel])
-    if fed_back:
-        return _step_by_step(truth, acting, z, onsets, share)
-    signal = signals[:, :, channel]
-    rows = np.arange(len(signals))
-    before = signal[rows, np.maximum(onsets - 1, 0)][:, None]
-    added = acting.added(signal, before, share, offset)
-    if len(truth) == 1:
-        return signals + first.respond_to_fault(j, added)
-    parts = [one.respond_to_fault(j, added[k : k + 1]) for k, one in enumerate(truth)]
-    return signals + np.concatenate(parts)
-
-
-def _step_by_step(
-    truth: list[Truth],
-    acting: ActingFault,
-    z: NDArray[np.float64],
-    onsets: NDArray[np.int64],
-    share: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """Return the recorded signals if the fault depends on its own effect: sample by sample, all runs at once."""
+    if not (first.looped or (channel >= first.inputs and any(one.Bf[:, j].any() for one in truth))):
+        signal = signals[:, :, channel]
+        before = signal[np.arange(len(signals)), np.maximum(onsets - 1, 0)][:, None]
+        added = acting.added(signal, before, share, offset)
+        if len(truth) == 1:
+            return signals + first.respond_to_fault(j, added)
+        parts = [one.respond_to_fault(j, added[k : k + 1]) for k, one in enumerate(truth)]
+        return signals + np.concatenate(parts)
+    # the fault depends on its own effect: sample by sample, all runs at once
     A, B, C, D = (np.stack([getattr(one, name) for one in truth]) for name in "ABCD")
-    bf, df = (np.stack([getattr(one, name)[:, acting.fault] for one in truth]) for name in ("Bf", "Df"))
-    offset, channel = float(truth[0].offset[acting.channel]), acting.channel
+    bf, df = (np.stack([getattr(one, name)[:, j] for one in truth]) for name in ("Bf", "Df"))
     runs, time, _ = z.shape
     x, before = np.zeros((runs, A.shape[1])), np.zeros(runs)
     out = np.empty((runs, time, C.shape[1]))
     for k in range(time):
         s = _times(D, z[:, k]) + _times(C, x)
-        if k:
-            before = np.where(onsets >= k, out[:, k - 1, channel], before)
-        else:
-            before = s[:, channel].copy()
+        before = np.where(onsets >= k, out[:, k - 1, channel], before) if k else s[:, channel].copy()
         f = acting.added(s[:, channel], before, share[:, k], offset)
         out[:, k] = s + f[:, None] * df
         x = _times(B, z[:, k]) + _times(A, x) + f[:, None] * bf
@@ -212,6 +196,3 @@ def check_same_channels(plant: Plant, model: Plant) -> None:
                 f"plant {plant.name!r} has the {what} {', '.join(own) or 'none'}, the monitor watches "
                 f"{', '.join(wanted) or 'none'}: a plant to simulate has the same channels in the same order"
             )
-
-
-__all__ = ["ActingFault", "Truth", "check_same_channels", "truth_of", "with_acting_fault"]

@@ -178,8 +178,7 @@ def tune(
             raise SettingError(f"{name} must be a list of numbers of samples, one at least, got {echo(values)}")
         for value in values:
             check_samples(value, name)
-    test = _checked(monitor, false_alarm_rate, runs, samples, seed, max(*windows, *persistences))
-    _check_length(monitor, samples, max(windows))
+    test = _checked(monitor, false_alarm_rate, runs, samples, seed, max(windows), max(*windows, *persistences))
     faults = scenarios if isinstance(scenarios, Scenario) else tuple(scenarios)
     out: list[TuningCandidate] = []
     tell, close = progress_of(progress)
@@ -198,7 +197,9 @@ def tune(
     return Tuning(tuple(sorted(out, key=lambda one: one.delay.value)), float(false_alarm_rate))
 
 
-def _checked(monitor: Monitor, rate: float, runs: int, samples: int, seed: int, longest: int) -> NormThreshold:
+def _checked(
+    monitor: Monitor, rate: float, runs: int, samples: int, seed: int, window: int, longest: int
+) -> NormThreshold:
     """Return the test of a monitor that can be tuned, or raise."""
     check_rate(rate)
     check_whole(runs, "runs")
@@ -223,17 +224,13 @@ def _checked(monitor: Monitor, rate: float, runs: int, samples: int, seed: int, 
             f"{runs} runs of {samples} samples are too few for a rate of {rate:g} with windows or persistences of up "
             f"to {longest} samples, which is how long alarms are: {needed:,} runs of that length show it"
         )
-    return test
-
-
-def _check_length(monitor: Monitor, samples: int, window: int) -> None:
-    """Raise if runs are too short for sums over a window to be full in most of them."""
     judged = samples - monitor.settling_samples
-    if judged < _FULL * window:
+    if judged < _FULL * window:  # sums are to be full in most of a run
         raise SettingError(
             f"runs of {samples} samples, {max(judged, 0)} of which are judged, say too little of sums over {window}: "
             f"samples={_FULL * window + monitor.settling_samples} at least, or shorter windows"
         )
+    return test
 
 
 def _with(monitor: Monitor, settings: NormThreshold) -> Monitor:
@@ -268,8 +265,8 @@ def _levels(
         statistic, usable = quiet_statistics(plan, first, min(first + plan.runs_at_once, runs))
         for one, counts in zip(statistic, usable, strict=True):
             for persistence in persistences:
-                made = alarm_levels(one[counts], persistence, persistence)
-                levels[persistence].append(made[settings.window - 1 :])  # once windows are full
+                needed = alarm_levels(one[counts], persistence, persistence)
+                levels[persistence].append(needed[settings.window - 1 :])  # once windows are full
     return {persistence: np.concatenate(parts) for persistence, parts in levels.items()}
 
 
@@ -292,16 +289,13 @@ def _candidate(
 ) -> TuningCandidate:
     """Return a setting with its campaign."""
     watch = _with(monitor, settings)
-    made = campaign(watch, scenarios, runs=runs, samples=samples, seed=seed, progress=False, **simulated)
-    if not made.cases:
+    checked = campaign(watch, scenarios, runs=runs, samples=samples, seed=seed, progress=False, **simulated)
+    if not checked.cases:
         raise SettingError("tune needs a scenario: without one every candidate is as good as any other")
-    f = made.figures
+    f = checked.figures
     late = np.where(f.detected >= 0, f.detected, f.stop) - f.onset
-    delay = bootstrap(made.dt * late.mean(axis=0), lambda drawn: drawn.mean(axis=1), seed, made.confidence)
+    delay = bootstrap(checked.dt * late.mean(axis=0), lambda drawn: drawn.mean(axis=1), seed, checked.confidence)
     assert settings.threshold is not None
     return TuningCandidate(
-        settings.window, settings.persistence, settings.threshold, made.false_alarm_rate(), delay, watch, made
+        settings.window, settings.persistence, settings.threshold, checked.false_alarm_rate(), delay, watch, checked
     )
-
-
-__all__ = ["Tuning", "TuningCandidate", "tune"]
