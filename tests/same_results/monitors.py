@@ -162,7 +162,7 @@ def note_diagnosis(ledger: Ledger, case: str, found: rs.Diagnosis) -> None:
     if found.match is not None:
         for kind in ("ratios", "ages", "sizes", "deviations", "arrival"):
             ledger.note(case, f"match {kind}", getattr(found.match, kind))
-    ledger.note(case, "groups", found.groups, found.unjudged, found.members)
+    ledger.note(case, "groups", found.groups, found.naming.unjudged, found.members)
     ledger.note(case, "named", found.named)
     ledger.note(case, "times", *((a.onset, a.raised, a.ended, a.start, a.stop, a.began) for a in found.alarms))
     ledger.note(case, "alarms", *(json.dumps(a.to_dict(window=found.window)) for a in found.alarms))
