@@ -27,10 +27,9 @@ import numpy as np
 import residua as rs
 from residua.linear.systems import recursion
 from residua.monitor import fused
-from residua.monitor.fused import OUTPUTS, FusedRun, copied, plan_of
-from residua.monitor.plant_records import bytes_of_record
+from residua.monitor.fused import OUTPUTS, FusedRun, plan_of
+from residua.monitor.plant_records import bytes_of_record, copied
 from residua.monitor.running import State, initial_state
-from residua.monitor.whole_blocks import Job
 
 SAMPLES, PLANTS = 1_000_000, 1_000_000
 
@@ -101,7 +100,7 @@ def one_series(rounds: Rounds) -> list[tuple[str, str, float, str]]:
         assert plan is not None
         run = FusedRun(spec, plan, copied(initial_state(spec, 1)), 5)
         outputs = run.outputs(1, SAMPLES, keep)
-        calls[name] = lambda run=run, outputs=outputs: run.run(Job(u[None], y[None], outputs))
+        calls[name] = lambda run=run, outputs=outputs: run.run(u[None], y[None], outputs)
     for name, isolate in (("Monitor.run", None), ("Monitor.run, default", "auto")):
         monitor = rs.Monitor(generator, test=rs.decide.NormThreshold(false_alarm_rate=1e-9), isolate=isolate)
         calls[name] = lambda monitor=monitor: monitor.run(u, y)
@@ -278,7 +277,7 @@ def banks(rounds: Rounds, samples: int, plants: int) -> list[tuple[str, str, flo
             "copy": lambda: np.copyto(target, source),
             "together": lambda: kernel.run(*together),
             "alone": lambda: [kernel.run(*one) for one in alone],
-            "fused": lambda: run.run(Job(u[None], y[None], outputs)),
+            "fused": lambda: run.run(u[None], y[None], outputs),
             "run": lambda: monitor.run(u, y),
             "run in NumPy": in_numpy(lambda: other.run(u, y)),
         }

@@ -43,7 +43,7 @@ from numpy.typing import NDArray
 
 import residua as rs
 from residua.monitor import Diagnosis
-from residua.monitor.visible_sizes import VisibleSize
+from residua.monitor.fit_check import VisibleSize
 
 SEED = 11
 #: Seeds of further logs of which the false alarms alone are counted.

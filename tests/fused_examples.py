@@ -15,11 +15,11 @@ from residua.decide.isolation import NoNames
 from residua.decide.member_thresholds import BankTest, GroupTest
 from residua.decide.peak_threshold import PeakBankTest
 from residua.decide.structured import code_test
-from residua.monitor.fused import FusedRun, copied, plan_of, run_block
+from residua.monitor.fused import FusedRun, plan_of, run_block
+from residua.monitor.plant_records import copied
 from residua.monitor.running import Decisions, State, initial_state, joined_decisions, run_reference
 from residua.monitor.specification import Specification
-from residua.monitor.starting import StartFit
-from residua.monitor.whole_blocks import Job
+from residua.monitor.start_estimate import StartFit
 
 MARKS = (np.nan, np.inf, -np.inf, 1e300, 1e308, 1e12, 1e200, 1e119, 1e140)
 
@@ -130,7 +130,7 @@ def same_of_few_outputs(spec: Specification, data: np.ndarray, state: State, exp
     for part in (slice(0, cut), slice(cut, None)):
         places = {name: None if values is None else values[:, part] for name, values in outputs.items()}
         with np.errstate(all="ignore"):
-            run.run(Job(data[:, part], data[:, part, :0], places))
+            run.run(data[:, part], data[:, part, :0], places)
     same(run.state, state, "state")
     for name in names:
         if outputs[name] is not None:

@@ -98,4 +98,4 @@ def alarms_of_run(made: rs.Monitor, rows: NDArray[np.float64], times: NDArray[np
     inputs = len(made.generator.plant.inputs)
     diagnosis = made.run(rows[:, :inputs], rows[:, inputs:], time=times)
     assert isinstance(diagnosis, rs.monitor.Diagnosis)
-    return [one.to_dict(window=diagnosis.window) for one in diagnosis.alarms]
+    return [one.to_dict(window=diagnosis.naming.window) for one in diagnosis.alarms]

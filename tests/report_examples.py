@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
 
 from residua.decide import Directional, whitening_matrix
+from residua.decide.alarm import Alarm, Candidate
 from residua.decide.directional import direction_test
 from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.linear import StateSpace
 from residua.linear.subspaces.rank import decide_rank
-from residua.monitor.diagnosis import Alarm, Candidate, Diagnosis
+from residua.monitor.diagnosis import Diagnosis, NamingFacts, RecordingFacts, ThresholdFacts
 from residua.plant import Plant
 
 
@@ -98,27 +99,28 @@ def diagnosis(
         time=time,
         residuals=residuals,
         statistic=statistic,
-        threshold=5.0,
         alarm=alarm,
         decided=decided,
         missing=np.zeros(n_samples, dtype=bool),
         scores=scores,
-        groups=groups,
-        signatures=_signatures(gen, whitening),
-        isolation=direction_test(Directional(), gen.subspaces, steady, whitening),
-        unjudged=(),
         alarms=alarms,
-        resets=0,
-        residual_names=gen.residuals,
-        center=np.zeros(n),
-        band=np.full(n, 0.08),
         generator=gen,
-        whitening=whitening,
+        test=ThresholdFacts(5.0, np.zeros(n), np.full(n, 0.08), whitening),
+        naming=NamingFacts(groups, _signatures(gen, whitening)),
         settings={"threshold": "5 (given)"},
-        source="tank08.csv",
-        notes=(),
+        recording=RecordingFacts("tank08.csv"),
+        isolation=direction_test(Directional(), gen.subspaces, steady, whitening),
     )
-    return replace(made, **changes)
+    return changed(made, **changes)
+
+
+def changed(diagnosis: Diagnosis, **changes: Any) -> Diagnosis:
+    """Return a diagnosis with other values of its fields, and of the fields of its parts."""
+    for name in ("test", "naming", "parts", "recording"):
+        part = getattr(diagnosis, name)
+        own = {one.name for one in fields(part)} - {one.name for one in fields(diagnosis)}
+        changes[name] = replace(part, **{key: changes.pop(key) for key in list(changes) if key in own})
+    return replace(diagnosis, **changes)
 
 
 def _signatures(gen: ResidualGenerator, whitening: np.ndarray) -> tuple[np.ndarray, ...]:

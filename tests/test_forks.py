@@ -206,11 +206,11 @@ def test_a_child_goes_on_with_whole_blocks() -> None:
             monitor.update(u, y, keep=("alarm",))
 
     def goes_on() -> bool:
-        before = monitor._live.state
+        before = monitor._online.state
         assert before is not None
         count = int(before.count[0])
         monitor.step(u[0], y[0])
-        return (count - 1) % len(y) == 0 and monitor._live.state.count[0] == count + 1  # pyright: ignore
+        return (count - 1) % len(y) == 0 and monitor._online.state.count[0] == count + 1  # pyright: ignore
 
     thread = threading.Thread(target=blocks)
     thread.start()

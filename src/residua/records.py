@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping
-from dataclasses import fields, is_dataclass
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass
 from functools import lru_cache
 from types import NoneType, UnionType
 from typing import Any, ClassVar, get_args, get_origin, get_type_hints
@@ -131,8 +131,31 @@ class Record:
     NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {}
 
 
+@dataclass(frozen=True)
+class RecordOf:
+    """The record of a dataclass that is no :class:`Record`.
+
+    Attributes
+    ----------
+    cls : type
+    kinds : mapping of str to NumberKind
+        As ``Record.NUMBER_KINDS``.
+    make : callable, optional
+        Makes it from its fields; the class when omitted.
+    check : callable, optional
+        Takes it and its name in the file, and raises :class:`FileFormatError` if its fields do not fit together.
+    """
+
+    cls: type[Any]
+    kinds: Mapping[str, NumberKind] = field(default_factory=dict)
+    make: Callable[..., Any] | None = None
+    check: Callable[[Any, str], object] | None = None
+
+
 _SCALARS: dict[Any, str] = {float: "f", int: "i", bool: "b"}
-_DTYPES: dict[Any, str] = {NDArray[np.float64]: "f", NDArray[np.int64]: "i", NDArray[np.bool_]: "b"}
+_DTYPES: dict[Any, str] = {
+    NDArray[np.float64]: "f", NDArray[np.int64]: "i", NDArray[np.bool_]: "b", NDArray[np.complex128]: "c",
+}  # fmt: skip
 
 
 def plain(value: Any) -> Any:
@@ -166,8 +189,8 @@ def _value_out(value: Any) -> Any:
         return array_out(value)
     if isinstance(value, (float, np.floating)):
         return float_out(float(value))
-    if isinstance(value, (int, np.integer)) and not isinstance(value, bool):
-        return int(value)
+    if isinstance(value, (int, np.integer, np.bool_)) and not isinstance(value, bool):
+        return bool(value) if isinstance(value, np.bool_) else int(value)
     if isinstance(value, tuple):
         return [_value_out(item) for item in value]
     if isinstance(value, Mapping):
@@ -181,35 +204,45 @@ def values_in(
     cls: type[Any],
     known: Mapping[str, Any] | None = None,
     usual: Mapping[str, NumberKind] = USUAL,
+    others: Sequence[RecordOf] = (),
 ) -> Any:
     """Return the dataclass of a record.
 
     Each entry is of the type that its field declares, and its numbers are of the kind that the class names
     (:class:`Record`), else of the ``usual`` kind of that type. Fields that are ``known`` already are not entries of the
-    record.
+    record. ``others``: dataclasses that are no :class:`Record`.
     """
     out = dict(known or {})
     content = record(value, where, [name for name in field_names(cls) if name not in out])
-    kinds, types = _number_kinds(cls), _declared(cls)
+    other = next((one for one in others if one.cls is cls), RecordOf(cls))
+    kinds = cls.NUMBER_KINDS if issubclass(cls, Record) else other.kinds
+    types = _declared(cls, tuple(one.cls for one in others))
     for name, entry in content.items():
-        out[name] = _value_in(entry, joined(where, name), types[name], kinds.get(name), usual)
-    return cls(**out)
+        out[name] = _value_in(entry, joined(where, name), types[name], kinds.get(name), usual, others)
+    made = (other.make or cls)(**out)
+    if other.check is not None:
+        other.check(made, where)
+    return made
 
 
 @lru_cache(maxsize=256)
-def _declared(cls: type[Any]) -> dict[str, Any]:
-    return get_type_hints(cls)
+def _declared(cls: type[Any], others: tuple[type[Any], ...]) -> dict[str, Any]:
+    """Return the types of the fields; modules may import the ``others`` for checks of types alone."""
+    return get_type_hints(cls, localns={one.__name__: one for one in others})
 
 
-def _number_kinds(cls: type[Any]) -> Mapping[str, NumberKind]:
-    return cls.NUMBER_KINDS if issubclass(cls, Record) else {}
-
-
-def _value_in(entry: Any, where: str, declared: Any, kind: NumberKind | None, usual: Mapping[str, NumberKind]) -> Any:
+def _value_in(
+    entry: Any,
+    where: str,
+    declared: Any,
+    kind: NumberKind | None,
+    usual: Mapping[str, NumberKind],
+    others: Sequence[RecordOf],
+) -> Any:
     if get_origin(declared) is UnionType:
         options = [one for one in get_args(declared) if one is not NoneType]
         tables = [one for one in options if get_origin(one) is Mapping and isinstance(entry, Mapping)]
-        return None if entry is None else _value_in(entry, where, (tables or options)[0], kind, usual)
+        return None if entry is None else _value_in(entry, where, (tables or options)[0], kind, usual, others)
     if declared in _DTYPES:
         return array_in(entry, where, kind or usual[_DTYPES[declared]])
     if declared in _SCALARS:
@@ -219,13 +252,13 @@ def _value_in(entry: Any, where: str, declared: Any, kind: NumberKind | None, us
         if inner is str:
             return texts_in(entry, where)
         parts = enumerate(list_in(entry, where))
-        return tuple(_value_in(one, joined(where, k), inner, kind, usual) for k, one in parts)
+        return tuple(_value_in(one, joined(where, k), inner, kind, usual, others) for k, one in parts)
     if get_origin(declared) is Mapping:
         inner = get_args(declared)[1]
         parts = table_in(entry, where).items()
-        return {name: _value_in(one, joined(where, name), inner, kind, usual) for name, one in parts}
+        return {name: _value_in(one, joined(where, name), inner, kind, usual, others) for name, one in parts}
     if is_dataclass(declared) and isinstance(declared, type):
-        return values_in(entry, where, declared, usual=usual)
+        return values_in(entry, where, declared, usual=usual, others=others)
     return text_in(entry, where)
 
 
@@ -241,7 +274,7 @@ def state_in(value: Any, where: str, like: Any) -> Any:
     like : dataclass
         The state before the first sample, of as many plants.
     """
-    content, kinds = record(value, where, field_names(like)), _number_kinds(type(like))
+    content, kinds = record(value, where, field_names(like)), like.NUMBER_KINDS if isinstance(like, Record) else {}
     out = {}
     for name, entry in content.items():
         at, example = joined(where, name), getattr(like, name)

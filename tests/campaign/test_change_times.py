@@ -9,7 +9,7 @@ from scipy.special import chdtri
 
 from change_examples import CASES, ONSET, coverage, noise
 from residua.decide.alarm import Alarm
-from residua.monitor.beginning import with_beginnings
+from residua.monitor.alarms import with_beginnings
 
 pytestmark = pytest.mark.campaign
 

@@ -46,7 +46,7 @@ def test_the_channel_that_is_off_is_named_first(column: int, name: str, form: st
 
 def test_scores_are_parts_of_the_furthest_in_thresholds() -> None:
     diagnosis = found(1, 8.0)
-    parts = diagnosis.member_statistics[:, [2, 3, 1]]
+    parts = diagnosis.parts.statistics[:, [2, 3, 1]]
     assert diagnosis.groups == (("a sensor",), ("b sensor",), ("u actuator",))
     known = np.isfinite(parts).any(axis=1)
     scores = np.nan_to_num(parts[known]) / np.nanmax(parts[known], axis=1, keepdims=True)
@@ -138,7 +138,7 @@ def test_faults_of_several_channels_are_never_named() -> None:
     rows = log(600, 30).copy()
     rows[BEGIN:, 1] += 10.0
     diagnosis: Any = monitor.run(rows[:, :M], rows[:, M:])
-    assert diagnosis.unjudged == ("leak", "both")
+    assert diagnosis.naming.unjudged == ("leak", "both")
     assert diagnosis.named[0] == ("a sensor",)
 
 

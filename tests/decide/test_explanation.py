@@ -13,7 +13,7 @@ import residua as rs
 from residua.decide import explanation
 from residua.decide.explanation import _fits
 from residua.monitor import Diagnosis
-from residua.monitor.explaining import word_of
+from residua.monitor.alarms import word_of
 
 NAMES = ("level", "flow")
 

@@ -306,11 +306,11 @@ def test_a_fleet_gives_what_each_plant_alone_gives() -> None:
         (lambda c: c["fitted"]["thresholds"].update(shape=[1], float=[1.0]), "4 members"),
         (lambda c: c["fitted"]["thresholds"]["float"].__setitem__(0, -1.0), "positive"),
         (lambda c: c["fitted"]["sizes"].update(int=[1, 5, 3, 3]), "sizes"),
-        (lambda c: c["running"].update(isolation=None), "running.isolation"),
-        (lambda c: c["running"]["isolation"]["groups"][0].pop(), "each once"),
-        (lambda c: c["running"]["isolation"]["groups"].pop(), "settled"),
-        (lambda c: c["running"]["isolation"]["settled"].__setitem__(0, ["somebody"]), "settled"),
-        (lambda c: c["running"]["isolation"].update(members=["a"]), "4 members"),
+        (lambda c: c.update(isolation=None), "isolation must be present"),
+        (lambda c: c["isolation"]["groups"][0].pop(), "each once"),
+        (lambda c: c["isolation"]["groups"].pop(), "settled"),
+        (lambda c: c["isolation"]["settled"].__setitem__(0, ["somebody"]), "settled"),
+        (lambda c: c["isolation"].update(members=["a"]), "4 members"),
         (lambda c: c["state"]["test"]["runs"]["alarm"].update(shape=[1], bool=[False]), "state.test.runs.alarm"),
         (lambda c: c["state"]["isolation"]["since"]["int"].__setitem__(0, 10**6), "since must lie between"),
         (
@@ -405,7 +405,7 @@ def test_a_fault_without_a_code_is_said() -> None:
     silent = replace(bank, codes=bank.codes & (np.arange(4) != 3))
     monitor = rs.Monitor(silent, test=NormThreshold(window=10))
     found = run(monitor, *recording(sampled_plant(0), faults={"y2 sensor": 2.0}))
-    assert found.unjudged == ("y4 sensor",)
+    assert found.naming.unjudged == ("y4 sensor",)
     assert "it lacks a code: y4 sensor" in str(found)
 
 

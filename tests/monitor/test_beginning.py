@@ -17,7 +17,7 @@ from residua.decide.statement import SHOWN_ALARMS, began_text
 from residua.decide.whitened_norm import BAND_DEVIATIONS
 from residua.library import simulate_three_tank, three_tank, three_tank_fault
 from residua.linear import StateSpace
-from residua.monitor.beginning import with_beginnings
+from residua.monitor.alarms import with_beginnings
 from residua.monitor.outcome import compared_outputs
 from residua.recording.clock import Clock, length
 from residua.report.signals import signal_text
@@ -163,7 +163,7 @@ def test_filters_that_predict_no_output_say_so() -> None:
     run = simulate_three_tank(300, seed=1)
     found = rs.Monitor(filter_).run(run.u, run.y)
     assert isinstance(found, rs.Diagnosis)
-    found = replace(found, compared=())
+    found = replace(found, recording=replace(found.recording, compared=()))
     assert found.predictions == {}
     assert "predicts no output" in signal_text(found)
 
@@ -175,7 +175,7 @@ def test_a_band_holds_the_share_that_is_said(leak: rs.Diagnosis) -> None:
         monitor = rs.Monitor(rs.design.kalman_filter(three_tank()), test=test).fit(normal.u, normal.y)
         found = monitor.run(other.u, other.y)
         assert isinstance(found, rs.Diagnosis)
-        assert (found.band_share, found.averaged) == (0.999, test.window)
+        assert (found.test.band_share, found.test.averaged) == (0.999, test.window)
         rows = np.where(found.decided[:, None], found.residuals, np.nan)[100:] - found.center
         sums = np.cumsum(rows, axis=0)
         means = rows if test.window == 1 else (sums[test.window :] - sums[: -test.window]) / test.window

@@ -15,7 +15,7 @@ from residua.decide import Directional, NormThreshold, Structured
 from residua.decide.sizes import estimates_of, fault_unit
 from residua.design.core.leak import reached
 from residua.errors import ModelError, SettingError
-from residua.monitor.estimating import with_estimator
+from residua.monitor.specification import with_estimator
 
 FAULT = "y2 sensor"
 

@@ -31,8 +31,9 @@ from residua.decide import (
     PageHinkley,
 )
 from residua.decide.whitened_norm import NormTest
-from residua.monitor import fused, live
-from residua.monitor.fused import FusedRun, copied, plan_of, run_block
+from residua.monitor import fused, online
+from residua.monitor.fused import FusedRun, plan_of, run_block
+from residua.monitor.plant_records import copied
 from residua.monitor.running import (
     State,
     initial_state,
@@ -41,7 +42,6 @@ from residua.monitor.running import (
     run_reference,
     written_rows,
 )
-from residua.monitor.whole_blocks import Job
 
 needs_kernel = pytest.mark.skipif(fused._kernel is None, reason="there is no compiled kernel")
 
@@ -111,7 +111,7 @@ def test_single_samples_of_many_plants_have_the_bits_of_numpy(
         rows = rng.permutation(plants)[: int(rng.integers(1, plants + 1))]
         who, outs = np.sort(rows), run.outputs(len(rows), 1, keep)
         sample = data[rows, k : k + 1]
-        run.run(Job(sample[..., :inputs], sample[..., inputs:], outs, rows))
+        run.run(sample[..., :inputs], sample[..., inputs:], outs, rows)
         with np.errstate(all="ignore"):
             after, expected = run_reference(spec, rows_of(state, rows), sample)
         state = written_rows(copied(state), rows, after)
@@ -180,7 +180,7 @@ def test_rows_of_a_state_are_run_in_any_order() -> None:
     order, found = np.random.default_rng(0).permutation(6), []
     for k in range(data.shape[1]):
         out = run.outputs(6, 1, ("statistic", "scores"))
-        run.run(Job(data[order, k : k + 1, :2], data[order, k : k + 1, 2:], out, order))
+        run.run(data[order, k : k + 1, :2], data[order, k : k + 1, 2:], out, order)
         found.append(out["statistic"][np.argsort(order), 0])  # pyright: ignore[reportOptionalSubscript]
     state, expected = run_reference(spec, initial_state(spec, 6), data)
     assert np.array_equal(np.stack(found, axis=1), expected.statistic, equal_nan=True)
@@ -195,9 +195,9 @@ def test_strided_signals_are_read_where_they_lie() -> None:
     assert plan is not None
     plain, strided = (FusedRun(spec, plan, copied(initial_state(spec, 3)), inputs=2) for _ in range(2))
     one, other = plain.outputs(3, data.shape[1]), strided.outputs(3, data.shape[1])
-    plain.run(Job(data[..., :2], data[..., 2:], one))
+    plain.run(data[..., :2], data[..., 2:], one)
     backwards = np.ascontiguousarray(data[:, ::-1, ::-1].transpose(2, 1, 0)).transpose(2, 1, 0)[:, ::-1, ::-1]
-    strided.run(Job(backwards[..., :2], backwards[..., 2:], other))
+    strided.run(backwards[..., :2], backwards[..., 2:], other)
     same(plain.state, strided.state)
     for name, values in one.items():
         same(values, other[name], name)
@@ -216,17 +216,17 @@ def test_signals_are_put_side_by_side_on_the_way(time: int, order: Any, threads:
     u, y = (np.array(one, order=order) for one in (data[..., :2], data[..., 2:]))
     run = FusedRun(spec, plan, copied(initial_state(spec, 6)), inputs=2)
     joined = np.zeros((6, time + 1, data.shape[2]))
-    run.run(Job(u, y, run.outputs(6, time), threads=threads, joined=joined[:, :time]))
+    run.run(u, y, run.outputs(6, time), threads=threads, joined=joined[:, :time])
     same(joined[:, :time], data)
     assert not joined[:, time].any()
     with pytest.raises(ValueError, match="output"):
-        run.run(Job(u, y, run.outputs(6, time), joined=np.zeros((6, time, 9))))
+        run.run(u, y, run.outputs(6, time), joined=np.zeros((6, time, 9)))
 
 
 @needs_kernel
 def test_a_recording_is_kept_whole_whatever_its_length(monkeypatch: pytest.MonkeyPatch) -> None:
     """The last of its pieces may be one sample."""
-    monkeypatch.setattr(live, "PIECE", 10)
+    monkeypatch.setattr(online, "PIECE", 10)
     monitor = rs.Monitor(rs.design.kalman_filter(plant(4, 3, 2, 2).with_noise(process=1e-2, measurement=1e-1)))
     data = _rows(monitor)[0, :31]
     for samples in (1, 2, 10, 31):
@@ -263,7 +263,7 @@ def test_the_kernel_refuses_arrays_that_do_not_fit(change: str) -> None:
     if change == "outputs":
         out["residuals"] = np.zeros((3, 4, 2))
     with pytest.raises(ValueError, match=r"u and y must be|a row or a sample|an output has another shape"):
-        run.run(Job(data, data[..., :0], out, rows))
+        run.run(data, data[..., :0], out, rows)
 
 
 def test_states_are_run_in_place_and_blocks_are_pure() -> None:
@@ -314,7 +314,7 @@ def test_calm_pieces_count_as_those_of_numpy(monkeypatch: pytest.MonkeyPatch, se
     cuts = [0, *sorted(set(rng.integers(1, 300, 25).tolist())), 300]
     for begin, end in pairwise(cuts):
         part = {name: None if one is None else one[:, begin:end] for name, one in outputs.items()}
-        run.run(Job(data[:, begin:end], data[:, begin:end, :0], part))
+        run.run(data[:, begin:end], data[:, begin:end, :0], part)
     assert np.array_equal(outputs["alarm"], expected.alarm)
     assert np.array_equal(outputs["up"], expected.up)
     same(run.state, state, "state")
@@ -390,7 +390,7 @@ def test_sums_of_residuals_that_are_whitened_as_they_are_read_have_the_bits_of_n
     run = FusedRun(spec, plan, copied(initial_state(spec, 1)))
     made = run.outputs(1, data.shape[1], ("residuals", "statistic", "alarm", "up"))
     for part in (slice(0, 100), slice(100, None)):
-        run.run(Job(data[:, part], data[:, part, :0], {n: None if a is None else a[:, part] for n, a in made.items()}))
+        run.run(data[:, part], data[:, part, :0], {n: None if a is None else a[:, part] for n, a in made.items()})
     assert expected.alarm.any() or case == "missing"
     for name in ("residuals", "statistic", "alarm", "up"):
         same(made[name], getattr(expected, name), name)

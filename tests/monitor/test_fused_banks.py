@@ -15,9 +15,9 @@ from residua.decide.whitened_norm import NormTest
 from residua.decide.window import empty_window
 from residua.errors import FileFormatError
 from residua.monitor import fused
-from residua.monitor.fused import FusedRun, LastSample, copied, plan_of, run_block
-from residua.monitor.running import initial_state, joined_decisions, rows_of, run_reference, written_rows
-from residua.monitor.whole_blocks import Job
+from residua.monitor.fused import FusedRun, LastSample, plan_of, run_block
+from residua.monitor.plant_records import copied, rows_of, written_rows
+from residua.monitor.running import initial_state, joined_decisions, run_reference
 
 needs_kernel = pytest.mark.skipif(fused._kernel is None, reason="there is no compiled kernel")
 
@@ -69,7 +69,7 @@ def compare_ticks(bank: Bank, marks: list[float], path: int, plants: int, few: b
     for k in range(data.shape[1]):
         rows = rng.permutation(plants)[: int(rng.integers(1, plants + 1))]
         outs, sample = run.outputs(len(rows), 1, keep), data[rows, k : k + 1]
-        run.run(Job(sample[..., :inputs], sample[..., inputs:], outs, rows))
+        run.run(sample[..., :inputs], sample[..., inputs:], outs, rows)
         with np.errstate(all="ignore"):
             after, expected = run_reference(spec, rows_of(state, rows), sample)
         state = written_rows(copied(state), rows, after)
@@ -133,7 +133,7 @@ def test_limits_are_those_of_deviations_wherever_values_lie(lies: str, marks: in
         y = np.concatenate([y, y], axis=2)[..., :3]
     if lies == "backwards":
         u, y = (np.ascontiguousarray(one[..., ::-1])[..., ::-1] for one in (u, y))
-    run.run(Job(u, y, out))
+    run.run(u, y, out)
     same(run.state, state, "state")
     for name in ("residuals", "missing", "aside", "statistic", "alarm", "code"):
         same(out[name], getattr(expected, name), name)

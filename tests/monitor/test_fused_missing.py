@@ -13,10 +13,10 @@ import residua as rs
 from fused_examples import same, same_in_pieces
 from residua.decide import NormThreshold
 from residua.monitor import fused
-from residua.monitor.fused import ALARM, DECIDED, MISSING, OUTPUTS, FusedRun, copied, plan_of
-from residua.monitor.running import initial_state, rows_of, run_reference, written_rows
+from residua.monitor.fused import ALARM, DECIDED, MISSING, OUTPUTS, FusedRun, plan_of
+from residua.monitor.plant_records import copied, rows_of, written_rows
+from residua.monitor.running import initial_state, run_reference
 from residua.monitor.specification import Specification
-from residua.monitor.whole_blocks import Job
 
 needs_kernel = pytest.mark.skipif(fused._kernel is None, reason="there is no compiled kernel")
 
@@ -101,7 +101,7 @@ def test_ticks_have_the_bits_of_numpy(
         for k in range(data.shape[1]):
             rows = rng.permutation(plants)[: int(rng.integers(1, plants + 1))]
             sample, outs = data[rows, k : k + 1], run.outputs(len(rows), 1, keep)
-            run.run(Job(sample[..., :inputs], sample[..., inputs:], outs, rows, threads=int(rng.integers(1, 3))))
+            run.run(sample[..., :inputs], sample[..., inputs:], outs, rows, threads=int(rng.integers(1, 3)))
             with np.errstate(all="ignore"):
                 after, expected = run_reference(spec, rows_of(state, rows), sample)
             state = written_rows(copied(state), rows, after)

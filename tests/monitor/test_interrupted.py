@@ -16,7 +16,7 @@ import pytest
 import residua as rs
 from residua.decide import CUSUM, Directional, NormThreshold
 from residua.errors import DataError
-from residua.monitor import fused, whole_blocks
+from residua.monitor import fused
 
 #: Of the steps of a block, each so manieth is tried: a prime number, so that in time all kinds of steps are.
 STRIDE = 41
@@ -198,15 +198,15 @@ def test_what_was_interrupted_twice_before_its_signals_were_saved_is_not_guessed
     after = rs.Fleet.restore(before, NORM)
     steps.call(lambda: missing(after, u, y))
 
-    def again(self: whole_blocks.Job) -> None:
+    def again(self: fused.Job) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(whole_blocks.Job, "own", again)
+    monkeypatch.setattr(fused.Job, "own", again)
     refused = 0
     for at in range(0, steps.seen, STRIDE):
         fleet = rs.Fleet.restore(before, NORM)
         Interruption(KeyboardInterrupt, at).call(lambda fleet=fleet: missing(fleet, u, y))
-        if fleet._worker.work is None and fleet._blocks[""]._worker.work is None:
+        if not fleet._worker._jobs:
             continue
         with suppress(DataError):
             assert fleet.snapshot() in (before, after.snapshot())
@@ -222,7 +222,7 @@ def test_a_thread_that_goes_on_after_two_interruptions_is_waited_for(monkeypatch
     """The state was taken for what it had been before the block, and some plants had their sample after that."""
     u, y = data(9, 60)
     fleet = rs.Fleet.restore(of_one_monitor().snapshot(), NORM, threads=2)
-    run, there, on = whole_blocks.Job.run, threading.Event(), threading.Event()
+    run, there, on = fused._Parts._run, threading.Event(), threading.Event()
 
     def interrupted(*arguments: Any) -> None:
         if threading.current_thread() is threading.main_thread():
@@ -233,8 +233,8 @@ def test_a_thread_that_goes_on_after_two_interruptions_is_waited_for(monkeypatch
         run(*arguments)
 
     with monkeypatch.context() as patch:
-        patch.setattr(whole_blocks.Job, "run", interrupted)
-        patch.setattr(whole_blocks.Parts, "wait", interrupted)
+        patch.setattr(fused._Parts, "_run", interrupted)
+        patch.setattr(fused._Parts, "wait", interrupted)
         with pytest.raises(KeyboardInterrupt):
             missing(fleet, u, y)
     threading.Timer(0.2, on.set).start()

@@ -292,7 +292,7 @@ def test_a_fault_is_dated_across_a_gap() -> None:
     y[100:118] = np.nan  # and one that arrived within a long one, somewhere in it, at the next start at the latest
     found = rs.Monitor(matched_filters(plant, window=60), settle=12).run(u, y)
     assert isinstance(found, rs.Diagnosis)
-    assert found.resets == 1
+    assert found.recording.resets == 1
     assert found.candidates[0].faults == ("p1",)
     alarm = found.main_alarm
     assert alarm is not None

@@ -213,7 +213,7 @@ def test_one_output_that_never_comes_back_leaves_the_others_at_work() -> None:
     y[200:260, 0] = np.nan
     found = rs.Monitor(rs.design.kalman_filter(plant())).run(u, y)
     assert isinstance(found, rs.Diagnosis)
-    assert found.resets == 0
+    assert found.recording.resets == 0
     assert found.decided[260:].all()
     assert not found.alarm.any()
     u[400] = np.nan
@@ -232,7 +232,7 @@ def test_a_filter_that_knows_too_little_starts_anew() -> None:
     y[100:200, 0] = np.nan
     found = rs.Monitor(kalman).run(None, y)
     assert isinstance(found, rs.Diagnosis)
-    assert found.resets == 1
+    assert found.recording.resets == 1
     assert found.decided[-50:].all()
     assert not found.alarm.any()
 
@@ -285,7 +285,7 @@ def test_without_an_input_all_whole_samples_are_judged_and_no_innovation_is_too_
     monitor = rs.Monitor(rs.design.kalman_filter(two_inputs(units)))
     found = monitor.run(np.where(holes, np.nan, u * units), y * units)
     assert isinstance(found, rs.Diagnosis)
-    assert found.resets == 0
+    assert found.recording.resets == 0
     assert np.array_equal(found.decided[100:], ~holes[100:].any(axis=1))
     r = found.residuals[found.decided] @ monitor.norm_test.whitening
     values = np.linalg.eigvalsh(np.cov(r.T))
@@ -357,7 +357,7 @@ def test_states_that_delay_an_input_are_not_lost_when_it_is_missing() -> None:
     u[100::50] = np.nan
     found = rs.Monitor(rs.design.kalman_filter(late)).run(u, y)
     assert isinstance(found, rs.Diagnosis)
-    assert found.resets == 0
+    assert found.recording.resets == 0
     assert np.array_equal(found.decided[100:], np.isfinite(u[100:, 0]))
     assert not found.alarm.any()
 

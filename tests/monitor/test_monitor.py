@@ -123,7 +123,7 @@ def test_a_fleet_gives_what_each_plant_alone_gives() -> None:
         assert np.array_equal(one.statistic, many.statistic, equal_nan=True)
         assert np.array_equal(one.scores, many.scores, equal_nan=True)
         assert one.alarms == many.alarms
-        assert one.resets == many.resets
+        assert one.recording.resets == many.resets
 
 
 def test_it_finds_and_names_the_fault() -> None:
@@ -171,7 +171,7 @@ def test_missing_values_are_bridged_counted_and_shown() -> None:
     assert isinstance(found, rs.Diagnosis)
     assert isinstance(clean, rs.Diagnosis)
     assert found.n_missing == 4 + 3 + 30 + 1
-    assert found.resets == 1
+    assert found.recording.resets == 1
     assert "38 samples with missing values" in str(found)
     assert np.isnan(found.residuals[found.missing]).all()
     assert not found.decided[found.missing].any()

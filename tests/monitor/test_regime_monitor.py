@@ -119,7 +119,7 @@ def test_nothing_is_decided_in_a_mode_never_seen(monitor: rs.RegimeMonitor) -> N
     rows = switched(31, visits((1, 0, 200), (0, 1, 150), (1, 1, 200)))
     rows[210:340, 4] += 100.0
     diagnosis = monitor.run(None, rows)
-    assert diagnosis.unjudged == {"fan = 0, heating = 1": "a mode never seen"}
+    assert diagnosis.naming.unjudged == {"fan = 0, heating = 1": "a mode never seen"}
     assert diagnosis.samples("fan = 0, heating = 1") == 150
     assert not diagnosis.decided[200:350].any()
     assert not diagnosis.alarm[200:350].any()
@@ -197,7 +197,7 @@ def test_a_mode_with_few_rows_has_no_model_and_says_so() -> None:
     assert "fan = 0, heating = 1: no model" in str(made)
     monitor = rs.RegimeMonitor(made).fit(None, switched(1, NORMAL))
     diagnosis = monitor.run(None, rows)
-    assert diagnosis.unjudged["fan = 0, heating = 1"].startswith("no model: 20 rows")
+    assert diagnosis.naming.unjudged["fan = 0, heating = 1"].startswith("no model: 20 rows")
 
 
 @pytest.mark.parametrize("error", [DataError, DesignError, AccuracyError, ModelError])
@@ -303,21 +303,23 @@ def test_a_saved_monitor_says_the_same(monitor: rs.RegimeMonitor, tmp_path: Path
 def test_a_file_that_was_edited_says_so(monitor: rs.RegimeMonitor, tmp_path: Path) -> None:
     monitor.save(tmp_path / "modes.json")
     content = json.loads((tmp_path / "modes.json").read_text())
-    content["modes"][1]["transient"] = 30
+    content["modes"]["fan = 1, heating = 0"]["transient"] = 30
     content["checksum"] = None
     (tmp_path / "modes.json").write_text(json.dumps(content))
     loaded = rs.RegimeMonitor.load(tmp_path / "modes.json")
     diagnosis = loaded.run(None, switched(36, visits((0, 0, 100), (1, 0, 100))))
     assert not diagnosis.decided[100:130].any()
     assert any("was edited" in note for note in diagnosis.notes)
-    for entry, value in {
-        "by": [["fog", None]],
-        "modes": 3,
-        "dt": -1,
-        "outputs": ["fan", "heating"],
-        "version": 9,
-    }.items():
-        (tmp_path / "broken.json").write_text(json.dumps({**content, entry: value}))
+    regimes = content["regimes"]
+    for change in (
+        {"regimes": {**regimes, "signals": {"names": ["fog"], "edges": [None]}}},
+        {"regimes": {**regimes, "dt": -1}},
+        {"regimes": {**regimes, "outputs": ["fan", "heating"]}},
+        {"modes": 3},
+        {"modes": {"another mode": content["modes"]["fan = 1, heating = 0"]}},
+        {"version": 9},
+    ):
+        (tmp_path / "broken.json").write_text(json.dumps({**content, **change}))
         with pytest.raises(FileFormatError, match=r"broken\.json"):
             rs.RegimeMonitor.load(tmp_path / "broken.json")
 

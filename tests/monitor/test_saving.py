@@ -325,7 +325,7 @@ def test_no_number_that_runs_may_be_missing_or_infinite(
         (("test", "false_alarm_rate"), 1.5, r"test\.false_alarm_rate: expected a number between 0 and 1, got 1.5"),
         (("design", "system", "A", "float", 0), 1e308, r"design\.system\.A\[0, 0\]: expected a finite number of at"),
         (("design", "system", "dt"), -1.0, r"design\.system\.dt: expected 0, or a positive number"),
-        (("running", "isolation", "bases", 0, "float", 0), 3.0, r"running\.isolation\.bases\[0\]: .* orthonormal"),
+        (("isolation", "bases", 0, "float", 0), 3.0, r"isolation\.bases\[0\]: .* orthonormal"),
     ],
 )
 def test_the_message_names_the_entry_and_what_it_may_be(
@@ -493,7 +493,7 @@ def test_a_rank_is_saved_and_shown_and_counts_no_more_than_its_singular_values()
     back = generator_in(json.loads(json.dumps(record)), "design")
     assert_same(back.evidence.ranks, {"states": decision})
     assert "3, 0.01" in evidence_html(back.evidence)
-    record["evidence"]["ranks"]["states"][0] = 4
+    record["evidence"]["ranks"]["states"]["rank"] = 4
     with pytest.raises(FileFormatError, match="a rank of 4 does not fit 3 singular values"):
         generator_in(json.loads(json.dumps(record)), "design")
 

@@ -16,7 +16,7 @@ from residua.cli import run_command
 from residua.cli.app import app
 from residua.decide import CUSUM, NormThreshold, PeakThreshold
 from residua.errors import DataError, FileFormatError, ResiduaError
-from residua.monitor import beginning, outcome, streaming
+from residua.monitor import alarms, outcome, streaming
 from residua.monitor.streaming import AT_ONCE, judged_file
 from residua.recording import streams
 from residua.recording.columns import ReadOptions
@@ -407,12 +407,12 @@ def test_beginnings_by_a_bounded_number_of_samples() -> None:
     judged = np.flatnonzero(usable & np.isfinite(residuals).all(axis=1))
     for piece, most in ((7, 10**6), (1000, 300), (10**6, 300)):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(beginning, "_PIECE", piece)
-            patch.setattr(beginning, "MOST_ROWS", most)
+            patch.setattr(alarms, "_PIECE", piece)
+            patch.setattr(alarms, "MOST_ROWS", most)
             for start, stop in ((0, 5000), (10, 4000), (5, 5), (4990, 5000)):
                 rows = judged[(judged >= start) & (judged < stop)]
-                assert_same(rows[-most:], beginning._judged(residuals, usable, start, stop, last=True))
-                assert_same(rows[:most], beginning._judged(residuals, usable, start, stop, last=False))
+                assert_same(rows[-most:], alarms._judged(residuals, usable, start, stop, last=True))
+                assert_same(rows[:most], alarms._judged(residuals, usable, start, stop, last=False))
 
 
 def test_read_recording_agrees_with_the_stream(tmp_path: Path) -> None:

@@ -15,8 +15,8 @@ import pytest
 
 import residua as rs
 from residua.library import three_tank
-from residua.monitor import live, monitor as monitor_module
-from residua.monitor.fitting import fitted_test
+from residua.monitor import monitor as monitor_module, online
+from residua.monitor.fitted_thresholds import fitted_test
 from running_examples import plant, recording
 
 
@@ -116,14 +116,14 @@ def test_a_copy_waits_for_the_block_that_is_under_way(made: Any, monkeypatch: py
     """It had the count of the samples before the block, and the state of its middle."""
     monitor = rs.Monitor(rs.design.kalman_filter(plant()))
     inside, on = threading.Event(), threading.Event()
-    go_on = live.Live.go_on
+    go_on = online.Online.go_on
 
     def held(*arguments: Any) -> Any:
         inside.set()
         assert on.wait(60)
         return go_on(*arguments)
 
-    monkeypatch.setattr(live.Live, "go_on", held)
+    monkeypatch.setattr(online.Online, "go_on", held)
     u, y = recording(600)
     with ThreadPoolExecutor(2) as pool:
         block = pool.submit(monitor.update, u, y)

@@ -10,9 +10,9 @@ import pytest
 import residua as rs
 from residua.linear.systems.recursion import ordered_product, run_filter
 from residua.monitor import fused
-from residua.monitor.fused import FusedRun, copied, plan_of
+from residua.monitor.fused import FusedRun, plan_of
+from residua.monitor.plant_records import copied
 from residua.monitor.running import initial_state
-from residua.monitor.whole_blocks import Job
 from running_examples import plant, recording
 
 
@@ -77,4 +77,4 @@ def test_the_kernel_refuses_them() -> None:
     channels = int(plan.integers[1]) - 1
     y: Any = memoryview(bytes(80 * channels + 1))[1:].cast("d", [2, 5, channels])
     with pytest.raises(ValueError, match="aligned"):
-        run.run(Job(np.zeros((2, 5, 1)), y, run.outputs(2, 5)))
+        run.run(np.zeros((2, 5, 1)), y, run.outputs(2, 5))

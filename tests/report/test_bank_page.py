@@ -12,6 +12,7 @@ import pytest
 import residua as rs
 from bank_examples import hand_made_bank, recording, sampled_plant, static_estimator
 from page_reader import NASTY, read, words
+from report_examples import changed as with_changes
 from residua.decide import NormThreshold
 from residua.decide.structured import Structured, code_test
 from residua.report.charts import chart_data
@@ -110,7 +111,7 @@ def test_readings_have_one_of_four_words(
     assert changed.reading.answer == answer
     word = test.word(changed, 50)
     assert word.line == line
-    found = verdict(replace(one, alarms=(changed,), codes=test, isolation=test))
+    found = verdict(with_changes(one, alarms=(changed,), codes=test, isolation=test))
     assert found.confidence == word.kind
     assert line in found.headline
     wavering = test.word(replace(changed, read_share=0.3), 50)
@@ -131,7 +132,7 @@ def test_the_code_table_shows_what_fired(one: rs.Diagnosis) -> None:
         assert [mark == "on" for mark, _ in row] == code.tolist()
         assert [bool(off) for _, off in row] == [a != b for a, b in zip(code, fired, strict=True)]
     assert re.findall(r"(\d) of 5", table) == ["3", "5", "3", "3", "3"]
-    assert code_table(replace(one, codes=None)) == ""
+    assert code_table(with_changes(one, codes=None)) == ""
     assert "differs" not in code_table(replace(one, alarms=()))
 
 
@@ -172,7 +173,7 @@ def test_nothing_of_a_bank_is_taken_as_html(sized: rs.Diagnosis) -> None:
     assert sized.codes is not None
     nasty = replace(sized.codes, members=tuple(m.name for m in members))
     alarms = tuple(replace(a, reading=nasty.read(a.reading.pattern)) for a in sized.alarms if a.reading)
-    page = render([Section("", replace(sized, codes=nasty, alarms=alarms))], "t")
+    page = render([Section("", with_changes(sized, codes=nasty, alarms=alarms))], "t")
     reader, plain = read(page), read(render([Section("", sized)], "t"))
     assert [tag for tag, _ in reader.tags].count("script") == [tag for tag, _ in plain.tags].count("script")
     assert "img" not in [tag for tag, _ in reader.tags]

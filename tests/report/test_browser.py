@@ -88,7 +88,7 @@ def test_a_bank_with_an_estimator_is_drawn(tmp_path):
     assert isinstance(found, rs.Diagnosis)
     seen = facts(browse(found.to_html(tmp_path / "page.html"), tmp_path, "--dump-dom"))
     assert seen["error"] == ""
-    assert int(seen["charts"]) == len(found.residual_names) + 1 + 5 + 1 + 5 + 2
+    assert int(seen["charts"]) == len(found.generator.residuals) + 1 + 5 + 1 + 5 + 2
     # The bank's own residuals, the fifth output and the inputs wait behind a click.
     assert int(seen["drawn-charts"]) == 1 + 1 + 5 + 1 + 4
 

@@ -147,7 +147,7 @@ def test_a_thinned_diagnosis_comes_back(tmp_path: Path) -> None:
     np.savetxt(path, table, delimiter=",", header="time,pump,low,high", comments="")
     one = MONITORS["default"]().run_file(path)
     again = rs.Diagnosis.from_json(one.to_json().encode())
-    assert (again.thinned, again.totals, str(again)) == (one.thinned, one.totals, str(one))
+    assert (again.recording.thinned, again.totals, str(again)) == (one.recording.thinned, one.totals, str(one))
 
 
 def changed(change: Callable[[dict[str, Any]], Any]) -> str:
@@ -164,20 +164,19 @@ def changed(change: Callable[[dict[str, Any]], Any]) -> str:
         (lambda c: c.update(format="residua-monitor"), "is not a diagnosis of residua"),
         (lambda c: c.update(version=99), "schema version 99, this residua reads version 1"),
         (lambda c: c["whole"].pop("alarms"), "the entry 'whole.alarms' is missing"),
-        (lambda c: c["whole"].update(code="x = 1"), "whole.code: expected a table"),
+        (lambda c: c["whole"]["parts"].update(code="x = 1"), "whole.parts.code: expected a table"),
         (lambda c: c["whole"].update(more=1), "the entry 'whole.more' is unknown"),
         (lambda c: c["whole"].update(time={"shape": [1], "float": [0.0]}), "must have shape"),
         (lambda c: c["whole"]["statistic"].update(float=["__import__"] * 500), "whole.statistic: expected a number"),
-        (lambda c: c["whole"].update(threshold="4"), "whole.threshold: expected a number"),
-        (lambda c: c["whole"].update(threshold=True), "whole.threshold: expected a number"),
+        (lambda c: c["whole"]["test"].update(threshold="4"), "whole.test.threshold: expected a number"),
+        (lambda c: c["whole"]["test"].update(threshold=True), "whole.test.threshold: expected a number"),
         (lambda c: c["whole"]["alarms"][0].update(stop=10**6), "must lie within the 500 samples"),
         (lambda c: c["whole"]["alarms"][0].update(start=-5), "must lie within the 500 samples"),
         (lambda c: c["whole"].update(statements=[]), r"whole.statements must be \d, one for each alarm"),
-        (lambda c: c["whole"].update(residual_names=["a"]), "whole.residual_names must be 2, got 1"),
         (lambda c: c["whole"].update(settings={"a": 1}), "whole.settings.a: expected text"),
         (lambda c: c["whole"].update(settings=[]), "whole.settings: expected a table"),
-        (lambda c: c["whole"].update(compared=[[0, 9]]), "whole.compared"),
-        (lambda c: c["whole"].update(compared=[[0]]), "whole.compared"),
+        (lambda c: c["whole"]["recording"].update(compared=[[0, 9]]), "whole.recording.compared"),
+        (lambda c: c["whole"]["recording"].update(compared=[[0]]), "whole.recording.compared"),
         (lambda c: c["whole"]["generator"].pop("system"), "'whole.generator.system' is missing"),
         (lambda c: c["whole"]["explainer"].update(colour=[1.0, "nan"]), "whole.explainer.colour"),
         (lambda c: c.update(whole=[]), "whole: expected a table"),
@@ -213,7 +212,7 @@ def test_damage_is_refused_wherever_it_is() -> None:
 
 def test_an_edited_text_says_so() -> None:
     content = json.loads(found("default").to_json())
-    content["whole"]["source"], content["checksum"] = "elsewhere", None
+    content["whole"]["recording"]["source"], content["checksum"] = "elsewhere", None
     made = rs.Diagnosis.from_json(json.dumps(content))
     assert made.source == "elsewhere"
     assert made.notes[0] == EDITED

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from page_reader import NASTY, read, words
-from report_examples import diagnosis, generator
+from report_examples import changed, diagnosis, generator
 from residua.errors import FileFormatError
 from residua.monitor.diagnosis import Candidate
 from residua.report.charts import chart_data
@@ -49,7 +49,7 @@ def test_directions_of_a_monitor_that_does_not_isolate():
 
 
 def test_the_band_is_said_to_be_of_averaged_residuals():
-    d = replace(diagnosis(), averaged=20, band_share=0.999)
+    d = changed(diagnosis(), averaged=20, band_share=0.999)
     text = words(render([Section("", d)], "t"))
     assert "with Gaussian noise, 1 in 1,000 fault-free averages over 20 samples is outside" in text
     assert "its average over 20 samples; the test and the normal range refer to this average" in text
@@ -115,7 +115,7 @@ def test_nan_and_infinity_become_gaps():
     d = diagnosis(50)
     residuals = d.residuals.copy()
     residuals[3, 0], residuals[4, 0], residuals[5, 0] = np.nan, np.inf, -np.inf
-    d = replace(d, residuals=residuals, threshold=np.nan, center=np.full(3, np.nan))
+    d = changed(d, residuals=residuals, threshold=np.nan, center=np.full(3, np.nan))
     charts = json.loads(read(render([Section("", d)], "t")).data)["diagnoses"][0]["charts"]
     assert charts[0]["y"][0][3:6] == [None, None, None]
     assert None not in charts[1]["y"][0]
@@ -288,6 +288,6 @@ def test_a_fault_that_was_not_found_is_missed_not_wrong():
 
 def test_a_short_alarm_is_not_sure_of_its_name():
     d = diagnosis()
-    brief = replace(d, window=d.alarms[0].stop - d.alarms[0].start + 1)
+    brief = changed(d, window=d.alarms[0].stop - d.alarms[0].start + 1)
     assert "too early to be sure of the name" in words(render([Section("", brief)], "t"))
     assert "too early to be sure of the name" not in words(render([Section("", d)], "t"))

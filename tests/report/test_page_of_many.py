@@ -11,7 +11,7 @@ import pytest
 
 import residua as rs
 from page_reader import read, words
-from report_examples import diagnosis, generator
+from report_examples import changed, diagnosis, generator
 from residua.decide.alarm import Beginning, Size
 from residua.design.core.generator import Member
 from residua.report.charts import chart_data
@@ -137,10 +137,10 @@ def test_clock_times_on_axes_and_in_sentences(many: rs.Diagnosis) -> None:
     assert "1,200 samples from 2026-03-02 22:10:00 to 2026-03-03 18:09:00 (clock of the recording)" in text
     assert "step 60 s, 19 h 59 min in all" in text
     assert "alarm raised at 2026-03-03 08:" in text
-    plain = replace(many, origin="")
+    plain = changed(many, origin="")
     assert chart_data(plain)["clock"] == {"base": None, "unit": "h", "factor": 3600.0}
     assert chart_data(replace(plain, time=many.time / 60))["clock"]["unit"] == "s"
-    zoned = words(render([Section("", replace(many, origin="2026-03-02T22:10:00+01:00"))], "t"))
+    zoned = words(render([Section("", changed(many, origin="2026-03-02T22:10:00+01:00"))], "t"))
     assert "(local times of the recording, UTC+01:00)" in zoned
 
 
@@ -178,7 +178,7 @@ def test_shares_add_to_one_and_a_culprit_inside_its_band_is_explained() -> None:
 
 
 def test_averages_are_those_of_the_test() -> None:
-    d = replace(diagnosis(100), averaged=5)
+    d = changed(diagnosis(100), averaged=5)
     means = averaged_residuals(d)
     k = 60
     np.testing.assert_allclose(means[k], d.residuals[k - 4 : k + 1].mean(axis=0), rtol=1e-9, atol=1e-12)

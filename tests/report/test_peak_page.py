@@ -13,6 +13,7 @@ import residua as rs
 from bank_examples import recording as noisy, sampled_plant
 from dedicated_examples import FAULTS, MEMBERS, THREE, dedicated_bank, recording, three_drifts
 from page_reader import read, words
+from report_examples import changed
 from residua.decide import NormThreshold, PeakThreshold
 from residua.report.charts import PEAK_FLOOR, chart_data, onsets, own_alarms, shows_scores
 from residua.report.codes import code_table, present_table
@@ -43,7 +44,7 @@ def test_the_verdict_names_all_with_their_times(three: rs.Diagnosis) -> None:
     )
     assert (found.confidence, found.margin) == ("either", None)
     assert CERTAIN in found.sentences
-    assert CERTAIN not in verdict(replace(three, certified=False)).sentences
+    assert CERTAIN not in verdict(changed(three, certified=False)).sentences
     gone = run(recording(60.0, drifts={FAULTS[0]: (20.0, 0.5), FAULTS[2]: (30.0, 0.5, 40.0)}))
     assert any(s.startswith("TMPC sensor: its member fell silent at 4") for s in verdict(gone).sentences)
 
@@ -128,7 +129,7 @@ def test_a_residual_keeps_its_unit_as_it_is_not_whitened() -> None:
     watch = rs.Monitor(rs.design.kalman_filter(plant), test=PeakThreshold(2.0))
     u, y = noisy(plant, faults={"y2 sensor": 4.0})
     found = run(y, watch, u)
-    assert own_alarms(replace(found, codes=None), 0) is None
+    assert own_alarms(changed(found, codes=None), 0) is None
     charts = {c["kind"]: c for c in chart_data(found)["charts"]}
     assert (charts["statistic"]["unit"], charts["statistic"]["axis"]) == ("m", "norm [m]")
     page = render([Section("", found)], "t")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import residua as rs
-from report_examples import diagnosis, generator
+from report_examples import changed, diagnosis, generator
 from residua.report.body import observed_residual
 from residua.report.pictures import direction_picture, project
 from residua.report.signatures import generator_signatures, judged_signatures
@@ -50,7 +50,7 @@ def test_the_last_row_of_the_page_is_the_score_of_the_same_samples():
 
 
 def test_without_a_known_mean_nothing_is_observed():
-    d = replace(tank_diagnosis(), center=np.full(2, np.nan))
+    d = changed(tank_diagnosis(), center=np.full(2, np.nan))
     assert observed_residual(d, judged_signatures(d)) is None
 
 

@@ -35,7 +35,7 @@ from residua.design import MatchedFilters, ResidualGenerator
 from residua.design.core.brought import as_generator
 from residua.errors import ModelError
 from residua.monitor import Monitor
-from residua.monitor.setup import chosen_isolation
+from residua.monitor.specification import chosen_isolation
 from residua.plant.plant_file import load_plant
 from residua.plant.toml_entry import suggestion
 

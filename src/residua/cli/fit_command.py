@@ -21,8 +21,7 @@ from residua.cli.shared_options import (
     check_recordings,
 )
 from residua.monitor import Diagnosis, Monitor
-from residua.monitor.fit_check import FitCheck
-from residua.monitor.visible_sizes import HEADER
+from residua.monitor.fit_check import HEADER, FitCheck
 from residua.visible import echo
 
 #: The limit of a fit to one recording.

@@ -137,8 +137,8 @@ def _judge(
             screen.print_json(found, indent=None)
         elif form == "text":
             show_diagnosis(diagnosis)
-            if diagnosis.origin:
-                screen.say(f"times count from {diagnosis.origin}")
+            if diagnosis.recording.origin:
+                screen.say(f"times count from {diagnosis.recording.origin}")
             screen.say(*(f"written: {one}" for one in written))
         if not judged:
             waits = not diagnosis.missing.all()
@@ -155,7 +155,7 @@ def _status(diagnosis: Diagnosis, strict: bool) -> int:
     if diagnosis.fault_detected:
         return FAULT
     kind = verdict(diagnosis).kind
-    if diagnosis.is_unlike_the_fit or kind == "outside":
+    if diagnosis.recording.is_unlike_the_fit or kind == "outside":
         return UNLIKE
     return CANNOT_TELL if strict and kind == "cannot tell" else NO_FAULT
 

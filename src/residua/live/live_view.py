@@ -140,10 +140,10 @@ class LiveView:
                     "name": name,
                     "unit": residual_unit(diagnosis, name),
                     "values": drawn(diagnosis.residuals[:, i]),
-                    "center": _number(float(diagnosis.center[i])),
-                    "band": _number(float(diagnosis.band[i])),
+                    "center": _number(float(diagnosis.test.center[i])),
+                    "band": _number(float(diagnosis.test.band[i])),
                 }
-                for i, name in enumerate(diagnosis.residual_names)
+                for i, name in enumerate(diagnosis.generator.residuals)
             ],
             "signals": [
                 {"name": name, "unit": units.get(name, ""), "values": drawn(diagnosis.signals[:, i])}

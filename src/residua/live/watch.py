@@ -24,8 +24,8 @@ from residua.live.watched_model import Judged, WatchedModel, clock_of
 from residua.live.watched_plant import WatchedPlant
 from residua.monitor.diagnosis import Diagnosis
 from residua.monitor.fleet_block import FleetBlock
-from residua.monitor.fused import copied
-from residua.monitor.running import State, initial_state, rows_of, written_rows
+from residua.monitor.plant_records import copied, rows_of, written_rows
+from residua.monitor.running import State, initial_state
 from residua.visible import echo
 
 #: Outputs wanted for every row.

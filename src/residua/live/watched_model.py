@@ -14,13 +14,12 @@ from residua.decide.isolation import Seen
 from residua.errors import NotFittedError, SettingError
 from residua.live.readings import Layout
 from residua.live.state_bytes import state_from_bytes
-from residua.monitor.beginning import with_beginnings
+from residua.monitor.alarms import alarms_of, explainer_of, with_beginnings, with_words
 from residua.monitor.diagnosis import Diagnosis
-from residua.monitor.explaining import explainer_of, with_words
 from residua.monitor.fleet_block import fingerprint_of
 from residua.monitor.fused import run_block
 from residua.monitor.monitor import Monitor
-from residua.monitor.outcome import Recorded, alarms_of, compared_outputs, diagnosis_from
+from residua.monitor.outcome import Recorded, compared_outputs, diagnosis_from
 from residua.monitor.running import Decisions, State, initial_state, joined_decisions
 from residua.recording.clock import Clock
 from residua.words import listing

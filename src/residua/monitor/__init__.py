@@ -13,8 +13,7 @@ if TYPE_CHECKING:
     from residua.monitor.fleet_block import AlarmEvent, FleetAlarm, Tick
     from residua.monitor.learning import Learnt, Tried, learn
     from residua.monitor.monitor import Monitor
-    from residua.monitor.regime_diagnosis import RegimeAlarm, RegimeDiagnosis
-    from residua.monitor.regime_monitor import RegimeMonitor
+    from residua.monitor.regime_monitor import RegimeAlarm, RegimeDiagnosis, RegimeMonitor
     from residua.monitor.running import Decisions
     from residua.recording.recording import Recording, read_recording, recording_from_frame
     from residua.recording.table_writer import write_table
@@ -59,8 +58,7 @@ hand_on(
         "residua.monitor.fleet_block": ("AlarmEvent", "FleetAlarm", "Tick"),
         "residua.monitor.learning": ("Learnt", "Tried", "learn"),
         "residua.monitor.monitor": ("Monitor",),
-        "residua.monitor.regime_diagnosis": ("RegimeAlarm", "RegimeDiagnosis"),
-        "residua.monitor.regime_monitor": ("RegimeMonitor",),
+        "residua.monitor.regime_monitor": ("RegimeAlarm", "RegimeDiagnosis", "RegimeMonitor"),
         "residua.monitor.running": ("Decisions",),
         "residua.recording.recording": ("Recording", "read_recording", "recording_from_frame"),
         "residua.recording.table_writer": ("write_table",),

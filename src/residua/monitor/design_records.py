@@ -2,157 +2,83 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from residua.arrays import frozen
-from residua.design import Evidence, Member, Observer, ResidualGenerator
+from residua.design import Evidence, Observer, ParityRelations, ResidualGenerator
 from residua.design.core.decoupling import IGNORED
 from residua.design.core.leak import reached
 from residua.errors import FileFormatError
 from residua.linear import RankDecision, StateSpace
-from residua.number_kinds import ANY as REPORT, COMPLEX, ENTRY, NOT_NEGATIVE, STEP
-from residua.plant import Fault, Identification, OperatingPoint, Plant
-from residua.records import (
-    array_in,
-    array_out,
-    flag_in,
-    float_in,
-    float_out,
-    joined,
-    list_in,
-    record,
-    table_in,
-    text_in,
-    texts_in,
-    whole_in,
-)
+from residua.number_kinds import ANY, NOT_NEGATIVE, STEP
+from residua.plant import Fault, Plant
+from residua.records import RecordOf, joined, record, values_in, values_out
 from residua.tolerances import LEAK
 
-_SYSTEM_ENTRIES = ("A", "B", "C", "D", "dt", "inputs", "outputs", "states")
-_PLANT_ARRAYS = ("A", "B", "C", "D", "Bd", "Dd", "Bf", "Df", "Bw", "Dw")
-_PLANT_TEXTS = ("name", "description")
-_PLANT_NAMES = ("inputs", "outputs", "states", "disturbances")
-_PLANT_ENTRIES = (*_PLANT_ARRAYS, "E", "dt", *_PLANT_TEXTS, *_PLANT_NAMES, "faults", "operating_point", "units")
-_POLES = ("poles", "requested_poles", "fixed_poles")
-_EVIDENCE_ENTRIES = ("method", *_POLES, "decoupling", "conditions", "ranks", "notes", "references")
-_OBSERVER_ARRAYS = ("F", "T", "K", "M", "H", "W")
-_OBSERVER_OPTIONS = ("J", "V")
-_MAPS = ("state_map", "static_map")
-_SAMPLED_ENTRIES = ("system", "plant", "evidence", "subspaces", *_MAPS, "known_form", "steady")
-_GENERATOR_ENTRIES = (*_SAMPLED_ENTRIES, "method", "members", "observer", "codes", "estimated")
+#: Fields of a generator that sampling changes, and those that are in no file.
+_SAMPLED = ("system", "plant", "evidence", "subspaces", "state_map", "static_map", "known_form", "steady")
+_LEFT_OUT = ("relations",)
+#: Fields of a plant that its constructor does not take.
+_ADDED = ("Bd", "Dd", "Bf", "Df", "Bw", "Dw")
 
 
 def generator_out(generator: ResidualGenerator) -> dict[str, Any]:
     """Return a generator as a record."""
-    observer = generator.observer
-    return sampled_out(generator) | {
-        "method": generator.method,
-        "codes": None if generator.codes is None else [[bool(x) for x in row] for row in generator.codes],
-        "estimated": list(generator.estimated),
-        "members": [[m.name, list(m.residuals), list(m.faults)] for m in generator.members],
-        "observer": None
-        if observer is None
-        else {
-            **{name: array_out(getattr(observer, name)) for name in _OBSERVER_ARRAYS},
-            **{name: _array_or_none(getattr(observer, name)) for name in _OBSERVER_OPTIONS},
-            "plant": _plant_out(observer.plant),
-            "method": observer.method,
-            "decouples": bool(observer.decouples),
-            "evidence": _evidence_out(observer.evidence),
-        },
-    }
+    return values_out(generator, but=_LEFT_OUT)
 
 
 def generator_in(value: Any, where: str) -> ResidualGenerator:
     """Return the generator that a record describes."""
-    content = record(value, where, _GENERATOR_ENTRIES)
-    members = [list_in(member, joined(where, "members"), 3) for member in list_in(content["members"], where)]
-    return _checked(
-        ResidualGenerator(
-            **_sampled_fields(content, where),
-            method=text_in(content["method"], joined(where, "method")),
-            codes=_codes_in(content["codes"], joined(where, "codes")),
-            estimated=texts_in(content["estimated"], joined(where, "estimated")),
-            observer=None
-            if content["observer"] is None
-            else _observer_in(content["observer"], joined(where, "observer")),
-            members=tuple(
-                Member(
-                    text_in(name, joined(where, "members")),
-                    tuple(whole_in(row, joined(where, "members")) for row in list_in(rows, joined(where, "members"))),
-                    texts_in(faults, joined(where, "members")),
-                )
-                for name, rows, faults in members
-            ),
-        ),
-        where,
-    )
+    return values_in(value, where, ResidualGenerator, dict.fromkeys(_LEFT_OUT), others=_OTHERS)
 
 
 def sampled_out(generator: ResidualGenerator) -> dict[str, Any]:
     """Return the parts of a generator that depend on sampling, as a record."""
-    return {
-        "system": _system_out(generator.system),
-        "plant": _plant_out(generator.plant),
-        "evidence": _evidence_out(generator.evidence),
-        "subspaces": {name: array_out(basis) for name, basis in generator.subspaces.items()},
-        **{name: _array_or_none(getattr(generator, name)) for name in _MAPS},
-        "known_form": None if generator.known_form is None else _system_out(generator.known_form),
-        "steady": None
-        if generator.steady is None
-        else {name: array_out(vector) for name, vector in generator.steady.items()},
-    }
+    return values_out(generator, but=[one.name for one in fields(generator) if one.name not in _SAMPLED])
 
 
 def sampled_in(design: ResidualGenerator, value: Any, where: str) -> ResidualGenerator:
     """Return the sampled generator of a continuous design."""
-    fields = _sampled_fields(record(value, where, _SAMPLED_ENTRIES), where)
-    return _checked(replace(design, **fields), where)
+    same = {one.name: getattr(design, one.name) for one in fields(design) if one.name not in _SAMPLED}
+    return values_in(value, where, ResidualGenerator, same, others=_OTHERS)
 
 
-def _sampled_fields(content: Mapping[str, Any], where: str) -> dict[str, Any]:
-    subspaces, known = joined(where, "subspaces"), content["known_form"]
-    return {
-        "system": _system_in(content["system"], joined(where, "system")),
-        "plant": _plant_in(content["plant"], joined(where, "plant")),
-        "evidence": _evidence_in(content["evidence"], joined(where, "evidence")),
-        "subspaces": _arrays_in(content["subspaces"], subspaces),
-        "steady": None if content["steady"] is None else _arrays_in(content["steady"], joined(where, "steady")),
-        "known_form": None if known is None else _system_in(known, joined(where, "known_form")),
-        **{name: _array_or_none_in(content[name], joined(where, name)) for name in _MAPS},
-    }
+def _plant(disturbances: tuple[str, ...], fault_list: tuple[Fault, ...], **entries: Any) -> Plant:
+    added = {name: frozen(entries.pop(name)) for name in _ADDED}
+    return Plant(**entries)._with(**added, disturbances=disturbances, fault_list=fault_list)
 
 
-def _array_or_none(M: NDArray | None) -> Any:
-    return None if M is None else array_out(M)
+def _check_plant(plant: Plant, where: str) -> None:
+    """Raise unless the directions of disturbances, faults and noise fit the plant."""
+    for letter, count in (("d", len(plant.disturbances)), ("f", len(plant.fault_list)), ("w", plant.Bw.shape[-1])):
+        shapes = [getattr(plant, name + letter).shape for name in "BD"]
+        if shapes != [(plant.n_states, count), (plant.n_outputs, count)]:
+            raise FileFormatError(f"{where}: B{letter} and D{letter} must have {count} columns and fit the plant")
 
 
-def _array_or_none_in(value: Any, where: str) -> NDArray | None:
-    return None if value is None else array_in(value, where, ENTRY, 2)
+def _check_rank(one: RankDecision, where: str) -> None:
+    if one.singular_values.ndim != 1 or not 0 <= one.rank <= len(one.singular_values):
+        raise FileFormatError(f"{where}: a rank of {one.rank} does not fit {one.singular_values.size} singular values")
 
 
-def _codes_in(value: Any, where: str) -> NDArray[np.bool_] | None:
-    """Return the codes of a bank."""
-    if value is None:
-        return None
-    rows = [[flag_in(x, where) for x in list_in(row, where)] for row in list_in(value, where)]
-    if len({len(row) for row in rows}) > 1:
-        raise FileFormatError(f"{where}: every row must be of the same length")
-    return np.array(rows, dtype=bool)
+def _check_dimensions(one: Any, where: str) -> None:
+    """Raise unless the arrays of an observer are matrices, and those of the evidence have one dimension."""
+    dimensions = 1 if isinstance(one, Evidence) else 2
+    for name, array in vars(one).items():
+        if isinstance(array, np.ndarray) and array.ndim != dimensions:
+            raise FileFormatError(
+                f"{joined(where, name)}: expected an array of {dimensions} dimensions, got shape {array.shape}"
+            )
 
 
-def _arrays_in(value: Any, where: str) -> dict[str, NDArray[np.float64]]:
-    return {name: array_in(entry, joined(where, name), ENTRY) for name, entry in table_in(value, where).items()}
-
-
-def _checked(generator: ResidualGenerator, where: str) -> ResidualGenerator:
-    """Return the generator if its parts fit together."""
+def _check(generator: ResidualGenerator, where: str) -> None:
+    """Raise unless the parts of a generator fit together."""
     system, plant, k = generator.system, generator.plant, generator.n_residuals
+    if system.E is not None or (generator.known_form is not None and generator.known_form.E is not None):
+        raise FileFormatError(f"{where}: a filter has no matrix E")
     if system.n_inputs != len(plant.inputs) + plant.n_outputs:
         raise FileFormatError(f"{where}: the filter and the plant have different channels")
     if tuple(generator.subspaces) != plant.faults:
@@ -170,7 +96,7 @@ def _checked(generator: ResidualGenerator, where: str) -> ResidualGenerator:
     if not system.is_stable():
         raise FileFormatError(f"{where}: the filter is not stable")
     _check_leaks(generator, where)
-    for name, rows in zip(_MAPS, (system.n_states, k), strict=True):
+    for name, rows in (("state_map", system.n_states), ("static_map", k)):
         M = getattr(generator, name)
         if M is not None and M.shape != (rows, plant.n_states):
             raise FileFormatError(f"{where}: {name} must be {rows} x {plant.n_states}")
@@ -183,7 +109,6 @@ def _checked(generator: ResidualGenerator, where: str) -> ResidualGenerator:
     form = generator.known_form
     if form is not None and (form.n_outputs != k or form.n_inputs < len(plant.faults)):
         raise FileFormatError(f"{where}: known_form does not fit the filter")
-    return generator
 
 
 def _check_leaks(generator: ResidualGenerator, where: str) -> None:
@@ -205,158 +130,12 @@ def _check_leaks(generator: ResidualGenerator, where: str) -> None:
             )
 
 
-def _system_out(system: StateSpace) -> dict[str, Any]:
-    out: dict[str, Any] = {name: array_out(getattr(system, name)) for name in "ABCD"}
-    names = {name: list(getattr(system, name)) for name in ("inputs", "outputs", "states")}
-    return out | {"dt": float_out(system.dt)} | names
-
-
-def _system_in(value: Any, where: str) -> StateSpace:
-    content = record(value, where, _SYSTEM_ENTRIES)
-    matrices = [array_in(content[name], joined(where, name), ENTRY, 2) for name in "ABCD"]
-    names = {name: texts_in(content[name], joined(where, name)) for name in ("inputs", "outputs", "states")}
-    return StateSpace(*matrices, dt=float_in(content["dt"], joined(where, "dt"), STEP), **names)
-
-
-def _plant_out(plant: Plant) -> dict[str, Any]:
-    point = plant.operating_point
-    return {
-        **{name: array_out(getattr(plant, name)) for name in _PLANT_ARRAYS},
-        **{name: getattr(plant, name) for name in _PLANT_TEXTS},
-        **{name: list(getattr(plant, name)) for name in _PLANT_NAMES},
-        "E": None if plant.E is None else array_out(plant.E),
-        "dt": float_out(plant.dt),
-        "faults": [_fault_out(fault) for fault in plant.fault_list],
-        "operating_point": [list(map(float_out, point.inputs)), list(map(float_out, point.outputs))],
-        "units": dict(plant.units),
-        **_identification_out(plant.identification),
-    }
-
-
-def _identification_out(made: Identification | None) -> dict[str, Any]:
-    """Return a record of an identification; nothing for a given plant, so that its file stays unchanged."""
-    if made is None:
-        return {}
-    gains = [list(pair) for pair in made.uncertain_gains]
-    return {"identification": [made.method, made.rows, list(made.coloured), list(made.weak_inputs), gains]}
-
-
-def _identification_in(value: Any, where: str) -> Identification:
-    method, rows, coloured, weak, gains = list_in(value, where, 5)
-    pairs = [texts_in(list_in(pair, where, 2), where) for pair in list_in(gains, where)]
-    uncertain = tuple((output, given) for output, given in pairs)
-    return Identification(
-        text_in(method, where), whole_in(rows, where), texts_in(coloured, where), texts_in(weak, where), uncertain
-    )
-
-
-def _fault_out(fault: Fault) -> list[str]:
-    """Return name, kind and component, and the notes if there are any, so that other files stay unchanged."""
-    notes = [fault.description, fault.check, fault.unit]
-    return [fault.name, fault.kind, fault.component, *(notes if any(notes) else [])]
-
-
-def _fault_in(value: Any, where: str) -> Fault:
-    """Return a fault from name, kind and component, with or without the three notes."""
-    noted = isinstance(value, list) and len(value) == 6
-    return Fault(*texts_in(list_in(value, where, 6 if noted else 3), where))
-
-
-def _plant_in(value: Any, where: str) -> Plant:
-    identified = isinstance(value, Mapping) and "identification" in value
-    content = record(value, where, (*_PLANT_ENTRIES, *(["identification"] if identified else [])))
-    a = {name: array_in(content[name], joined(where, name), ENTRY, 2) for name in _PLANT_ARRAYS}
-    names = {name: texts_in(content[name], joined(where, name)) for name in _PLANT_NAMES}
-    at, units = joined(where, "operating_point"), joined(where, "units")
-    point = [
-        tuple(float_in(x, at, ENTRY) for x in list_in(part, at)) for part in list_in(content["operating_point"], at, 2)
-    ]
-    plant = Plant(
-        a["A"],
-        a["B"],
-        a["C"],
-        a["D"],
-        E=_array_or_none_in(content["E"], joined(where, "E")),
-        dt=float_in(content["dt"], joined(where, "dt"), STEP),
-        inputs=names["inputs"],
-        outputs=names["outputs"],
-        states=names["states"],
-        operating_point=OperatingPoint(*point),
-        units={key: text_in(unit, joined(units, key)) for key, unit in table_in(content["units"], units).items()},
-        identification=_identification_in(content["identification"], joined(where, "identification"))
-        if identified
-        else None,
-        **{name: text_in(content[name], joined(where, name)) for name in _PLANT_TEXTS},
-    )
-    at = joined(where, "faults")
-    faults = tuple(_fault_in(entry, at) for entry in list_in(content["faults"], at))
-    columns = {"d": len(names["disturbances"]), "f": len(faults), "w": a["Bw"].shape[1]}
-    for letter, count in columns.items():
-        if a["B" + letter].shape != (plant.n_states, count) or a["D" + letter].shape != (plant.n_outputs, count):
-            raise FileFormatError(f"{where}: B{letter} and D{letter} must have {count} columns and fit the plant")
-    return plant._with(
-        **{name: frozen(a[name]) for name in _PLANT_ARRAYS[4:]}, disturbances=names["disturbances"], fault_list=faults
-    )
-
-
-def _observer_in(value: Any, where: str) -> Observer:
-    content = record(value, where, (*_OBSERVER_ARRAYS, *_OBSERVER_OPTIONS, "plant", "method", "decouples", "evidence"))
-    arrays: dict[str, Any] = {name: array_in(content[name], joined(where, name), ENTRY, 2) for name in _OBSERVER_ARRAYS}
-    for name in _OBSERVER_OPTIONS:
-        arrays[name] = _array_or_none_in(content[name], joined(where, name))
-    return Observer(
-        plant=_plant_in(content["plant"], joined(where, "plant")),
-        method=text_in(content["method"], joined(where, "method")),
-        decouples=flag_in(content["decouples"], joined(where, "decouples")),
-        evidence=_evidence_in(content["evidence"], joined(where, "evidence")),
-        **arrays,
-    )
-
-
-def _evidence_out(evidence: Evidence) -> dict[str, Any]:
-    return {
-        "method": evidence.method,
-        **{name: array_out(getattr(evidence, name)) for name in _POLES},
-        **{
-            name: {key: float_out(number) for key, number in getattr(evidence, name).items()}
-            for name in ("decoupling", "conditions")
-        },
-        "ranks": {
-            name: [int(d.rank), array_out(np.asarray(d.singular_values)), float_out(d.tolerance)]
-            for name, d in evidence.ranks.items()
-        },
-        "notes": list(evidence.notes),
-        "references": list(evidence.references),
-    }
-
-
-def _rank_in(value: Any, where: str) -> RankDecision:
-    """Return a rank decision, which counts no more singular values than there are."""
-    rank, values, tolerance = list_in(value, where, 3)
-    sizes, least = array_in(values, where, NOT_NEGATIVE, 1), float_in(tolerance, where, NOT_NEGATIVE)
-    made = RankDecision(whole_in(rank, where), sizes, least)
-    if not 0 <= made.rank <= len(sizes):
-        raise FileFormatError(f"{where}: a rank of {made.rank} does not fit {len(sizes)} singular values")
-    return made
-
-
-def _evidence_in(value: Any, where: str) -> Evidence:
-    content = record(value, where, _EVIDENCE_ENTRIES)
-
-    def numbers(name: str) -> dict[str, float]:
-        at = joined(where, name)
-        return {key: float_in(number, joined(at, key), REPORT) for key, number in table_in(content[name], at).items()}
-
-    ranks = {}
-    for name, entry in table_in(content["ranks"], joined(where, "ranks")).items():
-        at = joined(joined(where, "ranks"), name)
-        ranks[name] = _rank_in(entry, at)
-    return Evidence(
-        method=text_in(content["method"], joined(where, "method")),
-        **{name: array_in(content[name], joined(where, name), COMPLEX, 1) for name in _POLES},
-        decoupling=numbers("decoupling"),
-        conditions=numbers("conditions"),
-        ranks=ranks,
-        notes=texts_in(content["notes"], joined(where, "notes")),
-        references=texts_in(content["references"], joined(where, "references")),
-    )
+_OTHERS = (
+    RecordOf(ResidualGenerator, check=_check),
+    RecordOf(StateSpace, {"dt": STEP}),
+    RecordOf(Plant, {"dt": STEP}, _plant, _check_plant),
+    RecordOf(Observer, check=_check_dimensions),
+    RecordOf(Evidence, {"decoupling": ANY, "conditions": ANY}, check=_check_dimensions),
+    RecordOf(RankDecision, {"singular_values": NOT_NEGATIVE, "tolerance": NOT_NEGATIVE}, check=_check_rank),
+    RecordOf(ParityRelations),
+)

@@ -35,7 +35,7 @@ from residua.decide.word import Word
 from residua.design import ResidualGenerator
 from residua.errors import DataError, MissingExtraError, SettingError
 from residua.files import write_text
-from residua.monitor.explaining import word_of
+from residua.monitor.alarms import word_of
 from residua.monitor.fault_learning import LearntRow
 from residua.monitor.fit_check import FitCheck
 from residua.recording.clock import Clock
@@ -77,6 +77,141 @@ class Totals:
     absent: tuple[int, ...]
 
 
+@dataclass(frozen=True, eq=False)
+class ThresholdFacts:
+    """Thresholds of a test, and the normal range of its residuals.
+
+    Attributes
+    ----------
+    threshold : float
+    center, band : ndarray, shape (residuals,)
+        Fault-free mean of each residual, and half the width of a band around it: see ``band_share``.
+    whitening : ndarray, shape (residuals, residuals)
+        Applied as ``(r - center) @ whitening`` before norm and direction are judged; for a bank the members'
+        matrices side by side.
+    band_share : float
+        Fraction of the fault-free samples of one residual, so averaged, that its band holds if its noise is Gaussian;
+        0 where its covariance is not known: the residual alone is then over the threshold where its band ends.
+    averaged : int
+        Samples over which a residual is averaged before it is tested, and its band holds: the window of the test.
+    horizon : int
+        Samples of the window of a finite-horizon test (:class:`residua.decide.PeakThreshold`); 0 for any other.
+    certified : bool
+        Whether its thresholds are certified by the design.
+    outside : float
+        Fraction of the decided samples outside of the learnt range: more than half of the relations are not judged
+        there.
+    """
+
+    threshold: float
+    center: NDArray[np.float64]
+    band: NDArray[np.float64]
+    whitening: NDArray[np.float64]
+    band_share: float = 0.0
+    averaged: int = 1
+    horizon: int = 0
+    certified: bool = False
+    outside: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class NamingFacts:
+    """Faults that a monitor can name, and what they are named by.
+
+    Attributes
+    ----------
+    groups : tuple of tuple of str
+        The faults, those that this monitor cannot tell apart in one group. A fault of a bank that some members see
+        only while it changes is in two (see ``group_names``).
+    signatures : tuple of ndarray, shape (residuals, dimension)
+        For each group an orthonormal basis of the direction or subspace that it was judged by, in whitened
+        residual space; empty for a bank that is read by code. Of matched filters the direction that the first fault
+        of the group settles to.
+    unjudged : tuple of str
+        Faults without a usable signature in this monitor.
+    window : int
+        Samples over which direction is judged: an alarm that is shorter is not sure of its name. 1 for matched
+        filters, whose likelihood tells how sure a name is after any time, and for a dedicated bank with a peak test, of
+        which one sample over a threshold names the fault.
+    codes : CodeTest or None
+        Members, groups and codes of a bank whose members were tested one by one; ``None`` for anything else.
+    learnt_faults : tuple of LearntRow
+        The faults that were learnt from recordings, as the table of the monitor has them.
+    """
+
+    groups: tuple[tuple[str, ...], ...]
+    signatures: tuple[NDArray[np.float64], ...] = ()
+    unjudged: tuple[str, ...] = ()
+    window: int = 1
+    codes: CodeTest | None = None
+    learnt_faults: tuple[LearntRow, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class PartSeries:
+    """Statistics and alarms of parts that are tested one by one: members of a bank, or groups of residuals.
+
+    Attributes
+    ----------
+    statistics : ndarray, shape (T, parts)
+        No columns without parts.
+    thresholds : ndarray, shape (parts,)
+    fired : ndarray of bool, shape (T, parts)
+        Which parts are in alarm at each sample.
+    code : ndarray of bool, shape (T, members)
+        Which members count as fired over the window that ends there, for the reading.
+    residuals : mapping of str to tuple of int
+        Where groups of residuals are tested by themselves: the residual numbers of each; else empty.
+    """
+
+    statistics: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)))
+    thresholds: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    fired: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
+    code: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
+    residuals: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class RecordingFacts:
+    """Source of a recording, and what was unusual about it.
+
+    Attributes
+    ----------
+    source : str
+        Where the recording came from.
+    origin : str
+        The moment that ``time`` counts from (ISO 8601), where the recording had dates; else empty.
+    resets : int
+        How often the filter was restarted after a long gap.
+    predicted : bool
+        Whether the filter, a Kalman filter, went on with those outputs of a sample that were there; else values were
+        held.
+    is_unlike_the_fit : bool
+        Whether a channel never comes near its values in the recordings of the fit; the notes name it.
+    compared : tuple of (int, int)
+        Residuals that are a measured output less its prediction from all that was measured before, as pairs (residual,
+        output); see ``Diagnosis.predictions``.
+    thinned : bool
+        Whether the series are those of a chart only: the smallest and largest value of each bin of samples, as
+        :meth:`residua.Monitor.run_file` leaves them of long recordings. Alarms, whose ``start`` and ``stop`` are sample
+        numbers of the recording, notes and numbers of samples are those of the whole.
+    table : str
+        Where the full table is then; empty if it was not written.
+    counted : Totals or None
+        The numbers of samples of the whole then; see ``Diagnosis.totals``.
+    """
+
+    source: str = ""
+    origin: str = ""
+    resets: int = 0
+    predicted: bool = False
+    is_unlike_the_fit: bool = False
+    compared: tuple[tuple[int, int], ...] = ()
+    thinned: bool = False
+    table: str = ""
+    counted: Totals | None = None
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Diagnosis(Guessed, Shown):
     """The result of a monitor on a recording. Prints as a table.
@@ -90,7 +225,6 @@ class Diagnosis(Guessed, Shown):
     statistic : ndarray, shape (T,)
         Norm of the (whitened) residual, of a bank the largest ratio of a member's to its threshold; NaN where no
         decision was possible.
-    threshold : float
     alarm : ndarray of bool, shape (T,)
     decided : ndarray of bool, shape (T,)
         Where a decision was taken: not while the filter settles, nor where data are missing.
@@ -99,140 +233,65 @@ class Diagnosis(Guessed, Shown):
     scores : ndarray, shape (T, groups)
         Correlation of each group's signature with the residual over the window, or the fraction of the members of
         a bank that agree with its code; NaN outside decisions.
-    groups : tuple of tuple of str
-        The faults, those that this monitor cannot tell apart in one group. A fault of a bank that some members see
-        only while it changes is in two (see ``group_names``).
-    signatures : tuple of ndarray, shape (residuals, dimension)
-        For each group an orthonormal basis of the direction or subspace that it was judged by, in whitened
-        residual space; empty for a bank that is read by code. Of matched filters the direction that the first fault
-        of the group settles to.
-    unjudged : tuple of str
-        Faults without a usable signature in this monitor.
     alarms : tuple of Alarm
-    resets : int
-        How often the filter was restarted after a long gap.
-    residual_names : tuple of str
-    center, band : ndarray, shape (residuals,)
-        Fault-free mean of each residual, and half the width of a band around it: see ``band_share``.
-    whitening : ndarray, shape (residuals, residuals)
-        Applied as ``(r - center) @ whitening`` before norm and direction are judged; for a bank the members'
-        matrices side by side.
-    window : int
-        Samples over which direction is judged: an alarm that is shorter is not sure of its name. 1 for matched
-        filters, whose likelihood tells how sure a name is after any time, and for a dedicated bank with a peak test, of
-        which one sample over a threshold names the fault.
-    settings : mapping of str to str
-        How threshold, alarms and isolation were set, in words.
     generator : ResidualGenerator
         The sampled generator that ran.
-    source : str
-        Where the recording came from.
+    test : ThresholdFacts
+        Thresholds and the normal range of the residuals.
+    naming : NamingFacts
+        Faults that can be named, and what they are named by.
+    settings : mapping of str to str
+        How threshold, alarms and isolation were set, in words.
+    recording : RecordingFacts
+        Where the recording came from, and what was unusual about it.
     notes : tuple of str
-    codes : CodeTest or None
-        Members, groups and codes of a bank whose members were tested one by one; ``None`` for anything else.
-    tested : mapping of str to tuple of int
-        Where groups of residuals are tested by themselves: the residual numbers of each; else empty. They are
-        ``members`` then.
-    member_statistics : ndarray, shape (T, members)
-        Statistic of each member of a bank; no columns without one.
-    member_thresholds : ndarray, shape (members,)
-    fired : ndarray of bool, shape (T, members)
-        Which members are in alarm at each sample.
-    code : ndarray of bool, shape (T, members)
-        Which members count as fired over the window that ends there, for the reading.
+    parts : PartSeries
+        Statistics and alarms of the members of a bank, or of groups of residuals, one by one.
     match : Match or None
         Of matched filters: likelihood ratio, arrival and size of every fault at every sample, and the
         attribution of a standing alarm; see :class:`residua.decide.Match`.
-    horizon : int
-        Samples of the window of a finite-horizon test (:class:`residua.decide.PeakThreshold`); 0 for any other.
-    certified : bool
-        Whether its thresholds are certified by the design.
     fit_check : FitCheck or None
         Check of the fit on its own recordings, and the faults it could have seen; ``None`` without a fit.
-    outside : float
-        Fraction of the decided samples outside of the learnt range: more than half of the relations are not judged
-        there.
-    is_unlike_the_fit : bool
-        Whether a channel never comes near its values in the recordings of the fit; the notes name it.
-    predicted : bool
-        Whether the filter, a Kalman filter, went on with those outputs of a sample that were there; else values were
-        held.
-    averaged : int
-        Samples over which a residual is averaged before it is tested, and its band holds: the window of the test.
-    band_share : float
-        Fraction of the fault-free samples of one residual, so averaged, that its band holds if its noise is Gaussian;
-        0 where its covariance is not known: the residual alone is then over the threshold where its band ends.
-    origin : str
-        The moment that ``time`` counts from (ISO 8601), where the recording had dates; else empty.
     signals : ndarray, shape (T, inputs + outputs)
         The measurements, in plant units; NaN for a missing value. No rows if they were not kept.
     isolation : Isolation
         Isolation that names the alarms, with the certainty of the names.
-    learnt_faults : tuple of LearntRow
-        The faults that were learnt from recordings, as the table of the monitor has them.
     explainer : Explainer or None
         Explainer that gives alarms their words, if faults are named by direction or by response.
-    compared : tuple of (int, int)
-        Residuals that are a measured output less its prediction from all that was measured before, as pairs (residual,
-        output); see ``predictions``.
-    thinned : bool
-        Whether the series are those of a chart only: the smallest and largest value of each bin of samples, as
-        :meth:`residua.Monitor.run_file` leaves them of long recordings. Alarms, whose ``start`` and ``stop`` are sample
-        numbers of the recording, notes and numbers of samples are those of the whole.
-    table : str
-        Where the full table is then; empty if it was not written.
-    counted : Totals or None
-        The numbers of samples of the whole then; see ``totals``.
     """
 
     time: NDArray[np.float64] = field(repr=False)
     residuals: NDArray[np.float64] = field(repr=False)
     statistic: NDArray[np.float64] = field(repr=False)
-    threshold: float
     alarm: NDArray[np.bool_] = field(repr=False)
     decided: NDArray[np.bool_] = field(repr=False)
     missing: NDArray[np.bool_] = field(repr=False)
     scores: NDArray[np.float64] = field(repr=False)
-    groups: tuple[tuple[str, ...], ...]
-    signatures: tuple[NDArray[np.float64], ...] = field(repr=False)
-    unjudged: tuple[str, ...]
     alarms: tuple[Alarm, ...]
-    resets: int
-    residual_names: tuple[str, ...]
-    center: NDArray[np.float64] = field(repr=False)
-    band: NDArray[np.float64] = field(repr=False)
     generator: ResidualGenerator = field(repr=False)
-    whitening: NDArray[np.float64] = field(repr=False)
-    window: int = 1
+    test: ThresholdFacts = field(repr=False)
+    naming: NamingFacts = field(repr=False)
     settings: Mapping[str, str] = field(default_factory=dict)
-    source: str = ""
+    recording: RecordingFacts = field(default_factory=lambda: RecordingFacts())
     notes: tuple[str, ...] = ()
-    codes: CodeTest | None = field(default=None, repr=False)
-    tested: Mapping[str, tuple[int, ...]] = field(default_factory=dict, repr=False)
-    member_statistics: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
-    member_thresholds: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0), repr=False)
-    fired: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 0), dtype=bool), repr=False)
-    code: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 0), dtype=bool), repr=False)
+    parts: PartSeries = field(default_factory=lambda: PartSeries(), repr=False)
     match: Match | None = field(default=None, repr=False)
-    horizon: int = 0
-    certified: bool = False
     fit_check: FitCheck | None = field(default=None, repr=False)
-    outside: float = 0.0
-    is_unlike_the_fit: bool = False
-    predicted: bool = False
-    averaged: int = 1
-    band_share: float = 0.0
-    origin: str = ""
     signals: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
-    compared: tuple[tuple[int, int], ...] = field(default=(), repr=False)
     isolation: Isolation = field(default_factory=NoNames, repr=False)
-    learnt_faults: tuple[LearntRow, ...] = field(default=(), repr=False)
     explainer: Explainer | None = field(default=None, repr=False)
-    thinned: bool = False
-    table: str = ""
-    counted: Totals | None = field(default=None, repr=False)
 
     # ------------------------------------------------------------------- facts
+
+    @property
+    def threshold(self) -> float:
+        """Threshold on the statistic."""
+        return self.test.threshold
+
+    @property
+    def groups(self) -> tuple[tuple[str, ...], ...]:
+        """The faults, those that this monitor cannot tell apart in one group."""
+        return self.naming.groups
 
     @property
     def fault_detected(self) -> bool:
@@ -260,7 +319,7 @@ class Diagnosis(Guessed, Shown):
     @property
     def clock(self) -> Clock:
         """Clock for times: that of the recording if it has dates."""
-        return Clock(self.origin, self.generator.dt)
+        return Clock(self.recording.origin, self.generator.dt)
 
     @property
     def predictions(self) -> dict[str, NDArray[np.float64]]:
@@ -273,7 +332,7 @@ class Diagnosis(Guessed, Shown):
             return {}
         plant = self.generator.plant
         m = len(plant.inputs)
-        return {plant.outputs[j]: self.signals[:, m + j] - self.residuals[:, i] for i, j in self.compared}
+        return {plant.outputs[j]: self.signals[:, m + j] - self.residuals[:, i] for i, j in self.recording.compared}
 
     @property
     def candidates(self) -> tuple[Candidate, ...]:
@@ -302,17 +361,19 @@ class Diagnosis(Guessed, Shown):
 
         Or of the groups of residuals that are tested by themselves, which have no ``code``.
         """
-        return self.codes.members if self.codes else tuple(self.tested)
+        return self.naming.codes.members if self.naming.codes else tuple(self.parts.residuals)
 
     @property
     def group_names(self) -> tuple[str, ...]:
         """The groups as text; a fault marked *settled* has the code of its group only once it is constant."""
-        return self.codes.labels if self.codes else tuple(" or ".join(group) for group in self.groups)
+        return (
+            self.naming.codes.labels if self.naming.codes else tuple(" or ".join(group) for group in self.naming.groups)
+        )
 
     @property
     def no_direction(self) -> bool:
         """True if the fault is shown by a single estimate, which cannot distinguish it from anything else."""
-        if self.codes is not None or not any(self.generator.estimated) or not self.candidates:
+        if self.naming.codes is not None or not any(self.generator.estimated) or not self.candidates:
             return False
         best, *_ = self.candidates
         return len(best.faults) > 1 and self.generator.residual_rank == 1
@@ -320,11 +381,15 @@ class Diagnosis(Guessed, Shown):
     @property
     def alike(self) -> list[tuple[tuple[str, ...], tuple[str, ...]]]:
         """The groups of several faults that look the same here, each with its names as text."""
-        return alike(self.codes.groups, self.codes.settled) if self.codes else alike(self.groups)
+        return (
+            alike(self.naming.codes.groups, self.naming.codes.settled)
+            if self.naming.codes
+            else alike(self.naming.groups)
+        )
 
     def statement(self, alarm: Alarm) -> Statement:
         """Return the statement about an alarm: headline, confidence, and the reasons."""
-        return self.isolation.statement(alarm, self.clock, self.window)
+        return self.isolation.statement(alarm, self.clock, self.naming.window)
 
     def word(self, alarm: Alarm, after: int = FINAL) -> Word | None:
         """Return the word for an alarm: the fit of listed faults to so many of its samples and those before it.
@@ -339,7 +404,7 @@ class Diagnosis(Guessed, Shown):
         Word or None
             ``None`` where faults are named in another way, and of a thinned diagnosis, whose alarms have theirs.
         """
-        if self.explainer is None or self.thinned:
+        if self.explainer is None or self.recording.thinned:
             return None
         return word_of(alarm, self.residuals, self.decided, self.explainer, after)
 
@@ -359,13 +424,13 @@ class Diagnosis(Guessed, Shown):
     @property
     def n_missing(self) -> int:
         """Number of samples with at least one missing value."""
-        return self.totals.missing if self.counted else int(self.missing.sum())
+        return self.totals.missing if self.recording.counted else int(self.missing.sum())
 
     @property
     def totals(self) -> Totals:
         """Numbers of samples of the whole recording."""
-        if self.counted is not None:
-            return self.counted
+        if self.recording.counted is not None:
+            return self.recording.counted
         waited = ~(self.decided | self.missing) & np.maximum.accumulate(self.missing)
         return Totals(
             len(self.time),
@@ -408,9 +473,9 @@ class Diagnosis(Guessed, Shown):
         if self.alarms:
             lines += filter(None, [left_out_text(self.alarms, SHOWN_ALARMS)])
             lines += [f"not distinguishable here: {', '.join(names)}" for _, names in self.alike]
-        if self.unjudged:
-            want = "a code" if self.codes else "a signature"
-            lines.append(f"never named by this monitor; it lacks {want}: {', '.join(self.unjudged)}")
+        if self.naming.unjudged:
+            want = "a code" if self.naming.codes else "a signature"
+            lines.append(f"never named by this monitor; it lacks {want}: {', '.join(self.naming.unjudged)}")
         return "\n".join([*lines, *self.notes])
 
     @property
@@ -481,12 +546,12 @@ class Diagnosis(Guessed, Shown):
     @property
     def missing_text(self) -> str:
         """Text on the treatment of missing values."""
-        times = f"{self.resets} time{'' if self.resets == 1 else 's'}"
-        restarts = f"; filter restarted {times} after longer gaps" if self.resets else ""
+        times = f"{self.recording.resets} time{'' if self.recording.resets == 1 else 's'}"
+        restarts = f"; filter restarted {times} after longer gaps" if self.recording.resets else ""
         one = "" if self.n_missing == 1 else "s"
         waited = self.totals.waited
         after = f", nor at {waited} after them while the filter settled again" if waited else ""
-        how = "the filter went on with the others" if self.predicted else "last values held"
+        how = "the filter went on with the others" if self.recording.predicted else "last values held"
         return f"{self.n_missing} sample{one} with missing values: {how}, no decision there{after}{restarts}"
 
     def columns(self) -> dict[str, NDArray]:
@@ -500,17 +565,21 @@ class Diagnosis(Guessed, Shown):
         DataError
             If the diagnosis is thinned: the message says where the full table is.
         """
-        if self.thinned:
-            where = f"the full table is in {self.table}" if self.table else "run_file(residuals=...) writes all of them"
+        if self.recording.thinned:
+            where = (
+                f"the full table is in {self.recording.table}"
+                if self.recording.table
+                else "run_file(residuals=...) writes all of them"
+            )
             raise DataError(
                 f"this diagnosis keeps {len(self.time)} points of {self.totals.samples} samples, to be drawn: {where}"
             )
         out: dict[str, NDArray] = {"time": self.time}
-        out |= {name: self.residuals[:, i] for i, name in enumerate(self.residual_names)}
+        out |= {name: self.residuals[:, i] for i, name in enumerate(self.generator.residuals)}
         out |= {"statistic": self.statistic, "alarm": self.alarm}
         out |= {f"score {name}": self.scores[:, g] for g, name in enumerate(self.group_names)}
         for m, member in enumerate(self.members):
-            out |= {f"statistic {member}": self.member_statistics[:, m], f"fired {member}": self.fired[:, m]}
+            out |= {f"statistic {member}": self.parts.statistics[:, m], f"fired {member}": self.parts.fired[:, m]}
         out |= {f"estimate {fault}": values for fault, values in self.estimates.items()}
         for j, fault in enumerate(self.generator.faults if self.match else ()):
             assert self.match is not None
@@ -541,7 +610,7 @@ class Diagnosis(Guessed, Shown):
 
     def write_alarms(self, path: str | Path) -> None:
         """Write one JSON object per alarm and line (JSON Lines)."""
-        text = "".join(json.dumps(alarm.to_dict(window=self.window)) + "\n" for alarm in self.alarms)
+        text = "".join(json.dumps(alarm.to_dict(window=self.naming.window)) + "\n" for alarm in self.alarms)
         write_text(path, text)
 
     def to_json(self, *, whole: bool = True) -> str:
@@ -625,7 +694,7 @@ class Diagnosis(Guessed, Shown):
         return thinned(self, table)
 
     def _check_whole(self) -> None:
-        if self.thinned:
+        if self.recording.thinned:
             raise DataError(
                 "a thinned diagnosis lacks the samples that alarms are drawn at: run_file(report=...) writes the page"
             )

@@ -13,11 +13,10 @@ from residua.decide.checks import check_samples
 from residua.errors import DataError, NotFittedError, SettingError
 from residua.monitor.decision import Decision
 from residua.monitor.diagnosis import Diagnosis
-from residua.monitor.fleet_block import AlarmEvent, FleetAlarm, FleetBlock, Tick
+from residua.monitor.fleet_block import AlarmEvent, FleetAlarm, FleetBlock, Tick, Worker
 from residua.monitor.monitor import Monitor
 from residua.monitor.running import Decisions
 from residua.monitor.snapshot import restored_blocks, snapshot_of
-from residua.monitor.whole_blocks import Work, Worker
 from residua.shown import Shown, table
 from residua.visible import echo, listed
 from residua.words import counted
@@ -110,6 +109,8 @@ class Fleet(Shown):
                 if plant in model_of:
                     raise DataError(f"the plant {echo(plant)} is in {model_of[plant]!r} and in {name!r}")
                 model_of[plant] = name
+        for block in blocks.values():
+            block.worker = self._worker
         self._models = blocks, model_of  # at once: nothing comes between
 
     @property
@@ -203,21 +204,14 @@ class Fleet(Shown):
             if which.size:
                 u_, y_ = _samples(block, u, y, (len(keys),))
                 rows = block.places([keys[k] for k in which])
-                block.finish()
-                parts.append((block, which, *block.work_of_tick(rows, u_[which], y_[which], self.threads)))
+                parts.append((which, *block.jobs_of_tick(rows, u_[which], y_[which], self.threads)))
         out = Tick(*(np.zeros(len(keys), dtype=kind) for kind in (bool, bool, bool, float)))
-        self._do([(block, work) for block, _, work, _ in parts])  # all are checked: nothing is refused from here on
-        for _, which, _, made in parts:
-            tick = made()
+        self._worker.do(*(job for _, jobs, _ in parts for job in jobs))  # all are checked: nothing is refused now
+        for which, jobs, order in parts:
+            tick = FleetBlock.ticked(jobs, order)
             for one in ("alarm", "decided", "missing", "statistic"):
                 getattr(out, one)[which] = getattr(tick, one)
         return out
-
-    def _do(self, works: Sequence[tuple[FleetBlock, Work]]) -> None:
-        """Do work on several blocks, all of it or none."""
-        steps = [lambda block=block, work=work: block.do(work) for block, work in works]
-        within = [work for _, work in works]
-        self._worker.do(Work(steps, [job for work in within for job in work.jobs], within))
 
     def run(self, recordings: Mapping[Hashable, Any]) -> dict[Hashable, Diagnosis]:
         """Run over whole recordings of some plants, each from a fresh start, as :meth:`residua.Monitor.run` does.
@@ -295,9 +289,9 @@ class Fleet(Shown):
             if name not in self._blocks:
                 raise DataError(f"the fleet has no model {echo(name)}; it has {listed(list(self._blocks))}")
         data = {name: _stacked_block(self._blocks[name], (u or {}).get(name), one) for name, one in y.items()}
-        works = {name: self._blocks[name].work_of_run(one, self.threads) for name, one in data.items()}
-        self._do([(self._blocks[name], work) for name, (work, _) in works.items()])
-        return {name: made() for name, (_, made) in works.items()}
+        jobs = {name: self._blocks[name].job_of_run(one, self.threads) for name, one in data.items()}
+        self._worker.do(*jobs.values())
+        return {name: job.out["decisions"] for name, job in jobs.items()}
 
     def follow(self, plants: Sequence[Hashable], u: Any, y: Any) -> list[AlarmEvent]:
         """Process a block of samples of some plants of one model, and return the alarms raised and ended.

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Hashable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,17 +16,17 @@ from residua.decide.alarm import Candidate
 from residua.decide.persistence import AlarmRuns
 from residua.errors import DataError
 from residua.monitor.decision import Decision, decision_from
-from residua.monitor.fused import OUTPUTS, FusedRun, LastSample, decisions_of, plan_of, with_starts
+from residua.monitor.fused import OUTPUTS, FusedRun, Job, LastSample, decisions_of, plan_of, with_starts
 from residua.monitor.monitor import Monitor
-from residua.monitor.plant_records import as_records, takes_no_memory
-from residua.monitor.running import Decisions, State, initial_state, rows_of, run_reference, written_rows
+from residua.monitor.online import UNDER_WAY
+from residua.monitor.plant_records import as_records, mapped, rows_of, stacked_plants, written_rows
+from residua.monitor.running import Decisions, State, initial_state, run_reference
 from residua.monitor.saving import monitor_out
 from residua.monitor.skipped_samples import SkippedSamples
-from residua.monitor.whole_blocks import Job, Work, Worker
 from residua.visible import echo
 
 #: Outputs of a tick.
-_TOLD = ("missing", "usable", "statistic", "alarm")
+_TICK = ("missing", "usable", "statistic", "alarm")
 
 
 @dataclass(frozen=True)
@@ -164,19 +164,6 @@ class StandingAlarms:
 
 
 @dataclass(frozen=True, eq=False)
-class _UnderWay:
-    """A block in progress: the work left, and its decisions once it is done."""
-
-    steps: list[Callable[[], object]]
-    jobs: list[Job]
-    out: dict[str, Any]
-
-    def tick(self) -> Tick:
-        missing, decided, statistic, alarm = (self.out[name][:, 0] for name in _TOLD)
-        return Tick(alarm, decided, missing, statistic)
-
-
-@dataclass(frozen=True, eq=False)
 class Tick:
     """Decisions on the records of a tick, in their order.
 
@@ -191,6 +178,103 @@ class Tick:
     decided: NDArray[np.bool_]
     missing: NDArray[np.bool_]
     statistic: NDArray[np.float64]
+
+    @staticmethod
+    def of(out: Mapping[str, Any]) -> Tick:
+        """Return the decisions from the outputs of a block of one sample."""
+        return Tick(*(out[name][:, 0] for name in ("alarm", "usable", "missing", "statistic")))
+
+
+class JobInNumPy:
+    """A block in NumPy: what may raise an error changes nothing, and the rest may be done again.
+
+    Parameters
+    ----------
+    compute : callable
+        Returns all that changes.
+    keep : callable
+        Takes it, and writes it down.
+    """
+
+    is_borrowed = False
+
+    def __init__(self, compute: Callable[[], Any], keep: Callable[[Any], object]) -> None:
+        self._compute, self._keep, self._computed = compute, keep, None
+        self.out: dict[str, Any] = {}
+        self.then: list[Callable[[], object]] = []
+        self.is_done = False
+
+    @property
+    def is_begun(self) -> bool:
+        """True if anything may have changed."""
+        return self._computed is not None
+
+    def perform(self) -> None:
+        """Do the rest."""
+        if self.is_done:
+            return
+        if self._computed is None:
+            self._computed = self._compute()
+        self._keep(self._computed)
+        for step in self.then:
+            step()
+        self.is_done = True
+
+    def own(self) -> None:
+        """Do nothing: the signals are no longer those of the caller."""
+
+    def wait(self) -> None:
+        """Do nothing: there are no threads."""
+
+
+class Worker:
+    """Does jobs that happen all or not at all, and finishes interrupted ones before anything else."""
+
+    def __init__(self) -> None:
+        self._jobs: Sequence[Job | JobInNumPy] = ()
+        self._is_within = False
+
+    def do(self, *jobs: Job | JobInNumPy) -> None:
+        """Do all of some jobs.
+
+        An error leaves nothing changed, or jobs of which :meth:`finish` does the rest.
+        """
+        try:
+            self._jobs, self._is_within = jobs, True
+            for job in jobs:
+                job.perform()
+            self._is_within = False
+        except BaseException:
+            self._is_within = False
+            for job in jobs:
+                job.own()
+            raise
+        self._jobs = ()
+
+    def finish(self) -> None:
+        """Finish interrupted jobs, if they changed anything.
+
+        Raises
+        ------
+        DataError
+            If they were interrupted so often that the signals are not there any longer, or are under way: a job has
+            called what it is a job of.
+        """
+        jobs = self._jobs
+        if not jobs:
+            return
+        if self._is_within:
+            raise DataError(UNDER_WAY)
+        for job in jobs:
+            job.wait()  # an interruption may have come in the middle of this, too
+        if any(job.is_begun for job in jobs):
+            if any(job.is_borrowed and not job.is_done for job in jobs):
+                raise DataError(
+                    "a block was interrupted, and again before the rest of its signals was saved: some of the plants "
+                    "have had it, and others have not. Go on from a snapshot, or from a saved monitor"
+                )
+            self.do(*jobs)
+        self._jobs = ()
 
 
 def fingerprint_of(monitor: Monitor) -> str:
@@ -242,7 +326,8 @@ class FleetBlock:
         self.skipped = SkippedSamples() if skipped is None else skipped
         #: Of a new block, as long as no sample of any plant was judged: none can be over its threshold.
         self._is_settling = state is None
-        self._worker = Worker()
+        #: Blocks of one fleet share one.
+        self.worker = Worker()
         #: Events of a block that was interrupted before they were returned.
         self._untold: list[AlarmEvent] = []
         self._place(initial_state(self.spec, len(self.ids)) if state is None else state)
@@ -284,11 +369,7 @@ class FleetBlock:
 
     def finish(self) -> None:
         """Finish an interrupted block, so that it happens whole."""
-        self._worker.finish()
-
-    def do(self, work: Work) -> None:
-        """Do all of some work on this block."""
-        self._worker.do(work)
+        self.worker.finish()
 
     # ----------------------------------------------------------------------- running
 
@@ -313,29 +394,28 @@ class FleetBlock:
     def tick(self, rows: NDArray[np.int64] | None, u: NDArray, y: NDArray, threads: int) -> Tick:
         """Process one sample of some plants; (records, channels). Records of one plant are applied in order."""
         self.finish()
-        work, made = self.work_of_tick(rows, u, y, threads)
-        self.do(work)
-        return made()
+        jobs, order = self.jobs_of_tick(rows, u, y, threads)
+        self.worker.do(*jobs)
+        return self.ticked(jobs, order)
 
-    def work_of_tick(
+    def jobs_of_tick(
         self, rows: NDArray[np.int64] | None, u: NDArray, y: NDArray, threads: int
-    ) -> tuple[Work, Callable[[], Tick]]:
-        """Return the work of a tick, and a function that returns its decisions once it is done."""
+    ) -> tuple[list[Job | JobInNumPy], NDArray[np.int64] | None]:
+        """Return the jobs of a tick, and the places of its records in theirs; ``None`` for those of one job."""
         passes = self._passes_over(rows)
-        if not passes:
-            one = self._go_on(rows, u[:, None], y[:, None], _TOLD, threads, self._follow_alarms)
-            return Work(one.steps, one.jobs), one.tick
-        parts = []
-        for which in passes:
-            places = None if rows is None else rows[which]
-            parts.append(self._go_on(places, u[which, None], y[which, None], _TOLD, threads, self._follow_alarms))
+        if not passes or rows is None:
+            return [self._job(rows, u[:, None], y[:, None], _TICK, threads, self._follow_alarms)], None
+        samples = [(rows[which], u[which, None], y[which, None]) for which in passes]
         order = np.argsort(np.concatenate(passes), kind="stable")
+        return [self._job(*one, _TICK, threads, self._follow_alarms) for one in samples], order
 
-        def made() -> Tick:
-            ticks = [part.tick() for part in parts]
-            return Tick(*(np.concatenate([getattr(one, field.name) for one in ticks])[order] for field in fields(Tick)))
-
-        return Work([step for part in parts for step in part.steps], [job for part in parts for job in part.jobs]), made
+    @staticmethod
+    def ticked(jobs: Sequence[Job | JobInNumPy], order: NDArray[np.int64] | None) -> Tick:
+        """Return the decisions of the jobs of a tick once they are done."""
+        first, *others = (Tick.of(job.out) for job in jobs)
+        if order is None:
+            return first
+        return mapped(lambda *parts: np.concatenate(parts)[order], first, *others)
 
     def _passes_over(self, rows: NDArray[np.int64] | None) -> list[NDArray[np.int64]]:
         """Return passes over the records as :func:`_passes`; the last ids are cached."""
@@ -362,11 +442,11 @@ class FleetBlock:
         """Process a block of some plants, each once, (plants, time, channels); return some of the decisions."""
         self.finish()
         inputs = len(self.generator.plant.inputs)
-        under_way = self._go_on(rows, data[..., :inputs], data[..., inputs:], names, threads)
-        self.do(Work(under_way.steps, under_way.jobs))
-        return {name: under_way.out[name] for name in names}
+        job = self._job(rows, data[..., :inputs], data[..., inputs:], names, threads)
+        self.worker.do(job)
+        return {name: job.out[name] for name in names}
 
-    def _go_on(
+    def _job(
         self,
         rows: NDArray[np.int64] | None,
         u: NDArray,
@@ -374,41 +454,34 @@ class FleetBlock:
         keep: Sequence[str],
         threads: int,
         follow: Callable[[NDArray[np.int64] | None, dict[str, Any]], object] | None = None,
-    ) -> _UnderWay:
-        """Return the work on a block of plants, each once; ``follow`` takes the decisions."""
+    ) -> Job | JobInNumPy:
+        """Return the job of a block of plants, each once; ``follow`` takes the decisions."""
         run = self._run
-        steps: list[Callable[[], object]]
         if run is not None:
-            out: dict[str, Any] = run.outputs(len(y), y.shape[1], keep)
-            job = Job(u, y, out, rows, threads=threads)
-            jobs = [job]
-            steps = [lambda: run.perform(job), lambda: self._after(y.shape[0] * y.shape[1])]
+            job = Job(run, u, y, run.outputs(len(y), y.shape[1], keep), rows, threads=threads)
+            job.then.append(lambda: self._after(y.shape[0] * y.shape[1]))
         else:
-            out, jobs = {}, []
-            data = np.ascontiguousarray(np.concatenate([u, y], axis=2))
-            steps = self._in_numpy(rows, data, keep, out)
+            job = self._job_in_numpy(rows, np.ascontiguousarray(np.concatenate([u, y], axis=2)), keep)
         if follow is not None:
-            steps.append(lambda: follow(rows, out))
-        return _UnderWay(steps, jobs, out)
+            job.then.append(lambda: follow(rows, job.out))
+        return job
 
-    def _in_numpy(
-        self, rows: NDArray[np.int64] | None, data: NDArray[np.float64], keep: Sequence[str], out: dict[str, Any]
-    ) -> list[Callable[[], object]]:
-        """Return the steps of a block in NumPy, which leave the outputs to keep in ``out``."""
+    def _job_in_numpy(
+        self, rows: NDArray[np.int64] | None, data: NDArray[np.float64], keep: Sequence[str]
+    ) -> JobInNumPy:
+        """Return the job of a block in NumPy."""
         places = np.arange(len(self.ids)) if rows is None else rows
-        made: list[tuple[State, Decisions]] = []
 
-        def run() -> None:
-            made[:] = [run_reference(self.spec, rows_of(self._now, places), data)]
-
-        def keep_state() -> None:
-            after, decisions = made[0]
+        def write(made: tuple[State, Decisions]) -> None:
+            after, decisions = made
             self._state = written_rows(self._state, places, after)
             if data.shape[1]:
-                self._remember(places, decisions)
-            out.update({name: getattr(decisions, name) for name in keep}, decisions=decisions)
+                self.last.remember(places, decisions)
+                self._made[places], self._place_in_made[places] = decisions, np.arange(len(places))
+            job.out.update({name: getattr(decisions, name) for name in keep}, decisions=decisions)
 
-        return [run, keep_state]
+        job = JobInNumPy(lambda: run_reference(self.spec, rows_of(self._now, places), data), write)
+        return job
 
     def _after(self, samples: int) -> None:
         """Release the room for starts when they are over, checked less and less often."""
@@ -432,8 +505,7 @@ class FleetBlock:
             self._untold = untold + self._events(rows, out, before, last, was)
             self._follow_skipped(rows, out["usable"])
 
-        under_way = self._go_on(rows, u, y, ("alarm", "up", "scores", "usable"), threads, follow)
-        self.do(Work(under_way.steps, under_way.jobs))
+        self.worker.do(self._job(rows, u, y, ("alarm", "up", "scores", "usable"), threads, follow))
         events, self._untold = self._untold, []
         return events
 
@@ -465,11 +537,6 @@ class FleetBlock:
     def _event(self, row: int, when: tuple[int, int], ended: int | None, scores: NDArray[np.float64]) -> AlarmEvent:
         kind, named = "raised" if ended is None else "ended", self.spec.isolation.candidates(scores)
         return AlarmEvent(self.ids[row], kind, *when, ended, self.generator.dt, named)
-
-    def _remember(self, places: NDArray[np.int64], made: Decisions) -> None:
-        """Keep the decisions on the last sample of plants, in NumPy."""
-        self.last.remember(places, made)
-        self._made[places], self._place_in_made[places] = made, np.arange(len(places))
 
     def _follow_skipped(self, rows: NDArray[np.int64] | None, usable: NDArray[np.bool_]) -> None:
         """Record the samples of a block that were not judged, once the onsets of its alarms are known."""
@@ -507,23 +574,23 @@ class FleetBlock:
 
     def run(self, data: NDArray[np.float64], threads: int) -> Decisions:
         """Process a block of all plants, (plants, time, channels)."""
-        work, made = self.work_of_run(data, threads)
-        self.do(work)
-        return made()
-
-    def work_of_run(self, data: NDArray[np.float64], threads: int) -> tuple[Work, Callable[[], Decisions]]:
-        """Return the work on a block of all plants, and a function that returns its decisions once it is done."""
         self.finish()
-        before, inputs, made = self._now.count.copy(), len(self.generator.plant.inputs), []
+        job = self.job_of_run(data, threads)
+        self.worker.do(job)
+        return job.out["decisions"]
+
+    def job_of_run(self, data: NDArray[np.float64], threads: int) -> Job | JobInNumPy:
+        """Return the job of a block of all plants, which leaves its decisions among its outputs."""
+        before, inputs = self._now.count.copy(), len(self.generator.plant.inputs)
 
         def follow(_: Any, out: dict[str, Any]) -> None:
-            made[:] = [decisions_of(out) if self._run is not None else out["decisions"]]
+            if self._run is not None:
+                out["decisions"] = decisions_of(out)
             if data.shape[1]:
-                self._follow_block(made[0], before)
+                self._follow_block(out["decisions"], before)
 
         keep = () if self._run is None else OUTPUTS
-        under_way = self._go_on(None, data[..., :inputs], data[..., inputs:], keep, threads, follow)
-        return Work(under_way.steps, under_way.jobs), lambda: made[0]
+        return self._job(None, data[..., :inputs], data[..., inputs:], keep, threads, follow)
 
     def _follow_block(self, decisions: Decisions, before: NDArray[np.int64]) -> None:
         """Record the standing alarms after a block."""
@@ -550,7 +617,7 @@ class FleetBlock:
             raise DataError(f"the plant {echo(self.ids[row])} has had no sample yet")
         state = rows_of(self.state, np.array([row]))
         if self._run is None and self._made[row] is not None:
-            made = _last_sample(rows_of(self._made[row], self._place_in_made[[row]]))
+            made = mapped(lambda array: array[:, -1:], rows_of(self._made[row], self._place_in_made[[row]]))
             return decision_from(made, self.spec, self.generator, state)
         one, flags = self.last, int(self.last.flags[row])
         alarm, usable, missing = (np.array([[bool(flags & bit)]]) for bit in (1, 2, 4))
@@ -606,21 +673,12 @@ class FleetBlock:
         first, standing = parts[0], StandingAlarms.joined([part.standing for part in parts])
         ids = [plant for part in parts for plant in part.ids]
         skipped = SkippedSamples.joined([(part.skipped, len(part.ids)) for part in parts])
-        whole = FleetBlock(first.monitor, ids, _stacked([part.state for part in parts]), standing, skipped)
+        whole = FleetBlock(first.monitor, ids, stacked_plants([part.state for part in parts]), standing, skipped)
         made = np.concatenate([part._made for part in parts])
         places = np.concatenate([part._place_in_made for part in parts])
-        whole.take_over(_stacked([part.last for part in parts]), made, places)
+        whole.take_over(stacked_plants([part.last for part in parts]), made, places)
         whole._untold = [event for part in parts for event in part._untold]
         return whole
-
-
-def _last_sample(whole: Any) -> Any:
-    """Return the last sample alone of a dataclass of arrays of (plants, time, ...)."""
-    if whole is None:
-        return None
-    if isinstance(whole, np.ndarray):
-        return whole[:, -1:]
-    return type(whole)(**{one.name: _last_sample(getattr(whole, one.name)) for one in fields(whole)})
 
 
 def _passes(rows: NDArray[np.int64], plants: int) -> list[NDArray[np.int64]]:
@@ -635,16 +693,4 @@ def _passes(rows: NDArray[np.int64], plants: int) -> list[NDArray[np.int64]]:
     return [np.flatnonzero(number == k) for k in range(int(number.max()) + 1)]
 
 
-def _stacked(parts: Sequence[Any]) -> Any:
-    """Return dataclasses of arrays as one, concatenated over plants."""
-    first = parts[0]
-    if first is None:
-        return None
-    if isinstance(first, np.ndarray):
-        if all(takes_no_memory(one) for one in parts):
-            return np.broadcast_to(first.dtype.type(0), (sum(map(len, parts)), *first.shape[1:]))
-        return np.concatenate(parts)
-    return type(first)(**{one.name: _stacked([getattr(part, one.name) for part in parts]) for one in fields(first)})
-
-
-__all__ = ["AlarmEvent", "FleetAlarm", "FleetBlock", "StandingAlarms", "Tick", "fingerprint_of"]
+__all__ = ["AlarmEvent", "FleetAlarm", "FleetBlock", "StandingAlarms", "Tick", "Worker", "fingerprint_of"]

@@ -7,8 +7,10 @@ values are missing, its covariances and room for those of every plant, is brough
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, fields, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -19,13 +21,23 @@ from residua.decide.isolation import Scores
 from residua.decide.test import Block, Tested
 from residua.kernels import kernel
 from residua.linear.systems.recursion import best_path, compiled
-from residua.monitor.plant_records import SELDOM, takes_no_memory
-from residua.monitor.running import Decisions, State, run_reference, written_rows
+from residua.monitor.plant_records import SELDOM, copied, mapped, takes_no_memory, written_rows
+from residua.monitor.running import Decisions, State, run_reference
 from residua.monitor.specification import Specification
-from residua.monitor.starting import MOVED_FROM
-from residua.monitor.whole_blocks import OUTPUTS, Job, Parts, Work, Worker
+from residua.monitor.start_estimate import MOVED_FROM
 
 _kernel = kernel("residua.monitor._fused")
+
+#: Outputs of a block, in the order of the kernel.
+OUTPUTS = (
+    *("residuals", "missing", "aside", "usable", "statistic", "exceeded", "alarm", "up", "whitened", "scores", "ready"),
+    *("member_statistics", "fired", "code"),
+)
+#: Receipt of the kernel for a part of a block: that it has run, how many of its plants stopped for want of room,
+#: whether one did for want of gains, and how many notes there are.
+_RAN, _STOPPED, _WANTS_GAINS, _NOTED = range(4)
+#: Plants of a part that are noted, and numbers of a note before the sums of a start, as in the kernel.
+_NOTES, _NOTE_HEAD = 64, 5
 
 _OF_PARTS = ("member_statistics", "fired", "code")
 _TYPES = {
@@ -184,15 +196,6 @@ def _there(values: NDArray | None) -> NDArray:
     return values
 
 
-def copied(whole: Any) -> Any:
-    """Return a dataclass with copies of its arrays; broadcast numbers stay so."""
-    if isinstance(whole, np.ndarray):
-        return whole if takes_no_memory(whole) else whole.copy()
-    if not is_dataclass(whole):
-        return whole
-    return type(whole)(**{one.name: copied(getattr(whole, one.name)) for one in fields(whole)})  # pyright: ignore
-
-
 @dataclass(frozen=True, eq=False)
 class LastSample:
     """Decisions on the last sample of every plant, a row each, in the order of the kernel.
@@ -242,6 +245,150 @@ class LastSample:
             self.code[rows] = made.code[:, -1]
 
 
+class Job:
+    """A block that the kernel runs in place, which goes on where it was interrupted.
+
+    Errors that signals, such as Ctrl-C, and a want of memory raise come between any two steps of Python, but never
+    within a call of the kernel. So the kernel writes down what it has run, and all else may be done again.
+
+    Parameters
+    ----------
+    run : FusedRun
+    u, y : ndarray, shape (plants, time, channels)
+    outputs : mapping of str to ndarray or None
+        Arrays for the outputs of the block, by all names of :data:`OUTPUTS`.
+    rows : ndarray of int, shape (plants,), optional
+        Whose data they are: each row of the state once. All rows in order when omitted.
+    threads : int
+        The plants are shared among so many.
+    joined : ndarray, shape (plants, time, channels), optional
+        Where to put u and y side by side.
+
+    Attributes
+    ----------
+    out : mapping of str to ndarray or None
+        The outputs.
+    then : list of callable
+        Steps after the kernel; they may be repeated.
+    is_done : bool
+    is_borrowed : bool
+        Whether the signals are still those of the caller, who may change them once an error has reached him.
+    """
+
+    def __init__(
+        self,
+        run: FusedRun,
+        u: NDArray,
+        y: NDArray,
+        outputs: dict[str, NDArray | None],
+        rows: NDArray[np.int64] | None = None,
+        *,
+        threads: int = 1,
+        joined: NDArray[np.float64] | None = None,
+    ) -> None:
+        self._run, self._signals, self._rows, self._threads, self._joined = run, (u, y), rows, threads, joined
+        self.out: dict[str, Any] = outputs
+        self._left = np.zeros(len(y), dtype=np.int64)  # samples; written, and read, only where it has to be
+        self._is_fresh, self._parts = True, _Parts(0, 1, 0)
+        self.is_done, self.is_borrowed, self.then = False, True, []
+
+    @property
+    def is_begun(self) -> bool:
+        """True if a plant has been run."""
+        return self.is_done or not self._is_fresh or self._parts.any_has_run
+
+    def perform(self) -> None:
+        """Do the rest."""
+        while not self.is_done:
+            if not self._parts:
+                self._parts = _Parts(len(self._left), self._threads, len(self._run.spec.A))
+            outputs = tuple(self.out[name] for name in OUTPUTS)
+            kernel, block = self._run.kernel, (*self._signals, outputs, self._rows, self._left, self._is_fresh)
+            self._parts.run(lambda *part, kernel=kernel, block=block: kernel.run(*block, *part, self._joined))
+            if self._run.wants_another_round(*self._parts.told()):
+                self._is_fresh, self._parts = False, _Parts(0, 1, 0)
+                continue
+            for step in self.then:
+                step()
+            self.is_done = True
+
+    def own(self) -> None:
+        """Copy borrowed signals, once no thread runs plants, if the job is begun and not done."""
+        self.wait()
+        if self.is_begun and not self.is_done and self.is_borrowed:
+            u, y = self._signals
+            self._signals = u.copy(), y.copy()
+        self.is_borrowed = False
+
+    def wait(self) -> None:
+        """Wait for the threads that run plants, and let no other one begin."""
+        self._parts.wait()
+
+
+class _Parts:
+    """Plants of a block in parts, each of which runs once, in any thread."""
+
+    def __init__(self, plants: int, threads: int, states: int) -> None:
+        count = 1 if plants < 2 * threads else threads
+        self._ends = list(pairwise([plants * k // count for k in range(count + 1)])) if plants else []
+        self._receipts = np.zeros((count, 4), dtype=np.int64)
+        self._notes = np.empty((count, _NOTES, _NOTE_HEAD + states))
+        #: When a part is over, by the thread that runs it; ``None``: the calling one does. The first to write it does.
+        self._claims: dict[int, threading.Event | None] = {}
+
+    def __bool__(self) -> bool:
+        return bool(self._ends)
+
+    @property
+    def any_has_run(self) -> bool:
+        return bool(self._receipts[:, _RAN].any())
+
+    def run(self, run: Callable[..., object]) -> None:
+        """Run the remaining parts; the calling thread does the part of a thread that does not start.
+
+        ``run`` takes the first plant of a part, the one after its last, a receipt and room for notes.
+        """
+        for k in range(1, len(self._ends)):
+            try:
+                threading.Thread(target=self._help, args=(run, k)).start()
+            except (RuntimeError, MemoryError):
+                break
+        for k in range(len(self._ends)):
+            if self._claims.setdefault(k, None) is None:
+                self._run(run, k)
+        self.wait()
+        for k in range(len(self._ends)):  # parts left by a thread with an error, which occurs again here
+            self._run(run, k)
+
+    def _help(self, run: Callable[..., object], k: int) -> None:
+        """Run a part in another thread, unless it is too late."""
+        is_over = threading.Event()
+        if self._claims.setdefault(k, is_over) is is_over:
+            try:
+                self._run(run, k)
+            except Exception:
+                pass
+            finally:
+                is_over.set()
+
+    def _run(self, run: Callable[..., object], k: int) -> None:
+        if not self._receipts[k, _RAN]:
+            run(*self._ends[k], self._receipts[k], self._notes[k])
+
+    def wait(self) -> None:
+        for k in range(len(self._ends)):
+            is_over = self._claims.setdefault(k, None)
+            if is_over is not None:
+                is_over.wait()
+
+    def told(self) -> tuple[bool, bool, NDArray[np.float64]]:
+        """Return whether plants stopped, whether gains are wanted, and the notes of all parts, a row each."""
+        _, stopped, wants_gains, noted = self._receipts.sum(axis=0).tolist()
+        noted = self._receipts[:, _NOTED].tolist() if noted else []
+        parts = [notes[:count] for notes, count in zip(self._notes, noted, strict=False)]
+        return stopped > 0, wants_gains > 0, np.concatenate(parts or [self._notes[0, :0]])
+
+
 class FusedRun:
     """A state that is run in place, with the kernel that runs it.
 
@@ -255,12 +402,20 @@ class FusedRun:
         Channels that come as ``u``, the others as ``y``; all when omitted.
     last : LastSample, optional
         Where to keep the decisions on the last sample of every plant.
+
+    Attributes
+    ----------
+    state : State
+        After the last block.
+    kernel : Runner
+        On the arrays of the state.
+    steps : bool
+        Whether it runs single samples, with their isolation.
     """
 
     def __init__(
         self, spec: Specification, plan: Plan, state: State, inputs: int | None = None, last: LastSample | None = None
     ) -> None:
-        assert _kernel is not None
         self.plants = len(state.count)
         if self.plants == 1:  # of one plant there always is room
             state = with_room(state, _OF_STARTS + _RESTARTS)
@@ -271,22 +426,21 @@ class FusedRun:
         self._inputs = int(integers[1]) if inputs is None else inputs
         integers[1:3] = self._inputs, integers[1] - self._inputs
         self._integers = integers
-        self.worker = Worker()
-        self._parts: Parts | None = None  # of the last block
-        #: Whether it runs single samples, with their isolation.
         self.steps = plan.names and self.plants == 1
-        self._last = np.empty(0)  # the residual that single samples are written to
         #: The state, the kernel on its arrays, and its outputs of single samples: changed together, at once.
         self._on: tuple[State, Any, dict[str, NDArray | None] | None] = (state, self._runner(state), None)
 
     @property
     def state(self) -> State:
         """State of all plants after the last block."""
-        self.finish()
         return self._on[0]
 
+    @property
+    def kernel(self) -> Any:
+        """The kernel on the arrays of the state."""
+        return self._on[1]
+
     def _runner(self, state: State) -> Any:
-        """Return the kernel on the arrays of a state."""
         assert _kernel is not None
         plan, spec = self.plan, self.spec
         names = [one.name for one in fields(LastSample)]
@@ -309,6 +463,17 @@ class FusedRun:
         """Allocate fields that are usually zero: with missing values, a Kalman filter needs its covariance."""
         self._use(with_room(self._on[0], names), self._on[2])
 
+    def take(self, state: State) -> None:
+        """Copy another state of as many plants."""
+        own = self._on[0]
+        if any(takes_no_memory(getattr(own.filter, n)) != takes_no_memory(getattr(state.filter, n)) for n in SELDOM):
+            self._use(copied(state), self._on[2])
+            return
+        for name in ("filter", "test", "count") if not self.plan.names else ("filter", "test", "count", "isolation"):
+            mapped(_overwrite, getattr(own, name), getattr(state, name))
+        if not self.plan.names:
+            self._on = (replace(own, isolation=state.isolation), *self._on[1:])
+
     @property
     def has_room_for_starts(self) -> bool:
         """True if the fields for estimated starts are allocated."""
@@ -322,6 +487,14 @@ class FusedRun:
         room = {name: one for name in _OF_STARTS if not (one := getattr(state.filter, name)).any()}
         gone = {name: np.broadcast_to(one.dtype.type(0), one.shape) for name, one in room.items()}
         self._use(replace(state, filter=replace(state.filter, **gone)))
+
+    def wants_another_round(self, stopped: bool, wants_gains: bool, notes: NDArray[np.float64]) -> bool:
+        """Make the room for which plants have stopped, and return whether any has."""
+        if len(notes):
+            self._take_in(notes)
+        if wants_gains:
+            self._make_room(("spread",))
+        return stopped
 
     def _take_in(self, notes: NDArray[np.float64]) -> None:
         """Write the values for which the kernel had no room: restarts of plants, and starts in progress."""
@@ -357,65 +530,21 @@ class FusedRun:
             out[name] = np.zeros(shape, dtype=_TYPES.get(name, np.float64)) if kept else None
         return out
 
-    def run(self, job: Job) -> None:
-        """Process a block.
-
-        An error leaves all plants as they were, or a block of which :meth:`finish`, or whatever looks at the state
-        next, does the rest.
-        """
-        self.finish()
-        self.worker.do(self._work(job))
-
-    def _work(self, job: Job, undo: Callable[[], None] | None = None) -> Work:
-        return Work([lambda: self.perform(job)], [job], undo=undo)
-
-    def finish(self) -> None:
-        """Finish an interrupted block."""
-        self.worker.finish()
-
-    def perform(self, job: Job) -> None:
-        """Run the remaining part of a block; it may be interrupted, and performed again."""
-        while not job.is_done:
-            parts = job.parts
-            if parts is None:
-                plants, parts = len(job.left), self._parts
-                if parts is None or job.threads > 1 or not parts.again(plants):
-                    parts = Parts(plants, job.threads, len(self.spec.A))
-                self._parts = job.parts = parts
-            kernel = self._on[1]
-            parts.run(lambda *part, kernel=kernel: job.run(kernel, *part))
-            stopped, wants_gains, noted = parts.told()
-            if noted:
-                self._take_in(parts.notes())
-            if wants_gains:
-                self._make_room(("spread",))
-            if stopped:
-                job.end_round()
-                continue
-            if job.then is not None:
-                job.then()
-            job.is_done = True
+    def run(self, u: NDArray, y: NDArray, outputs: dict[str, NDArray | None], *rows: NDArray, **options: Any) -> None:
+        """Process a block, with the arguments of a :class:`Job`."""
+        Job(self, u, y, outputs, *rows, **options).perform()
 
     def block(self, data: NDArray[np.float64], outputs: dict[str, NDArray | None]) -> Decisions:
         """Process a block of (plants, time, channels), and return its decisions, isolation included."""
-        decisions, u, y = decisions_of(outputs), data[..., : self._inputs], data[..., self._inputs :]
+        decisions, count = decisions_of(outputs), self.state.count.copy()
+        self.run(data[..., : self._inputs], data[..., self._inputs :], outputs)
         if self.plan.names:
-            self.run(Job(u, y, outputs))
             return decisions
-        before, named = copied(self.state), []
-
-        def name() -> None:
-            block = Block(decisions.residuals, _there(outputs["ready"]), before.count)
-            isolation, scores = self.spec.isolation.run(before.isolation, block, decisions.tested)
-            named.append(scores)
-            state, runner, one = self._on
-            self._on = (replace(state, isolation=isolation), runner, one)
-
-        def undo() -> None:  # an isolation of the user's may raise each time
-            self._use(before, self._on[2])
-
-        self.worker.do(self._work(Job(u, y, outputs, then=name), undo))
-        return replace(decisions, named=named[-1])
+        state, runner, one = self._on
+        block = Block(decisions.residuals, _there(outputs["ready"]), count)
+        isolation, named = self.spec.isolation.run(state.isolation, block, decisions.tested)
+        self._on = (replace(state, isolation=isolation), runner, one)
+        return replace(decisions, named=named)
 
     # ------------------------------------------------------------------------ one sample
 
@@ -425,9 +554,7 @@ class FusedRun:
         Raises a Python error unless u and y are arrays of floats with one number per channel.
         """
         if self._on[2] is None:
-            one = self.outputs(1, 1)
-            self._last = _there(one["residuals"])[0, 0]
-            self._use(self._on[0], one)
+            self._use(self._on[0], self.outputs(1, 1))
         told = self._on[1].step(u, y)
         if told[0] & _IS_LEFT:
             self._make_room(("spread",))
@@ -436,12 +563,19 @@ class FusedRun:
 
     def last_residual(self) -> NDArray[np.float64]:
         """Return the residual of the last step."""
-        return self._last.copy()
+        return self._on[2]["residuals"][0, 0].copy()  # pyright: ignore[reportOptionalSubscript]
 
     def last_decisions(self) -> Decisions:
         """Return the decisions of the last step."""
         assert self._on[2] is not None
         return decisions_of({name: None if values is None else values.copy() for name, values in self._on[2].items()})
+
+
+def _overwrite(own: NDArray, new: NDArray) -> NDArray:
+    """Copy an array into another one, unless both are one broadcast number."""
+    if not takes_no_memory(own):
+        own[...] = new
+    return own
 
 
 def decisions_of(outputs: dict[str, Any]) -> Decisions:
@@ -474,9 +608,9 @@ __all__ = [
     "MISSING",
     "OUTPUTS",
     "FusedRun",
+    "Job",
     "LastSample",
     "Plan",
-    "copied",
     "decisions_of",
     "plan_of",
     "run_block",

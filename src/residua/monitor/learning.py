@@ -23,9 +23,8 @@ from residua.identify.fit_report import FitReport
 from residua.identify.identified_model import IdentifiedModel, with_channel_faults
 from residua.identify.segments import Gathered, Names, gather
 from residua.identify.subspace import subspace
-from residua.monitor.filtering import filter_block
 from residua.monitor.monitor import Monitor
-from residua.monitor.running import initial_state
+from residua.monitor.running import filter_block, initial_state
 from residua.plant import Plant
 from residua.progress import Progress
 from residua.shown import Shown

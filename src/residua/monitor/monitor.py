@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from threading import RLock
 from typing import Any
+from weakref import WeakSet
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,10 +20,8 @@ from residua.design import ResidualGenerator
 from residua.design.core.brought import as_generator
 from residua.design.core.signals import stacked
 from residua.errors import DataError, ModelError, NotFittedError, SettingError
-from residua.forks import forkable_lock
 from residua.monitor.decision import Decision, decision_from
 from residua.monitor.diagnosis import Diagnosis
-from residua.monitor.estimating import with_estimator
 from residua.monitor.fault_learning import (
     LearntFaults,
     checked_name,
@@ -29,11 +30,11 @@ from residua.monitor.fault_learning import (
     with_faults,
 )
 from residua.monitor.fit_check import FitCheck
-from residua.monitor.fitting import check_held_out, fitted_test
+from residua.monitor.fitted_thresholds import check_held_out, fitted_test
 from residua.monitor.inputs import Signals, plant_signals, settling_samples, several_signals, signals
-from residua.monitor.live import Live, checked_keep, run_whole
+from residua.monitor.online import Online, checked_keep, run_whole
 from residua.monitor.outcome import Recorded, compared_outputs, diagnosis_from, settings_of
-from residua.monitor.plausible import (
+from residua.monitor.plausible_values import (
     TIMES,
     Plausible,
     checked_plausible,
@@ -42,16 +43,17 @@ from residua.monitor.plausible import (
     plausible_deviations,
 )
 from residua.monitor.running import Decisions, State
-from residua.monitor.setup import (
+from residua.monitor.specification import (
+    Specification,
     blank_test,
     brought_bounds,
     check_windows,
     chosen_isolation,
     chosen_test,
     specification,
+    with_estimator,
 )
-from residua.monitor.specification import Specification
-from residua.monitor.starting import checked_start
+from residua.monitor.start_estimate import checked_start
 from residua.shown import Shown, table
 from residua.tolerances import SAME
 from residua.wrong_guesses import Guessed, guessed
@@ -169,7 +171,7 @@ class Monitor(Guessed, Shown):
         self.plausible = checked_plausible(plausible, (*generator.plant.inputs, *generator.plant.outputs))
         self.start = checked_start(start)
         self._ranges: NDArray[np.float64] | None = None
-        self._lock = forkable_lock()
+        self._lock = _own_lock(self)
         self.notes: tuple[str, ...] = ()
         self._generator: ResidualGenerator | None = None
         self._test: ResidualTest | None = None
@@ -178,7 +180,7 @@ class Monitor(Guessed, Shown):
         self._learnt: tuple[LearntFault, ...] = ()
         self._normal: NDArray[np.float64] | None = None
         self._running: tuple[Specification, Specification] | None = None
-        self._live = Live(len(generator.plant.inputs))
+        self._online = Online(len(generator.plant.inputs))
         if generator.system.is_discrete:
             if dt is not None and abs(dt - generator.dt) > SAME * dt:
                 raise ModelError(f"the generator has dt={generator.dt:g} s, dt={dt:g} s was given")
@@ -330,8 +332,8 @@ class Monitor(Guessed, Shown):
             )
             if not force:
                 check.require_fault_free()
-            self._test, self._check, self._normal = test, check, normal
-            self._ranges, self._spec, self._state = ranges, None, None
+            fitted = {"_test": test, "_check": check, "_normal": normal, "_ranges": ranges}
+            self.__dict__.update(fitted, _spec=None, _online=Online(self._online.inputs))  # all at once
         return self
 
     # ---------------------------------------------------------------- learning
@@ -428,7 +430,7 @@ class Monitor(Guessed, Shown):
             made = learnt_from_blocks(name, [one.time for one in parts], blocks, interval, *settings)
             faults = (*(fault for fault in self._learnt if fault.name != name), made)
             with_faults(plain, faults, self._normal, self._isolation)  # raises where it does not go with the others
-            self._learnt, self._running, self._state = faults, None, None
+            self.__dict__.update(_learnt=faults, _running=None, _online=Online(self._online.inputs))
         return self
 
     @property
@@ -545,7 +547,7 @@ class Monitor(Guessed, Shown):
         """
         names, data = checked_keep(keep), self._block(u, y)
         with self._lock:
-            return self._live.go_on(self._specification(), data, names)[0]
+            return self._online.go_on(self._specification(), data, names)[0]
 
     def step(self, u: ArrayLike | None, y: ArrayLike) -> Decision:
         """Process one sample of one plant; the same answers as :meth:`run`, to the last bit.
@@ -562,12 +564,12 @@ class Monitor(Guessed, Shown):
         with self._lock:
             known = self._running  # as a rule; a call for it takes a tenth of the time
             spec = known[1] if known is not None and known[0] is self._spec else self._specification()
-            quick = self._live.step(spec, self.generator, u, y)
+            quick = self._online.step(spec, self.generator, u, y)
             if quick is not None:
                 return quick
             u_ = None if u is None else np.atleast_1d(np.asarray(u, dtype=float))[None]
             data = self._block(u_, np.atleast_1d(np.asarray(y, dtype=float))[None])
-            decisions, state = self._live.go_on(spec, data)
+            decisions, state = self._online.go_on(spec, data)
         return decision_from(decisions, spec, self.generator, state)
 
     def reset(self) -> None:
@@ -620,11 +622,11 @@ class Monitor(Guessed, Shown):
 
     @property
     def _state(self) -> State | None:
-        return self._live.state
+        return self._online.state
 
     @_state.setter
     def _state(self, state: State | None) -> None:
-        self._live.state = state
+        self._online.state = state
 
     def _go_on_from(self, state: State, spec: Specification) -> None:
         """Let the next sample follow a recording, unless thresholds or faults have changed while it ran."""
@@ -635,11 +637,11 @@ class Monitor(Guessed, Shown):
     def __getstate__(self) -> dict[str, Any]:
         """Return the content of a copy, which gets its own lock and state, all taken between two blocks."""
         with self._lock:
-            return {**self.__dict__, "_lock": None, "_live": self._live.apart()}
+            return {**self.__dict__, "_lock": None, "_online": self._online.apart()}
 
     def __setstate__(self, content: dict[str, Any]) -> None:
         """Restore everything but the lock."""
-        self.__dict__.update(content, _lock=forkable_lock())
+        self.__dict__.update(content, _lock=_own_lock(self))
 
     def _watched(self, generator: ResidualGenerator) -> Watched:
         return Watched(generator, self._isolation.parts(generator), self._certified)
@@ -698,3 +700,24 @@ class Monitor(Guessed, Shown):
     def _parts(self) -> list[str]:
         rows = settings_of(self._specification(), self.generator).items() if self.is_fitted else ()
         return [table(["setting", ""], rows), *(self._check._parts() if self._check else ())]
+
+
+_monitors: WeakSet[Monitor] = WeakSet()
+
+
+def _own_lock(monitor: Monitor) -> RLock:
+    """Return the lock of a monitor, which gets another one in a process that is forked."""
+    _monitors.add(monitor)
+    return RLock()
+
+
+def _after_fork() -> None:
+    """Let go of what threads held that are not in this process: a block of theirs has left the state as it was."""
+    for monitor in _monitors:
+        vars(monitor).update(_lock=RLock())
+        if "_online" in vars(monitor):
+            monitor._online.is_within = False
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_after_fork)

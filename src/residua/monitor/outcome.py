@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.decide.alarm import Alarm
-from residua.decide.isolation import Isolation, Named, Naming, Seen, last_over, longest
+from residua.decide.isolation import Seen
 from residua.decide.member_bounds import MemberBounds
-from residua.decide.test import ResidualTest, Tested
 from residua.design import ResidualGenerator
 from residua.design.core.evidence import AFFINE_FORM
-from residua.monitor.beginning import with_beginnings
-from residua.monitor.diagnosis import Diagnosis
-from residua.monitor.explaining import explainer_of, with_words
+from residua.monitor.alarms import alarms_of, explainer_of, with_beginnings, with_words
+from residua.monitor.diagnosis import Diagnosis, NamingFacts, PartSeries, RecordingFacts, ThresholdFacts
 from residua.monitor.fault_learning import learnt_table
 from residua.monitor.fit_check import FitCheck
 from residua.monitor.inputs import settling_reason
 from residua.monitor.running import Decisions
 from residua.monitor.specification import FilterState, Specification
-from residua.monitor.starting import MOVED_FROM
+from residua.monitor.start_estimate import MOVED_FROM
 from residua.plant import Plant
 from residua.recording.levels import rows_apart, units_of
 from residua.words import percent
@@ -81,25 +77,50 @@ def diagnosis_from(
     explainer = explainer_of(spec, generator, check)
     alarms = with_words(alarms, decisions.residuals, tested.usable, explainer, spec)
     unlike = tuple(_unlike_the_fit(check, generator.plant, recorded.signals, decisions.aside))
+    band, share = test.bands()
     return Diagnosis(
         time=recorded.time,
         residuals=decisions.residuals,
         statistic=tested.statistic,
-        threshold=test.threshold,
         alarm=tested.alarm,
         decided=tested.usable,
         missing=decisions.missing,
         scores=named.scores,
-        alarms=alarms,
-        resets=int(state.resets[plant]),
-        predicted=spec.partial is not None,
-        residual_names=generator.residuals,
-        generator=generator,
-        settings=settings_of(spec, generator),
-        source=recorded.source,
-        origin=recorded.origin,
         signals=recorded.signals,
-        compared=recorded.compared,
+        match=named.match,
+        parts=PartSeries(
+            tested.part_statistics, test.part_thresholds, tested.fired, decisions.code, test.groups_of_residuals
+        ),
+        alarms=alarms,
+        generator=generator,
+        test=ThresholdFacts(
+            test.threshold,
+            test.center,
+            band,
+            test.metric,
+            band_share=share,
+            averaged=test.samples,
+            horizon=test.horizon,
+            certified=test.is_certified,
+            outside=test.outside_share(tested),
+        ),
+        naming=NamingFacts(
+            isolation.groups,
+            isolation.signatures,
+            isolation.unjudged,
+            isolation.samples_to_be_sure(test),
+            isolation.coding,
+            tuple(learnt_table(isolation)),
+        ),
+        settings=settings_of(spec, generator),
+        recording=RecordingFacts(
+            recorded.source,
+            recorded.origin,
+            resets=int(state.resets[plant]),
+            predicted=spec.partial is not None,
+            is_unlike_the_fit=bool(unlike),
+            compared=recorded.compared,
+        ),
         notes=(
             *notes,
             *unlike,
@@ -111,39 +132,10 @@ def diagnosis_from(
             *test.cautions(tested),
             *isolation.cautions(bounds, alarms, seen),
         ),
-        member_statistics=tested.part_statistics,
-        fired=tested.fired,
-        code=decisions.code,
-        match=named.match,
-        groups=isolation.groups,
-        signatures=isolation.signatures,
-        unjudged=isolation.unjudged,
-        window=isolation.samples_to_be_sure(test),
-        codes=isolation.coding,
-        isolation=isolation,
-        learnt_faults=tuple(learnt_table(isolation)),
-        explainer=explainer,
         fit_check=check,
-        is_unlike_the_fit=bool(unlike),
-        **_of_test(test, tested),
+        isolation=isolation,
+        explainer=explainer,
     )
-
-
-def _of_test(test: ResidualTest, tested: Tested) -> dict[str, Any]:
-    """Return the fields of a diagnosis that come from the test."""
-    band, share = test.bands()
-    return {
-        "center": test.center,
-        "band": band,
-        "band_share": share,
-        "averaged": test.samples,
-        "whitening": test.metric,
-        "tested": test.groups_of_residuals,
-        "member_thresholds": test.part_thresholds,
-        "horizon": test.horizon,
-        "certified": test.is_certified,
-        "outside": test.outside_share(tested),
-    }
 
 
 def settings_of(spec: Specification, generator: ResidualGenerator) -> dict[str, str]:
@@ -296,83 +288,3 @@ def _unlike_the_fit(
     seen = np.where(aside[::apart], np.nan, signals[::apart])
     was = np.array(check.mean), np.array(check.spread)
     return units_of((*plant.inputs, *plant.outputs), seen, *was, "the recordings that the monitor was fitted on")
-
-
-def alarms_of(seen: Seen, isolation: Isolation) -> tuple[Alarm, ...]:
-    """Return the alarms of a recording, merged by event, without the intervals of their beginnings."""
-
-    def name(start: int, stop: int, last: int) -> Named:
-        return isolation.name(seen, start, stop, last)
-
-    apart = max(isolation.samples, seen.test.samples)
-    events = _events(_alarms(seen, name), apart, isolation)
-    return tuple(_one_alarm(parts, isolation, seen.tested.exceeded, name) for parts in events)
-
-
-def _alarms(seen: Seen, name: Naming) -> tuple[Alarm, ...]:
-    """Return the alarms one by one, each with its attribution."""
-    tested, time = seen.tested, seen.time
-    out = []
-    for start, stop in _runs(tested.alarm):
-        first = _usable_before(tested.usable, start, int(tested.up[start]))
-        fields = name(start, stop, last_over(tested.exceeded, start, stop)).of_alarm()
-        ended = float(time[stop]) if stop < len(time) else None
-        values: dict[str, Any] = {"onset": float(time[first])} | fields
-        out.append(Alarm(raised=float(time[start]), ended=ended, start=start, stop=stop, **values))
-    return tuple(out)
-
-
-def _runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return the runs of set flags: the first sample of each, and the one after its last."""
-    edges, before = [], False
-    for begin in range(0, len(flags), _PIECE):  # the recording may be larger than memory
-        part = np.asarray(flags[begin : begin + _PIECE])
-        edges += (begin + np.flatnonzero(np.diff(part, prepend=before))).tolist()
-        before = bool(part[-1])
-    if before:
-        edges.append(len(flags))
-    return list(zip(edges[::2], edges[1::2], strict=True))
-
-
-def _usable_before(usable: NDArray[np.bool_], last: int, count: int) -> int:
-    """Return the first of so many usable samples, the last of which is no later than ``last``."""
-    if count < 1:  # a test that does not count: the sample after
-        return last + 1 + int(np.argmax(usable[last + 1 :]))
-    stop, width = last + 1, 2 * count
-    while stop > 0:
-        begin = max(0, stop - width)
-        width = min(2 * width, _PIECE)
-        rows = np.flatnonzero(usable[begin:stop])
-        if len(rows) >= count:
-            return begin + int(rows[len(rows) - count])
-        count, stop = count - len(rows), begin
-    return int(np.argmax(usable))
-
-
-def _events(alarms: Sequence[Alarm], apart: int, isolation: Isolation) -> list[list[Alarm]]:
-    """Return the alarms, merged if less than ``apart`` samples apart and about the same event.
-
-    A small fault takes the statistic over the threshold and back many times; that is one event.
-    """
-    joined: list[list[Alarm]] = []
-    for alarm in alarms:
-        before = joined[-1][-1] if joined else None
-        if before is None or alarm.start - before.stop >= apart or not isolation.same_event(before, alarm):
-            joined.append([alarm])
-        else:
-            joined[-1].append(alarm)
-    return joined
-
-
-def _one_alarm(parts: Sequence[Alarm], isolation: Isolation, exceeded: NDArray[np.bool_], name: Naming) -> Alarm:
-    """Return several alarms of one event as one: its onset is that of the first.
-
-    The candidates, reading and sizes are those of the longest part (the later one of two that are equally long), or
-    what the isolation says of all parts together.
-    """
-    if len(parts) == 1:
-        return parts[0]
-    first, last = parts[0], parts[-1]
-    anew = isolation.name_of_several(parts, exceeded, name)
-    fields = {"onset": first.onset} | ({} if anew is None else anew.of_alarm())
-    return replace(longest(parts), raised=first.raised, ended=last.ended, start=first.start, stop=last.stop, **fields)

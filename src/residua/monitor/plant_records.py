@@ -1,8 +1,11 @@
-"""State as records: the state of one plant is contiguous, so that a plant costs a few lines of cache."""
+"""Dataclasses of arrays with a row per plant: some of their rows, several as one, and plants as records.
+
+The record of one plant is contiguous, so that a plant costs a few lines of cache.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields, is_dataclass
 from typing import Any
 
@@ -21,6 +24,67 @@ def takes_no_memory(array: NDArray) -> bool:
     return bool(array.size) and not any(array.strides)
 
 
+def mapped(change: Callable[..., Any], *wholes: Any) -> Any:
+    """Return a dataclass of changed arrays, each from those of the same place in all of some dataclasses.
+
+    Parameters
+    ----------
+    change : callable
+        From arrays to an array.
+    *wholes : dataclass, ndarray, or None
+        Of the same structure. What is neither stays as it is in the first.
+    """
+    first = wholes[0]
+    if isinstance(first, np.ndarray):
+        return change(*wholes)
+    if not is_dataclass(first) or isinstance(first, type):
+        return first
+    parts = {one.name: mapped(change, *(getattr(whole, one.name) for whole in wholes)) for one in fields(first)}
+    return type(first)(**parts)
+
+
+def copied(whole: Any) -> Any:
+    """Return a dataclass with copies of its arrays; broadcast numbers stay so."""
+    return mapped(lambda array: array if takes_no_memory(array) else array.copy(), whole)
+
+
+def rows_of(whole: Any, plants: int | NDArray[np.int64]) -> Any:
+    """Return a dataclass of arrays of one plant, or of some."""
+
+    def rows(array: NDArray) -> NDArray:
+        if isinstance(plants, np.ndarray) and takes_no_memory(array):
+            count = len(np.broadcast_to(np.False_, len(array))[plants])
+            return np.broadcast_to(array.flat[0], (count, *array.shape[1:]))
+        return array[plants]
+
+    return mapped(rows, whole)
+
+
+def written_rows(whole: Any, plants: NDArray[np.int64], part: Any) -> Any:
+    """Return a dataclass of arrays with those of some plants written in place, unless it takes no memory."""
+
+    def write(array: NDArray, new: NDArray) -> NDArray:
+        if takes_no_memory(array):
+            if not new.any():
+                return array
+            array = array.copy()
+        array[plants] = new
+        return array
+
+    return mapped(write, whole, part)
+
+
+def stacked_plants(parts: Sequence[Any]) -> Any:
+    """Return dataclasses of arrays as one, concatenated over plants."""
+
+    def stack(*arrays: NDArray) -> NDArray:
+        if all(takes_no_memory(one) for one in arrays):
+            return np.broadcast_to(arrays[0].dtype.type(0), (sum(map(len, arrays)), *arrays[0].shape[1:]))
+        return np.concatenate(arrays)
+
+    return mapped(stack, *parts)
+
+
 def as_records(wholes: list[Any]) -> list[Any]:
     """Return dataclasses of arrays with a row per plant as views of one block, filled with their values.
 
@@ -37,7 +101,7 @@ def as_records(wholes: list[Any]) -> list[Any]:
             views[k] = np.ndarray(one.shape, one.dtype, block.data, offset, (stride, *_inner_strides(one)))
             views[k][...] = one
     rebuilt = iter(one if one.size else one.copy() for one in views)
-    return [_rebuilt(whole, rebuilt) for whole in wholes]
+    return [mapped(lambda one: one if takes_no_memory(one) else next(rebuilt), whole) for whole in wholes]
 
 
 def _seldom(array: NDArray) -> NDArray:
@@ -69,14 +133,6 @@ def _arrays(whole: Any, name: str = "") -> Iterator[tuple[str, NDArray]]:
             yield from _arrays(getattr(whole, field.name), field.name)
 
 
-def _rebuilt(whole: Any, views: Iterator[NDArray]) -> Any:
-    if isinstance(whole, np.ndarray):
-        return whole if takes_no_memory(whole) else next(views)
-    if is_dataclass(whole) and not isinstance(whole, type):
-        return type(whole)(**{field.name: _rebuilt(getattr(whole, field.name), views) for field in fields(whole)})
-    return whole
-
-
 def _offsets(arrays: list[NDArray]) -> tuple[list[int], int]:
     """Return the offset of each array in a record, the widest numbers first, and the size of a record."""
     offsets, at = [0] * len(arrays), 0
@@ -94,4 +150,14 @@ def _inner_strides(array: NDArray) -> list[int]:
     return strides[::-1]
 
 
-__all__ = ["SELDOM", "as_records", "bytes_of_record", "takes_no_memory"]
+__all__ = [
+    "SELDOM",
+    "as_records",
+    "bytes_of_record",
+    "copied",
+    "mapped",
+    "rows_of",
+    "stacked_plants",
+    "takes_no_memory",
+    "written_rows",
+]

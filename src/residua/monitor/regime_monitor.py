@@ -1,9 +1,9 @@
-"""One monitor for each operating mode, and the switch between them."""
+"""One monitor for each operating mode, the switch between them, and its result: one time line."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,24 +11,166 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.arrays import runs
+from residua.decide.alarm import Alarm
 from residua.decide.isolation import IsolationSettings
+from residua.decide.statement import SHOWN_ALARMS, left_out_text, longest_alarms
 from residua.decide.test import TestSettings
-from residua.errors import DataError, ModelError
-from residua.identify.regimes import OperatingMode, Regimes, ages, distinct, rows_in
+from residua.errors import DataError, FileFormatError, ModelError
+from residua.files import read_bytes, write_text
+from residua.identify.regimes import OperatingMode, Regimes, ages, distinct, mode_signals, rows_in
+from residua.json_files import CHECKSUM, check_checksum, dumps, loads
 from residua.monitor.diagnosis import Diagnosis
 from residua.monitor.fault_learning import intervals_of
 from residua.monitor.inputs import Signals, several_signals, signals
 from residua.monitor.monitor import Monitor
-from residua.monitor.regime_diagnosis import RegimeDiagnosis
+from residua.monitor.saving import EDITED, REGIMES, monitor_from, monitor_out, read_content
+from residua.number_kinds import POSITIVE
 from residua.plant import Plant
+from residua.recording.clock import Clock
 from residua.recording.time_axis import REGULAR
+from residua.records import RecordOf, joined, record, table_in, text_in, values_in, values_out
 from residua.shown import Shown, notes, table
 from residua.visible import echo, listed
+from residua.words import counted
 
+#: Of files.
+VERSION = 1
 #: Remark on a mode that no recording showed.
 NEVER_SEEN = "a mode never seen"
 #: Steps of a recording and of the monitor may differ by that part, as for a :class:`residua.Monitor`.
 SAME_STEP = REGULAR / 10
+
+
+@dataclass(frozen=True, eq=False)
+class RegimeAlarm:
+    """One alarm, and the operating mode in which it was raised.
+
+    Attributes
+    ----------
+    mode : str
+    alarm : Alarm
+    """
+
+    mode: str
+    alarm: Alarm
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RegimeDiagnosis(Shown):
+    """The result of a :class:`residua.RegimeMonitor` on a recording. Prints as a table.
+
+    Attributes
+    ----------
+    time : ndarray, shape (T,)
+        Seconds.
+    mode : ndarray of int, shape (T,)
+        The operating mode of each sample, as a number in ``modes``; -1 where a signal of the modes is missing.
+    modes : tuple of str
+        The modes that occur in the recording, those that are not judged included.
+    judged : mapping of str to Diagnosis
+        By name of the mode, the diagnosis of its own monitor, on the same times: nothing is decided outside the mode.
+    unjudged : mapping of str to str
+        The modes of the recording in which nothing is decided, and why.
+    statistic : ndarray, shape (T,)
+        In units of the threshold of the mode: an alarm is above 1. NaN where nothing is decided.
+    decided, alarm : ndarray of bool, shape (T,)
+        An alarm counts in the samples of its own mode.
+    transient : ndarray of bool, shape (T,)
+        Samples that are left out because the mode has just changed.
+    source, origin : str
+        Where the recording is from, and the moment that ``time`` counts from.
+    notes : tuple of str
+    """
+
+    time: NDArray[np.float64]
+    mode: NDArray[np.int64]
+    modes: tuple[str, ...]
+    judged: Mapping[str, Diagnosis]
+    unjudged: Mapping[str, str]
+    statistic: NDArray[np.float64]
+    decided: NDArray[np.bool_]
+    alarm: NDArray[np.bool_]
+    transient: NDArray[np.bool_]
+    source: str
+    origin: str
+    notes: tuple[str, ...]
+
+    @property
+    def alarms(self) -> tuple[RegimeAlarm, ...]:
+        """The alarms of all modes in order of time; one that continues in another mode is raised there again."""
+        every = [RegimeAlarm(name, alarm) for name, one in self.judged.items() for alarm in one.alarms]
+        return tuple(sorted(every, key=lambda one: one.alarm.start))
+
+    @property
+    def main_alarm(self) -> RegimeAlarm | None:
+        """The alarm with the most samples judged in its mode; ``None`` without one."""
+        return max(self.alarms, key=self._judged_in, default=None)
+
+    @property
+    def onset(self) -> float | None:
+        """The estimated beginning of the first alarm; ``None`` without one."""
+        return min((one.alarm.onset for one in self.alarms), default=None)
+
+    @property
+    def named(self) -> tuple[tuple[str, ...], ...]:
+        """The faults that explain the main alarm; empty without a named fault."""
+        return self.main_alarm.alarm.named if self.main_alarm else ()
+
+    @property
+    def false_alarm_fraction(self) -> float:
+        """Fraction of the decided samples that are in alarm (a false alarm rate on fault-free data)."""
+        decided = int(self.decided.sum())
+        return float((self.alarm & self.decided).sum() / decided) if decided else 0.0
+
+    def _judged_in(self, one: RegimeAlarm) -> int:
+        """Return the number of judged samples of an alarm, which persists through visits to other modes."""
+        return int(np.count_nonzero(self.judged[one.mode].decided[one.alarm.start : one.alarm.stop]))
+
+    def samples(self, name: str) -> int:
+        """Return the number of samples of the recording in a mode."""
+        return int(np.count_nonzero(self.mode == self.modes.index(name))) if name in self.modes else 0
+
+    @property
+    def not_judged(self) -> tuple[str, ...]:
+        """Description of the spans without a decision, with the number of their samples."""
+        lines = [
+            f"not judged: {name} ({why}), {counted(self.samples(name), 'sample')}"
+            for name, why in self.unjudged.items()
+        ]
+        unknown = int(np.count_nonzero(self.mode < 0))
+        if unknown:
+            lines.append(f"not judged: a signal of the modes is missing, {counted(unknown, 'sample')}")
+        left_out = int(np.count_nonzero(self.transient))
+        if left_out:
+            lines.append(f"not judged: transients after changes of mode, {counted(left_out, 'sample')}")
+        known = np.isin(self.mode, [self.modes.index(name) for name in self.judged])
+        rest = int(np.count_nonzero(known & ~self.transient & ~self.decided))
+        if rest:
+            lines.append(
+                f"not judged: filters settle after a change of mode, or values are missing, {counted(rest, 'sample')}"
+            )
+        return tuple(lines)
+
+    def __str__(self) -> str:
+        clock = Clock(self.origin, float(self.time[1] - self.time[0]) if len(self.time) > 1 else 1.0)
+        lines = [f"{self.source or 'recording'}: {counted(len(self.time), 'sample')}, {int(self.decided.sum())} judged"]
+        lines += [
+            f"{name}: {counted(self.samples(name), 'sample')}, {int(one.decided.sum())} judged, "
+            f"{counted(len(one.alarms), 'alarm')}"
+            for name, one in self.judged.items()
+        ]
+        if not self.alarms:
+            lines.append("no fault found" if self.decided.any() else "no decision")
+        alarms = [one.alarm for one in self.alarms]
+        for k, _ in longest_alarms(alarms, SHOWN_ALARMS):
+            one = self.alarms[k - 1]
+            until = "to the end" if one.alarm.ended is None else f"until {clock.at(one.alarm.ended)}"
+            length, judged = one.alarm.stop - one.alarm.start, self._judged_in(one)
+            part = f", {judged} of its {length} samples judged" if judged < length else ""
+            lines.append(f"alarm {k}: raised {clock.at(one.alarm.raised)}, {until}, with {one.mode}{part}")
+            lines += self.judged[one.mode].alarm_lines(one.alarm)
+        lines += filter(None, [left_out_text(alarms, SHOWN_ALARMS)])
+        return "\n".join([*lines, *self.not_judged, *self.notes])
 
 
 class RegimeMonitor(Shown):
@@ -253,7 +395,8 @@ class RegimeMonitor(Shown):
             pair = self._split(mode, rows, own)
             one = monitor._judge(Signals(*pair, clock, self.regimes.dt, measured.source), own=own)
             assert isinstance(one, Diagnosis)
-            judged[name] = replace(one, origin=measured.origin, notes=(*one.notes, *_still(mode)))
+            recording = replace(one.recording, origin=measured.origin)
+            judged[name] = replace(one, recording=recording, notes=(*one.notes, *_still(mode)))
         return _joined(clock, number, modes, judged, unjudged, transient, measured)
 
     def learn_fault(
@@ -323,9 +466,17 @@ class RegimeMonitor(Shown):
         FileFormatError
             If the folder does not exist.
         """
-        from residua.monitor.regime_files import save_regimes
-
-        save_regimes(self, path)
+        content = {
+            "format": REGIMES,
+            "version": VERSION,
+            "regimes": values_out(self.regimes, but=("modes",)),
+            "modes": {
+                name: values_out(mode, but=("name", "design")) | {"monitor": monitor_out(self.monitors[name])}
+                for name, mode in self.regimes.modes.items()
+            },
+            "unfitted": dict(self.unfitted),
+        }
+        write_text(path, dumps(content))
 
     @staticmethod
     def load(path: str | Path) -> RegimeMonitor:
@@ -344,9 +495,15 @@ class RegimeMonitor(Shown):
         FileFormatError
             If the file is not such a monitor, or an entry is invalid.
         """
-        from residua.monitor.regime_files import load_regimes
-
-        return load_regimes(path)
+        path = Path(path)
+        content = loads(read_bytes(path, "monitor"), path.name)
+        if content.get("format") != REGIMES:
+            raise FileFormatError(f'{path.name} is not a monitor by operating mode (no "format": {REGIMES!r} in it)')
+        monitor: RegimeMonitor = read_content(content, path.name, VERSION, lambda: _read(content))
+        if not check_checksum(content, path.name):
+            for one in monitor.monitors.values():
+                one.notes = (*one.notes, EDITED)
+        return monitor
 
     # ------------------------------------------------------------------ helpers
 
@@ -471,3 +628,38 @@ def _joined(
         measured.origin,
         (*measured.notes, *notes),
     )
+
+
+def _read(content: Mapping[str, Any]) -> RegimeMonitor:
+    """Return the monitor of a file; the caller checks the checksum."""
+    content = record(content, "", ("format", "version", "regimes", "modes", "unfitted", CHECKSUM))
+    regimes: Regimes = values_in(
+        content["regimes"], "regimes", Regimes, {"modes": {}}, others=(RecordOf(Regimes, {"dt": POSITIVE}),)
+    )
+    signals = mode_signals(dict(zip(regimes.signals.names, regimes.signals.edges, strict=True)))
+    channels = regimes.inputs + regimes.outputs
+    absent = [name for name in signals.names if name not in channels]
+    if absent:
+        raise FileFormatError(f"regimes.signals: {listed(absent)} is not among the inputs and outputs")
+    modes: dict[str, OperatingMode] = {}
+    monitors: dict[str, Monitor] = {}
+    for name, entry in table_in(content["modes"], "modes").items():
+        where = joined("modes", name)
+        values = table_in(entry, where)
+        inner = joined(where, "monitor")
+        monitor = monitor_from({**table_in(values.pop("monitor", None), inner), CHECKSUM: None}, inner)
+        mode: OperatingMode = values_in(values, where, OperatingMode, {"name": name, "design": monitor.design})
+        if len(mode.key) != len(signals.names) or signals.label(mode.key) != name:
+            raise FileFormatError(f"{where}.key is not that of this mode")
+        plant = monitor.design.plant
+        foreign = [c for c in (*plant.inputs, *plant.outputs) if c not in channels]
+        if foreign or abs(monitor.generator.dt - regimes.dt) > SAME_STEP * regimes.dt:
+            raise FileFormatError(
+                f"{inner}: its channels must be among the inputs and outputs, and its step {regimes.dt:g} s; got "
+                f"{listed(foreign) if foreign else f'{monitor.generator.dt:g} s'}"
+            )
+        modes[name], monitors[name] = mode, monitor
+    unfitted = {
+        name: text_in(text, f"unfitted.{name}") for name, text in table_in(content["unfitted"], "unfitted").items()
+    }
+    return RegimeMonitor.of(replace(regimes, signals=signals, modes=modes), monitors, unfitted)

@@ -12,12 +12,12 @@ from residua.decide.checks import check_samples
 from residua.decide.residual_findings import ResidualReport, findings_of
 from residua.decide.stream_settings import is_white
 from residua.errors import SettingError
-from residua.monitor.fitting import fault_free_run
+from residua.monitor.fitted_thresholds import fault_free_run
 from residua.monitor.inputs import several_signals
 from residua.monitor.monitor import Monitor
-from residua.monitor.plausible import fitted_ranges, guarded_ranges
+from residua.monitor.plausible_values import fitted_ranges, guarded_ranges
 from residua.monitor.regime_monitor import RegimeMonitor
-from residua.monitor.setup import blank_test
+from residua.monitor.specification import blank_test
 
 
 def residual_report(

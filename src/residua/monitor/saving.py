@@ -6,7 +6,7 @@ monitor goes on with the same bits on a machine whose linear algebra rounds diff
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,22 +18,21 @@ from residua.decide.isolation import IsolationSettings
 from residua.decide.kinds import read_isolation, read_test, settings_out
 from residua.decide.learnt_faults import LearntFault
 from residua.decide.member_bounds import bounds_in
-from residua.decide.test import TestSettings, Watched
+from residua.decide.test import TestSettings
 from residua.design import ResidualGenerator
 from residua.errors import FileFormatError, ResiduaError
 from residua.files import other_version, read_bytes, write_text
 from residua.json_files import CHECKSUM, check_checksum, dumps, loads
 from residua.monitor.design_records import generator_in, generator_out, sampled_in, sampled_out
-from residua.monitor.fault_learning import whitens
 from residua.monitor.fit_check import FitCheck
 from residua.monitor.monitor import Monitor
-from residua.monitor.partial_update import PartialUpdate
-from residua.monitor.plausible import Plausible
+from residua.monitor.plausible_values import Plausible
 from residua.monitor.running import State, initial_state
 from residua.monitor.specification import Specification
-from residua.monitor.starting import MOST_SAMPLES, StartFit, start_from
+from residua.monitor.start_estimate import MOST_SAMPLES, StartFit
 from residua.number_kinds import ANY, ENTRY, INDEX, POSITIVE
 from residua.records import (
+    RecordOf,
     array_in,
     array_out,
     float_in,
@@ -51,36 +50,23 @@ from residua.records import (
 )
 from residua.visible import shortened
 
-FORMAT = "residua-monitor"
-#: That of monitors by operating mode (``regime_files``), of which each holds several.
+FORMAT, VERSION = "residua-monitor", 1
+#: That of monitors by operating mode, of which each holds several.
 REGIMES = "residua-regime-monitor"
-VERSION = 12
 
 #: Caution in every diagnosis of a monitor whose file was edited: only its author can know whether it still holds.
 EDITED = "the file of this monitor was edited after it was saved: its numbers are not those of the design"
 
 #: Relative accuracy of values computed from the design before the first sample.
 _EXACT = 1e-6
+#: What a damaged or invented file may raise where it is read.
+_ERRORS = (TypeError, ValueError, AttributeError, LookupError, ArithmeticError, MemoryError, ResiduaError)
 
 _ENTRIES = (
-    "format",
-    "version",
-    "design",
-    "sampled",
-    "test",
-    "certified",
-    "isolate",
-    "settle",
-    "max_hold",
-    "plausible",
-    "start",
-    "notes",
-    "fitted",
-    "running",
-    "state",
+    *("format", "version", "design", "sampled", "test", "certified", "bounds", "isolate", "settle", "max_hold"),
+    *("plausible", "start", "notes", "fitted", "fit_check", "normal", "learnt", "running", "isolation", "state"),
+    CHECKSUM,
 )
-#: Optional entries of a file, and their defaults.
-_ABSENT: dict[str, Any] = {"bounds": {}, "fit_check": None, "normal": None, "learnt": []}
 
 
 def save_monitor(monitor: Monitor, path: str | Path) -> None:
@@ -91,14 +77,15 @@ def save_monitor(monitor: Monitor, path: str | Path) -> None:
 def monitor_out(monitor: Monitor) -> dict[str, Any]:
     """Return a monitor as a record."""
     generator, test = monitor._generator, monitor._test
-    resampled = generator is not None and generator is not monitor.design
-    content: dict[str, Any] = {
+    spec = None if test is None or generator is None else monitor._plain_specification()
+    return {
         "format": FORMAT,
         "version": VERSION,
         "design": generator_out(monitor.design),
-        "sampled": sampled_out(generator) if generator is not None and resampled else None,
+        "sampled": None if generator is None or generator is monitor.design else sampled_out(generator),
         "test": settings_out(monitor.test),
         "certified": {name: float_out(value) for name, value in monitor._certified.items()},
+        "bounds": {name: values_out(one) for name, one in monitor._bounds.items()},
         "isolate": None if monitor.isolate is None else settings_out(monitor.isolate),
         "settle": monitor.settle,
         "max_hold": monitor.max_hold,
@@ -106,18 +93,13 @@ def monitor_out(monitor: Monitor) -> dict[str, Any]:
         "start": monitor.start,
         "notes": list(monitor.notes),
         "fitted": None if test is None else test.to_record(),
-        "running": None if test is None or generator is None else _running_out(monitor._plain_specification()),
+        "fit_check": None if monitor._check is None else values_out(monitor._check),
+        "normal": None if monitor._normal is None else array_out(monitor._normal),
+        "learnt": [values_out(fault) for fault in monitor._learnt],
+        "running": None if spec is None else values_out(_Running.of(spec)),
+        "isolation": None if spec is None else spec.isolation.to_record(),
         "state": None if monitor._state is None else values_out(monitor._state),
     }
-    if monitor._bounds:  # entries of their own where there is something to tell: any other file stays as it was
-        content["bounds"] = {name: values_out(one) for name, one in monitor._bounds.items()}
-    if monitor._check is not None:
-        content["fit_check"] = values_out(monitor._check)
-    if test is not None and monitor._normal is not None and not whitens(test):
-        content["normal"] = array_out(monitor._normal)  # else the test has it
-    if monitor._learnt:
-        content["learnt"] = [values_out(fault) for fault in monitor._learnt]
-    return content
 
 
 def load_monitor(path: str | Path) -> Monitor:
@@ -143,14 +125,19 @@ def monitor_from(content: Mapping[str, Any], source: str) -> Monitor:
         raise FileFormatError(f"{source} is a monitor by operating mode: read it by residua.RegimeMonitor.load")
     if content.get("format") != FORMAT:
         raise FileFormatError(f'{source} is not a monitor of residua (no "format": {FORMAT!r} in it)')
-    if content.get("version") != VERSION:
+    return read_content(content, source, VERSION, lambda: _monitor_in(record(content, "", _ENTRIES)))
+
+
+def read_content(content: Mapping[str, Any], source: str, version: int, read: Callable[[], Any]) -> Any:
+    """Read the content of a file of a version; whatever is wrong names the file."""
+    if content.get("version") != version:
         raise FileFormatError(
-            other_version(source, content.get("version"), VERSION, "design and fit the monitor again")
+            other_version(source, content.get("version"), version, "design and fit the monitor again")
         )
     try:
         with np.errstate(all="ignore"):  # overflow is refused later; a warning adds nothing
-            return _monitor_in(record(_ABSENT | dict(content), "", (*_ENTRIES, *_ABSENT, CHECKSUM)))
-    except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError, MemoryError, ResiduaError) as error:
+            return read()
+    except _ERRORS as error:
         raise FileFormatError(f"{source}: {shortened(str(error), 1000)}") from error
 
 
@@ -178,16 +165,7 @@ def _monitor_in(content: Mapping[str, Any]) -> Monitor:
         monitor._generator = sampled_in(design, content["sampled"], "sampled")
     monitor._test = monitor._spec = monitor._state = None
     if content["fitted"] is not None:
-        watched = monitor._watched(monitor.generator)
-        monitor._test = monitor._settings.test_from_record(content["fitted"], "fitted", watched)
-        monitor._spec = _running_in(monitor._plain_specification(), content["running"], monitor, watched)
-        if content["fit_check"] is not None:
-            monitor._check = values_in(content["fit_check"], "fit_check", FitCheck)
-            for name in ("mean", "spread"):
-                count, channels = len(getattr(monitor._check, name)), len(monitor.generator.system.inputs)
-                if count not in (0, channels):
-                    raise FileFormatError(f"fit_check.{name} must have {channels} numbers, got {count}")
-        monitor._normal, monitor._learnt = _learnt_in(content, monitor)
+        _read_fit(monitor, content)
     elif content["learnt"]:
         raise FileFormatError("learnt must be empty where fitted is null")
     if content["state"] is not None:
@@ -195,13 +173,45 @@ def _monitor_in(content: Mapping[str, Any]) -> Monitor:
     return monitor
 
 
-def _learnt_in(
-    content: Mapping[str, Any], monitor: Monitor
-) -> tuple[NDArray[np.float64] | None, tuple[LearntFault, ...]]:
-    """Return the fault-free covariance, if it is not that of the test, and the learnt faults."""
-    k, coding = monitor.generator.n_residuals, monitor._plain_specification().isolation.coding
-    normal = None if content["normal"] is None else _square_in(content["normal"], "normal", k)
-    faults = []
+def _check_parts(content: Mapping[str, Any], test: TestSettings, isolate: IsolationSettings) -> None:
+    """Raise if the settings do not match the saved results, before anything is rebuilt.
+
+    What takes the time of a window is in the file then, as long as its window says.
+    """
+    for name in ("running", "isolation"):
+        if (content["fitted"] is None) != (content[name] is None):
+            raise FileFormatError(f"{name} must be present if and only if fitted is")
+    if content["fitted"] is not None:
+        test.check_record(table_in(content["fitted"], "fitted"), "fitted")
+        isolate.check_record(table_in(content["isolation"], "isolation"), "isolation")
+
+
+@dataclass(frozen=True, eq=False)
+class _Saved:
+    """A design from a file, with the thresholds that it was certified for."""
+
+    generator: ResidualGenerator
+    thresholds: Mapping[str, float]
+
+
+def _read_fit(monitor: Monitor, content: Mapping[str, Any]) -> None:
+    """Give a monitor the test, the specification, the check of its fit and the learnt faults of a file."""
+    watched, k = monitor._watched(monitor.generator), monitor.generator.n_residuals
+    monitor._test = monitor._settings.test_from_record(content["fitted"], "fitted", watched)
+    spec = monitor._plain_specification()
+    isolation = monitor._isolation.isolation_from_record(content["isolation"], "isolation", watched, spec.test)
+    running: _Running = values_in(content["running"], "running", _Running, others=_PARTS)
+    monitor._spec = running.in_place_of(replace(spec, isolation=isolation))
+    if content["fit_check"] is not None:
+        monitor._check = values_in(content["fit_check"], "fit_check", FitCheck)
+        for name in ("mean", "spread"):
+            count, channels = len(getattr(monitor._check, name)), len(monitor.generator.system.inputs)
+            if count not in (0, channels):
+                raise FileFormatError(f"fit_check.{name} must have {channels} numbers, got {count}")
+    if content["normal"] is not None:
+        monitor._normal = array_in(content["normal"], "normal", ENTRY)
+        _check_shape(monitor._normal, (k, k), "normal")
+    coding, faults = isolation.coding, []
     for j, value in enumerate(list_in(content["learnt"], "learnt")):
         fault: LearntFault = values_in(value, f"learnt[{j}]", LearntFault)
         size, members = (k, 0) if coding is None else (0, len(coding.members))
@@ -213,29 +223,7 @@ def _learnt_in(
         faults.append(fault)
     if len({fault.name for fault in faults}) < len(faults):
         raise FileFormatError("learnt: every fault must have a name of its own")
-    return normal, tuple(faults)
-
-
-@dataclass(frozen=True, eq=False)
-class _Saved:
-    """A design from a file, with the thresholds that it was certified for."""
-
-    generator: ResidualGenerator
-    thresholds: Mapping[str, float]
-
-
-def _check_parts(content: Mapping[str, Any], test: TestSettings, isolate: IsolationSettings) -> None:
-    """Raise if the settings do not match the saved results, before anything is rebuilt.
-
-    What takes the time of a window is in the file then, as long as its window says.
-    """
-    fitted, running = content["fitted"], content["running"]
-    if (fitted is None) != (running is None):
-        raise FileFormatError("running must be present if and only if fitted is")
-    if fitted is not None:
-        test.check_record(table_in(fitted, "fitted"), "fitted")
-        where = "running.isolation"
-        isolate.check_record(table_in(table_in(running, "running").get("isolation"), where), where)
+    monitor._learnt = tuple(faults)
 
 
 def _plausible_out(setting: Plausible) -> Any:
@@ -257,36 +245,85 @@ def _plausible_in(value: Any) -> Plausible:
 # --------------------------------------------------------------------- the running state
 
 
-def _running_out(spec: Specification) -> dict[str, Any]:
-    """Return the values computed from the design before the first sample."""
-    return {
-        "start": array_out(spec.start),
-        "settle": int(spec.settle),
-        "plausible": array_out(spec.plausible),
-        "first": None if spec.first is None else _first_out(spec, spec.first),
-        "partial": None
-        if spec.partial is None
-        else {"covariance": array_out(spec.partial.covariance), "settled": array_out(spec.partial.settled)},
-        "isolation": spec.isolation.to_record(),
-    }
+@dataclass(frozen=True, eq=False)
+class _First:
+    """Values of the estimator of a start that are computed from the design."""
+
+    samples: int
+    weights: NDArray[np.float64]
+    correction: NDArray[np.float64]
 
 
-_RUNNING = ("start", "settle", "plausible", "first", "partial", "isolation")
+@dataclass(frozen=True, eq=False)
+class _Partial:
+    """Values of a Kalman filter with missing outputs that are computed from the design."""
+
+    covariance: NDArray[np.float64]
+    settled: NDArray[np.float64]
 
 
-def _running_in(spec: Specification, value: Any, monitor: Monitor, watched: Watched) -> Specification:
-    """Return the specification with the saved values in place of those computed now."""
-    content = record(value, "running", _RUNNING)
-    start = array_in(content["start"], "running.start", ENTRY)
-    if start.shape != spec.start.shape:
-        raise FileFormatError(f"running.start must have shape {spec.start.shape}, got {start.shape}")
-    _check_start(spec, start)
-    plausible = spec.plausible if content["plausible"] is None else _limits_in(content["plausible"], spec)
-    isolation = monitor._isolation.isolation_from_record(content["isolation"], "running.isolation", watched, spec.test)
-    settle = whole_in(content["settle"], "running.settle")
-    spec = replace(spec, start=start, settle=settle, plausible=plausible, isolation=isolation)
-    first, partial = _first_in(content["first"], spec), _partial_in(content["partial"], spec)
-    return replace(spec, first=first, partial=partial)
+@dataclass(frozen=True, eq=False)
+class _Running:
+    """Values of a specification that are computed from the design before the first sample."""
+
+    start: NDArray[np.float64]
+    settle: int
+    plausible: NDArray[np.float64]
+    first: _First | None
+    partial: _Partial | None
+
+    @staticmethod
+    def of(spec: Specification) -> _Running:
+        """Return the values of a specification."""
+        first, partial = spec.first, spec.partial
+        return _Running(
+            spec.start,
+            spec.settle,
+            spec.plausible,
+            None if first is None else _First(first.samples, first.weights, first.correction),
+            None if partial is None else _Partial(partial.covariance, partial.settled),
+        )
+
+    def in_place_of(self, spec: Specification) -> Specification:
+        """Return a specification with these values in place of those computed now."""
+        n = len(spec.A)
+        _check_shape(self.start, spec.start.shape, "running.start")
+        remains = np.eye(n) - spec.A
+        size = np.abs(remains) @ np.abs(self.start) + np.abs(spec.B)
+        if size.size and np.abs(remains @ self.start - spec.B).max() > _EXACT * size.max():
+            raise FileFormatError("running.start must be the state that the filter settles to, (I - A)^-1 B")
+        _check_shape(self.plausible, spec.plausible.shape, "running.plausible")
+        if not (self.plausible[:, 0] < self.plausible[:, 1]).all():
+            raise FileFormatError("running.plausible: the smallest value of a channel must be below its largest")
+        first, partial = None, None
+        if self.first is not None:
+            where, samples = "running.first", self.first.samples
+            if not 1 <= samples <= MOST_SAMPLES:
+                raise FileFormatError(f"{where}.samples must be 1 to {MOST_SAMPLES}, got {samples}")
+            weights, correction, p = self.first.weights, self.first.correction, len(spec.C)
+            if weights.ndim != 2 or len(weights) != p:
+                raise FileFormatError(f"{where}.weights must have {p} rows, got shape {weights.shape}")
+            _check_shape(correction, (n, n), f"{where}.correction")
+            first = StartFit(samples, spec.A, spec.C, weights, spec.test.per_threshold, correction)
+        if self.partial is not None:
+            where, partial = "running.partial", spec.partial
+            if partial is None:
+                raise FileFormatError(f"{where} is present, but the generator is not a stationary Kalman filter")
+            _check_shape(self.partial.covariance, (n, n), f"{where}.covariance")
+            _check_shape(self.partial.settled, partial.settled.shape, f"{where}.settled")
+            if np.any(np.abs(self.partial.covariance - partial.covariance) > _EXACT * partial.spread):
+                raise FileFormatError(f"{where}.covariance must be the stationary one of the Kalman filter")
+            partial = replace(partial, covariance=self.partial.covariance, settled=self.partial.settled)
+        values = {"start": self.start, "settle": self.settle, "plausible": self.plausible}
+        return replace(spec, **values, first=first, partial=partial)
+
+
+_PARTS = (RecordOf(_First), RecordOf(_Partial))
+
+
+def _check_shape(array: NDArray, shape: tuple[int, ...], where: str) -> None:
+    if array.shape != shape:
+        raise FileFormatError(f"{where} must be finite numbers of shape {shape}, got {array.shape}")
 
 
 def _state_in(value: Any, spec: Specification) -> State:
@@ -302,67 +339,14 @@ def _state_in(value: Any, spec: Specification) -> State:
     return state
 
 
-def _first_out(spec: Specification, first: StartFit) -> dict[str, Any]:
-    """Return the record of a start estimator; its weights only if they differ from the default."""
-    out = {"samples": int(first.samples), "correction": array_out(first.correction)}
-    without = start_from(spec.A, spec.C, spec.test, first.samples, first.correction, None)
-    return out if np.array_equal(without.weights, first.weights) else {**out, "weights": array_out(first.weights)}
-
-
-def _first_in(value: Any, spec: Specification) -> StartFit | None:
-    """Return the estimator of a start, with the saved correction."""
-    if value is None:
-        return None
-    content = {"weights": None} | table_in(value, "running.first")  # an entry only where it is needed
-    content = record(content, "running.first", ("samples", "correction", "weights"))
-    samples = whole_in(content["samples"], "running.first.samples")
-    correction = _square_in(content["correction"], "running.first.correction", len(spec.A))
-    if not 1 <= samples <= MOST_SAMPLES:
-        raise FileFormatError(f"running.first.samples must be 1 to {MOST_SAMPLES}, got {samples}")
-    weights = content["weights"]
-    if weights is not None:
-        weights = _square_in(weights, "running.first.weights", len(spec.C))
-    return start_from(spec.A, spec.C, spec.test, samples, correction, weights)
-
-
-def _partial_in(value: Any, spec: Specification) -> PartialUpdate | None:
-    """Return the data for a Kalman filter with missing outputs, with the saved covariance."""
-    if value is None:
-        return None
-    content = record(value, "running.partial", ("covariance", "settled"))
-    if spec.partial is None:
-        raise FileFormatError("running.partial is present, but the generator is not a stationary Kalman filter")
-    covariance = _square_in(content["covariance"], "running.partial.covariance", len(spec.A))
-    settled, shape = array_in(content["settled"], "running.partial.settled", ENTRY), spec.partial.settled.shape
-    if settled.shape != shape:
-        raise FileFormatError(f"running.partial.settled must be finite numbers of shape {shape}")
-    if np.any(np.abs(covariance - spec.partial.covariance) > _EXACT * spec.partial.spread):
-        raise FileFormatError("running.partial.covariance must be the stationary one of the Kalman filter")
-    return replace(spec.partial, covariance=covariance, settled=settled)
-
-
-def _square_in(value: Any, where: str, n: int) -> NDArray[np.float64]:
-    array = array_in(value, where, ENTRY)
-    if array.shape != (n, n):
-        raise FileFormatError(f"{where} must be finite numbers of shape {(n, n)}")
-    return array
-
-
-def _limits_in(value: Any, spec: Specification) -> NDArray[np.float64]:
-    limits, shape = array_in(value, "running.plausible"), spec.plausible.shape
-    if limits.shape != shape:
-        raise FileFormatError(f"running.plausible must be finite numbers of shape {shape}")
-    if not (limits[:, 0] < limits[:, 1]).all():
-        raise FileFormatError("running.plausible: the smallest value of a channel must be below its largest")
-    return limits
-
-
-def _check_start(spec: Specification, start: NDArray[np.float64]) -> None:
-    """Raise unless the filter would stay where it starts, up to rounding."""
-    remains = np.eye(len(spec.A)) - spec.A
-    size = np.abs(remains) @ np.abs(start) + np.abs(spec.B)
-    if start.size and np.abs(remains @ start - spec.B).max() > _EXACT * size.max():
-        raise FileFormatError("running.start must be the state that the filter settles to, (I - A)^-1 B")
-
-
-__all__ = ["FORMAT", "REGIMES", "VERSION", "load_monitor", "monitor_from", "monitor_out", "save_monitor"]
+__all__ = [
+    "EDITED",
+    "FORMAT",
+    "REGIMES",
+    "VERSION",
+    "load_monitor",
+    "monitor_from",
+    "monitor_out",
+    "read_content",
+    "save_monitor",
+]

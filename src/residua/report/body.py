@@ -130,7 +130,7 @@ def diagnosis_html(diagnosis: Diagnosis, charts: dict[str, Any], *, number: int,
     v = verdict(diagnosis)
     tabled = diagnosis.fit_check.could_have_seen if diagnosis.fit_check else ()
     sentences = "".join(f"<li>{escape(s)}</li>" for s in v.sentences if s not in tabled)
-    by_code = diagnosis.codes is not None
+    by_code = diagnosis.naming.codes is not None
     link = f'<p><a href="#f{filter_number}">Filter {filter_number}, its structure and evidence</a></p>'
     return "\n".join(
         [
@@ -160,7 +160,7 @@ def _recording(diagnosis: Diagnosis) -> str:
     if n == 0:
         return '<p class="recording">The recording is empty.</p>'
     decided, clock, check = int(diagnosis.decided.sum()), diagnosis.clock, diagnosis.fit_check
-    where = f"Recording <b>{escape(diagnosis.source)}</b>" if diagnosis.source else "Recording"
+    where = f"Recording <b>{escape(diagnosis.recording.source)}</b>" if diagnosis.recording.source else "Recording"
     parts = [
         f"{where}: {n:,} samples from {clock.at(float(diagnosis.time[0]))} to {clock.at(float(diagnosis.time[-1]))}"
         f"{_local(diagnosis)}, step {length(diagnosis.generator.dt)}, {length(float(np.ptp(diagnosis.time)))} in all; "
@@ -184,9 +184,13 @@ def _missing(diagnosis: Diagnosis) -> str:
     if not diagnosis.n_missing:
         return "No sample has missing values."
     share = percent(diagnosis.n_missing, len(diagnosis.time))
-    times = "once" if diagnosis.resets == 1 else f"{diagnosis.resets:,} times"
-    restart = f"The filter was restarted {times} after longer gaps." if diagnosis.resets else "No restart was needed."
-    how = "used the remaining values" if diagnosis.predicted else "held the last values"
+    times = "once" if diagnosis.recording.resets == 1 else f"{diagnosis.recording.resets:,} times"
+    restart = (
+        f"The filter was restarted {times} after longer gaps."
+        if diagnosis.recording.resets
+        else "No restart was needed."
+    )
+    how = "used the remaining values" if diagnosis.recording.predicted else "held the last values"
     return (
         f"<b>{diagnosis.n_missing:,} samples ({share}) have missing values:</b> there the filter {how}, and the charts "
         f"show no residual and no decision. {restart}"
@@ -215,7 +219,7 @@ def _directions(diagnosis: Diagnosis) -> str:
     )
     if not diagnosis.groups:
         text = "This monitor does not isolate; these are the signatures it would judge by. " + text
-    elif not diagnosis.signatures:
+    elif not diagnosis.naming.signatures:
         text = f"This monitor does not name faults by direction; the table shows how well it could. {text}"
     if known.whitened:
         text += " Residuals are compared after whitening by their fault-free covariance."
@@ -257,7 +261,7 @@ def observed_residual(diagnosis: Diagnosis, known: Signatures) -> NDArray[np.flo
     block = block[np.isfinite(block).all(axis=1)]
     if not len(block):
         return None
-    mean = known.whitening @ (block.mean(axis=0) - diagnosis.center)
+    mean = known.whitening @ (block.mean(axis=0) - diagnosis.test.center)
     return mean if np.linalg.norm(mean) > 0 else None
 
 
@@ -266,10 +270,14 @@ def _residual_table(diagnosis: Diagnosis) -> str:
     first = diagnosis.alarms[0].start if diagnosis.alarms else len(diagnosis.time)
     outside = 1 - inside_band(diagnosis, 0, first)
     for i in by_interest(diagnosis):
-        name = diagnosis.residual_names[i]
+        name = diagnosis.generator.residuals[i]
         column = diagnosis.residuals[:, i]
         seen = column[np.isfinite(column)]
-        cells = (diagnosis.center[i], diagnosis.band[i], *((seen.min(), seen.max()) if seen.size else (np.nan,) * 2))
+        cells = (
+            diagnosis.test.center[i],
+            diagnosis.test.band[i],
+            *((seen.min(), seen.max()) if seen.size else (np.nan,) * 2),
+        )
         rows.append(
             [escape(name), escape(residual_unit(diagnosis, name)) or "–"]
             + [f'<td class="num">{number(float(c))}</td>' for c in cells]
@@ -278,7 +286,7 @@ def _residual_table(diagnosis: Diagnosis) -> str:
     header = [
         "Residual",
         "Unit",
-        "Centre" if diagnosis.horizon else "Fault-free mean",
+        "Centre" if diagnosis.test.horizon else "Fault-free mean",
         "Normal range (±)",
         "Smallest seen",
         "Largest seen",

@@ -50,14 +50,16 @@ def residual_unit(diagnosis: Diagnosis, name: str) -> str:
 
 def estimated_fault(diagnosis: Diagnosis, name: str) -> str:
     """Return the fault estimated by a residual; empty for any other residual."""
-    named = dict(zip(diagnosis.residual_names, diagnosis.generator.estimated, strict=False))
+    named = dict(zip(diagnosis.generator.residuals, diagnosis.generator.estimated, strict=False))
     return named.get(name, "")
 
 
 def points_per_series(diagnosis: Diagnosis) -> int:
     """Return the largest number of points in a series of this diagnosis."""
-    n_series = len(diagnosis.residual_names) * (1 + (diagnosis.averaged > 1)) + 1 + len(diagnosis.members)
-    n_series += min(len(diagnosis.groups), SHOWN_FAULTS) + diagnosis.signals.shape[1] + len(diagnosis.compared)
+    n_series = len(diagnosis.generator.residuals) * (1 + (diagnosis.test.averaged > 1)) + 1 + len(diagnosis.members)
+    n_series += (
+        min(len(diagnosis.groups), SHOWN_FAULTS) + diagnosis.signals.shape[1] + len(diagnosis.recording.compared)
+    )
     return int(np.clip(MAX_POINTS_TOTAL // n_series, 1000, MAX_POINTS))
 
 
@@ -105,12 +107,12 @@ def by_interest(diagnosis: Diagnosis) -> list[int]:
 
     As they come when all are shown at once; otherwise those that went furthest out of their band first.
     """
-    n = len(diagnosis.residual_names)
+    n = len(diagnosis.generator.residuals)
     if n <= SHOWN_RESIDUALS or not len(diagnosis.time):
         return list(range(n))
-    away = np.abs(diagnosis.residuals - diagnosis.center)
+    away = np.abs(diagnosis.residuals - diagnosis.test.center)
     largest = np.where(np.isfinite(away), away, 0.0).max(axis=0)
-    band = np.where(np.isfinite(diagnosis.band) & (diagnosis.band > 0), diagnosis.band, np.inf)
+    band = np.where(np.isfinite(diagnosis.test.band) & (diagnosis.test.band > 0), diagnosis.test.band, np.inf)
     return np.argsort(-largest / band, kind="stable").tolist()
 
 
@@ -126,11 +128,11 @@ def judged_range(diagnosis: Diagnosis, i: int) -> list[float] | None:
 
 def _residual_charts(diagnosis: Diagnosis, bins: Bins) -> list[dict[str, Any]]:
     charts = []
-    means = averaged_residuals(diagnosis) if diagnosis.averaged > 1 and not diagnosis.members else None
+    means = averaged_residuals(diagnosis) if diagnosis.test.averaged > 1 and not diagnosis.members else None
     for i in by_interest(diagnosis):
-        center, band = float(diagnosis.center[i]), float(diagnosis.band[i])
+        center, band = float(diagnosis.test.center[i]), float(diagnosis.test.band[i])
         known = np.isfinite(center) and np.isfinite(band)
-        name = diagnosis.residual_names[i]
+        name = diagnosis.generator.residuals[i]
         charts.append(
             {
                 "kind": "residual",
@@ -144,7 +146,7 @@ def _residual_charts(diagnosis: Diagnosis, bins: Bins) -> list[dict[str, Any]]:
         )
         if means is not None:
             charts[-1]["y"].append(rounded(bins.extremes(means[:, i])))
-            charts[-1]["names"].append(f"average of {diagnosis.averaged}")
+            charts[-1]["names"].append(f"average of {diagnosis.test.averaged}")
         fault = estimated_fault(diagnosis, name)
         if fault:
             charts[-1]["estimate"] = visible(fault)
@@ -172,8 +174,8 @@ def _statistic_chart(
 def _member_charts(diagnosis: Diagnosis, bins: Bins) -> list[dict[str, Any]]:
     charts = [
         _statistic_chart(
-            diagnosis.member_statistics[:, m],
-            diagnosis.member_thresholds[m],
+            diagnosis.parts.statistics[:, m],
+            diagnosis.parts.thresholds[m],
             bins,
             kind="member",
             name=diagnosis.members[m],
@@ -182,7 +184,7 @@ def _member_charts(diagnosis: Diagnosis, bins: Bins) -> list[dict[str, Any]]:
         | _own_alarms(diagnosis, m)
         for m in member_order(diagnosis, SHOWN_MEMBERS)
     ]
-    if diagnosis.horizon:  # side by side, norms are compared: one kind of axis for all
+    if diagnosis.test.horizon:  # side by side, norms are compared: one kind of axis for all
         charts = [chart | {"log": any(c["log"] for c in charts)} for chart in charts]
     return charts
 
@@ -192,8 +194,8 @@ def own_alarms(diagnosis: Diagnosis, m: int) -> NDArray[np.int64] | None:
 
     There it has a fault of its own, and the alarms of the others are none of it.
     """
-    dedicated = diagnosis.codes is not None and diagnosis.codes.dedicated
-    return runs(diagnosis.fired[:, m]) if dedicated else None
+    dedicated = diagnosis.naming.codes is not None and diagnosis.naming.codes.dedicated
+    return runs(diagnosis.parts.fired[:, m]) if dedicated else None
 
 
 def _own_alarms(diagnosis: Diagnosis, m: int) -> dict[str, Any]:
@@ -237,9 +239,9 @@ def plain_clock(time: NDArray[np.float64]) -> dict[str, Any]:
 
 def norm_unit(diagnosis: Diagnosis, member: int | None = None) -> str:
     """Return the unit of the norm of a member's residuals, or of all: theirs if they share one, else none."""
-    names = diagnosis.residual_names
+    names = diagnosis.generator.residuals
     if member is not None:
-        rows = diagnosis.tested.get(diagnosis.members[member]) or diagnosis.generator.members[member].residuals
+        rows = diagnosis.parts.residuals.get(diagnosis.members[member]) or diagnosis.generator.members[member].residuals
         names = [names[i] for i in rows]
     units = {residual_unit(diagnosis, name) for name in names}
     return units.pop() if len(units) == 1 else ""
@@ -247,9 +249,9 @@ def norm_unit(diagnosis: Diagnosis, member: int | None = None) -> str:
 
 def _peak_axis(diagnosis: Diagnosis, member: int | None = None) -> dict[str, Any]:
     """Return unit, axis and floor of a chart of a norm that is neither centred nor whitened; else nothing."""
-    if not diagnosis.horizon:
+    if not diagnosis.test.horizon:
         return {}
-    limit = diagnosis.threshold if member is None else diagnosis.member_thresholds[member]
+    limit = diagnosis.threshold if member is None else diagnosis.parts.thresholds[member]
     floor = {"floor": float(limit) * PEAK_FLOOR}
     if member is None and diagnosis.members:
         return {"axis": "ratio [–]"} | floor

@@ -63,7 +63,7 @@ def signal_order(diagnosis: Diagnosis) -> list[int]:
     main = diagnosis.main_alarm
     if main is None:
         return list(range(values.shape[1]))
-    for i, j in diagnosis.compared:
+    for i, j in diagnosis.recording.compared:
         values[:, j] = diagnosis.residuals[:, i]
     before = values[: main.start][diagnosis.decided[: main.start]]
     during = values[main.start : main.stop]

@@ -26,7 +26,7 @@ MOST_MEMBERS = 16
 
 def code_table(diagnosis: Diagnosis) -> str:
     """Return members against faults, with those fired in the main alarm as last row; empty without codes."""
-    codes = diagnosis.codes
+    codes = diagnosis.naming.codes
     if codes is None:
         return ""
     main = diagnosis.main_alarm
@@ -155,6 +155,6 @@ def member_order(diagnosis: Diagnosis, most: int) -> list[int]:
     n = len(diagnosis.members)
     if n <= most or not len(diagnosis.time):
         return list(range(n))
-    ratio: NDArray[np.float64] = diagnosis.member_statistics / diagnosis.member_thresholds
+    ratio: NDArray[np.float64] = diagnosis.parts.statistics / diagnosis.parts.thresholds
     largest = np.where(np.isfinite(ratio), ratio, 0.0).max(axis=0)
     return np.argsort(-largest, kind="stable").tolist()

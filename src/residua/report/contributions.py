@@ -21,13 +21,13 @@ SHOWN_SHARES = 10
 def averaged_residuals(diagnosis: Diagnosis) -> NDArray[np.float64]:
     """Return the residuals averaged over the window of the test; NaN without a decision."""
     out = np.where(diagnosis.decided[:, None], diagnosis.residuals, np.nan)
-    n, window = len(out), diagnosis.averaged
+    n, window = len(out), diagnosis.test.averaged
     if window <= 1 or not n:
         return out
     rows = np.flatnonzero(np.isfinite(out).all(axis=1))
-    total = np.vstack([np.zeros(out.shape[1]), np.cumsum(out[rows] - diagnosis.center, axis=0)])
+    total = np.vstack([np.zeros(out.shape[1]), np.cumsum(out[rows] - diagnosis.test.center, axis=0)])
     start = np.maximum(np.arange(len(rows)) + 1 - window, 0)
-    out[rows] = diagnosis.center + (total[1:] - total[start]) / window
+    out[rows] = diagnosis.test.center + (total[1:] - total[start]) / window
     return out
 
 
@@ -39,15 +39,15 @@ def shares_of_statistic(diagnosis: Diagnosis) -> NDArray[np.float64] | None:
     not a norm of all residuals: of a bank by code, and of matched filters.
     """
     main = diagnosis.main_alarm
-    if main is None or diagnosis.codes is not None or diagnosis.match is not None:
+    if main is None or diagnosis.naming.codes is not None or diagnosis.match is not None:
         return None
     rows = averaged_residuals(diagnosis)[main.start : main.stop]
     rows = rows[np.isfinite(rows).all(axis=1)]
     if not len(rows):
         return None
-    U, s, _ = np.linalg.svd(diagnosis.whitening)
+    U, s, _ = np.linalg.svd(diagnosis.test.whitening)
     root = (U * s) @ U.T
-    center = np.zeros(rows.shape[1]) if diagnosis.horizon else diagnosis.center
+    center = np.zeros(rows.shape[1]) if diagnosis.test.horizon else diagnosis.test.center
     squares = np.mean(((rows - center) @ root) ** 2, axis=0)
     total = float(squares.sum())
     return squares / total if total > 0 else None
@@ -59,7 +59,7 @@ def inside_band(diagnosis: Diagnosis, start: int, stop: int) -> NDArray[np.float
     rows = rows[np.isfinite(rows).all(axis=1)]
     if not len(rows):
         return np.full(diagnosis.residuals.shape[1], np.nan)
-    return np.mean(np.abs(rows - diagnosis.center) <= diagnosis.band, axis=0)
+    return np.mean(np.abs(rows - diagnosis.test.center) <= diagnosis.test.band, axis=0)
 
 
 def contribution_html(diagnosis: Diagnosis) -> str:
@@ -74,7 +74,7 @@ def contribution_html(diagnosis: Diagnosis) -> str:
     for i in order[:SHOWN_SHARES]:
         bar = f'<td class="bar"><span style="--w:{100 * shares[i]:.1f}%"></span></td>'
         share = "–" if np.isnan(inside[i]) else percent(round(1000 * (1 - float(inside[i]))), 1000)
-        name = f'<td class="name">{escape(diagnosis.residual_names[i])}</td>'
+        name = f'<td class="name">{escape(diagnosis.generator.residuals[i])}</td>'
         rows.append([name, bar, f'<td class="num">{100 * shares[i]:.1f} %</td>', f'<td class="num">{share}</td>'])
     rest = order[SHOWN_SHARES:]
     if rest:
@@ -100,9 +100,9 @@ def channels_by_reconstruction(diagnosis: Diagnosis) -> list[tuple[str, float]]:
     Dunia and Qin (1998), AIChE Journal 44(8), 1813-1831.
     """
     main, plant = diagnosis.main_alarm, diagnosis.generator.plant
-    if main is None or plant.n_states or plant.inputs or not diagnosis.signatures:
+    if main is None or plant.n_states or plant.inputs or not diagnosis.naming.signatures:
         return []
-    channels = len(diagnosis.groups) - len(diagnosis.learnt_faults)  # learnt faults are not channels
+    channels = len(diagnosis.groups) - len(diagnosis.naming.learnt_faults)  # learnt faults are not channels
     rows = diagnosis.scores[main.start : main.stop, :channels]
     rows = rows[np.isfinite(rows).all(axis=1)]
     if not len(rows):
@@ -134,7 +134,7 @@ def _inside_text(diagnosis: Diagnosis, i: int, share: float, inside: float) -> s
     if not inside >= 0.5:
         return ""
     how = "the whole" if inside == 1 else f"{percent(round(1000 * inside), 1000)} of the"
-    name = escape(diagnosis.residual_names[i])
+    name = escape(diagnosis.generator.residuals[i])
     return (
         f"<p><b>{name} carries {100 * share:.0f} % of the statistic although it stayed inside its normal range for "
         f"{how} alarm.</b> That range is for this residual alone. The test judges all residuals together, by how they "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -43,15 +44,20 @@ def found_values(diagnosis: Diagnosis) -> dict[str, Any]:
         "incomplete": totals.missing,
         "first": totals.first,
         "last": totals.last,
-        "times_from": diagnosis.origin or None,
-        "alarms": [plain(alarm.to_dict(window=diagnosis.window)) for alarm in diagnosis.alarms],
+        "times_from": diagnosis.recording.origin or None,
+        "alarms": [plain(alarm.to_dict(window=diagnosis.naming.window)) for alarm in diagnosis.alarms],
         "notes": list(diagnosis.notes),
     }
 
 
 def document_of(diagnosis: Diagnosis, *, whole: bool) -> str:
     """Return a diagnosis as JSON; without ``whole`` only its findings."""
-    head = {"format": FORMAT, "version": VERSION, "plant": diagnosis.generator.plant.name, "source": diagnosis.source}
+    head = {
+        "format": FORMAT,
+        "version": VERSION,
+        "plant": diagnosis.generator.plant.name,
+        "source": diagnosis.recording.source,
+    }
     return dumps({**head, **found_values(diagnosis), "whole": _whole(diagnosis) if whole else None})
 
 
@@ -143,29 +149,30 @@ def _check_shapes(made: Diagnosis) -> None:
         "residuals": (time, k),
         **dict.fromkeys(("statistic", "alarm", "decided", "missing"), (time,)),
         "scores": (time, len(made.groups)),
-        "center": (k,),
-        "band": (k,),
+        "test.center": (k,),
+        "test.band": (k,),
         "signals": (time, len(plant.inputs) + len(plant.outputs)) if len(made.signals) else made.signals.shape,
-        **(dict.fromkeys(("member_statistics", "fired"), (time, members)) if members else {}),
-        **({"member_thresholds": (members,)} if members else {}),
-        **({"code": (time, members)} if made.codes else {}),
+        **(dict.fromkeys(("parts.statistics", "parts.fired"), (time, members)) if members else {}),
+        **({"parts.thresholds": (members,)} if members else {}),
+        **({"parts.code": (time, members)} if made.naming.codes else {}),
     }
     for name, shape in shapes.items():
-        if getattr(made, name).shape != shape:
-            raise FileFormatError(f"whole.{name} must have shape {shape}, got {getattr(made, name).shape}")
-    if len(made.residual_names) != k:
-        raise FileFormatError(f"whole.residual_names must be {k}, got {len(made.residual_names)}")
+        array = attrgetter(name)(made)
+        if array.shape != shape:
+            raise FileFormatError(f"whole.{name} must have shape {shape}, got {array.shape}")
     if made.match is not None:
         for name, array in vars(made.match).items():
             shape = (time,) if name in ("fault", "arrival", "source") else (time, len(made.generator.faults))
             if array.shape != shape:
                 raise FileFormatError(f"whole.match.{name} must have shape {shape}, got {array.shape}")
-    if not all(len(pair) == 2 and 0 <= pair[0] < k and 0 <= pair[1] < plant.n_outputs for pair in made.compared):
+    if not all(
+        len(pair) == 2 and 0 <= pair[0] < k and 0 <= pair[1] < plant.n_outputs for pair in made.recording.compared
+    ):
         raise FileFormatError(
-            f"whole.compared must be pairs of one of {k} residuals and one of {plant.n_outputs} outputs"
+            f"whole.recording.compared must be pairs of one of {k} residuals and one of {plant.n_outputs} outputs"
         )
-    if any(not 0 <= row < k for rows in made.tested.values() for row in rows):
-        raise FileFormatError(f"whole.tested must be numbers of {k} residuals")
+    if any(not 0 <= row < k for rows in made.parts.residuals.values() for row in rows):
+        raise FileFormatError(f"whole.parts.residuals must be numbers of {k} residuals")
     samples = made.totals.samples
     for j, alarm in enumerate(made.alarms):
         if not 0 <= alarm.start < alarm.stop <= samples:

@@ -26,7 +26,7 @@ def charts_html(diagnosis: Diagnosis, charts: dict[str, Any], place: int) -> str
         )
     shown = 0 if bank else SHOWN_RESIDUALS  # of a bank, the statistics of its members matter
     residuals, members = figures["residual"], figures["member"]
-    parts = "groups of residuals" if diagnosis.tested else "members"
+    parts = "groups of residuals" if diagnosis.parts.residuals else "members"
     tests = [
         *figures["statistic"],
         *members[:SHOWN_MEMBERS],
@@ -62,8 +62,8 @@ def _measured(diagnosis: Diagnosis, figures: dict[str, list[str]]) -> str:
 
 def _figure(k: int, chart: dict[str, Any], diagnosis: Diagnosis) -> str:
     """Return the place of one chart, with its title."""
-    bank, what = bool(diagnosis.members), "norm" if diagnosis.horizon else "statistic"
-    part = "group" if diagnosis.tested else "member"
+    bank, what = bool(diagnosis.members), "norm" if diagnosis.test.horizon else "statistic"
+    part = "group" if diagnosis.parts.residuals else "member"
     if chart["kind"] == "signal":
         name = chart["label"]
     elif chart["kind"] == "residual":
@@ -76,7 +76,8 @@ def _figure(k: int, chart: dict[str, Any], diagnosis: Diagnosis) -> str:
             else f"{what[0].upper()}{what[1:]} and its threshold",
             "member": f"{part.capitalize()} {chart['label']}: {what}{' of its residual' * (what == 'norm')} "
             "and its threshold",
-            "scores": f"Candidate scores{', members that agree' * bool(diagnosis.codes)} (faded where no alarm stands)",
+            "scores": f"Candidate scores{', members that agree' * bool(diagnosis.naming.codes)} "
+            "(faded where no alarm stands)",
         }[chart["kind"]]
     title = with_unit(name, chart["unit"])
     log = (
@@ -113,12 +114,12 @@ def _behind(figures: list[str], what: str) -> str:
 
 def band_text(diagnosis: Diagnosis) -> str:
     """Return the meaning of the normal range of a residual."""
-    if diagnosis.horizon:
+    if diagnosis.test.horizon:
         return "a residual outside it takes the norm of all over the threshold, even alone"
-    mean = f"averages over {diagnosis.averaged} samples" if diagnosis.averaged > 1 else "samples"
-    if not diagnosis.band_share:
+    mean = f"averages over {diagnosis.test.averaged} samples" if diagnosis.test.averaged > 1 else "samples"
+    if not diagnosis.test.band_share:
         return "fault-free mean ± the threshold; one residual outside it takes the statistic over the threshold"
-    outside = round(1 / (1 - diagnosis.band_share))
+    outside = round(1 / (1 - diagnosis.test.band_share))
     together = "judges all residuals together"
     if diagnosis.match is not None:
         together = "adds up how well whole responses fit, over many samples and all residuals"
@@ -160,10 +161,10 @@ def _key(charts: dict[str, Any], diagnosis: Diagnosis) -> str:
             f"Drawn from bins of {charts['binned']} samples: the smallest and the largest value of each bin, so no "
             "extreme is lost. Times in the charts are exact to one bin; verdict and tables use every sample."
         )
-    if diagnosis.averaged > 1 and not diagnosis.members:
+    if diagnosis.test.averaged > 1 and not diagnosis.members:
         remarks.append(
-            f"The second line of a residual is its average over {diagnosis.averaged} samples; the test and the normal "
-            "range refer to this average."
+            f"The second line of a residual is its average over {diagnosis.test.averaged} samples; the test and the "
+            "normal range refer to this average."
         )
     if charts["spans"]["undecided"]:
         remarks.append("The axes of the residuals fit the judged samples; a settling filter may run off them.")

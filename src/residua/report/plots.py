@@ -88,7 +88,7 @@ def plot_diagnosis(diagnosis: Diagnosis, ax: Axes | None = None, *, figure: Figu
         _scores(diagnosis, axes[-1])
     axes[-1].set_xlabel("time [s]")
     title = diagnosis.generator.plant.name
-    figure.suptitle(_plain(f"{title}: {diagnosis.source}" if diagnosis.source else title))
+    figure.suptitle(_plain(f"{title}: {diagnosis.recording.source}" if diagnosis.recording.source else title))
     return figure
 
 
@@ -216,8 +216,8 @@ def _shade(diagnosis: Diagnosis, ax: Axes, member: int | None = None) -> None:
 
 
 def _residual(diagnosis: Diagnosis, i: int, ax: Axes) -> None:
-    name = diagnosis.residual_names[i]
-    center, band = float(diagnosis.center[i]), float(diagnosis.band[i])
+    name = diagnosis.generator.residuals[i]
+    center, band = float(diagnosis.test.center[i]), float(diagnosis.test.band[i])
     if np.isfinite(center) and np.isfinite(band):
         ax.axhspan(center - band, center + band, color=_BAND, alpha=0.16, lw=0)
     _shade(diagnosis, ax)
@@ -244,17 +244,17 @@ def _name(ax: Axes, name: str, unit: str) -> None:
 
 
 def _is_estimate(diagnosis: Diagnosis, i: int) -> bool:
-    return bool(estimated_fault(diagnosis, diagnosis.residual_names[i]))
+    return bool(estimated_fault(diagnosis, diagnosis.generator.residuals[i]))
 
 
 def _member(diagnosis: Diagnosis, m: int, ax: Axes) -> None:
     """Draw the statistic of one member of a bank with its threshold."""
     _shade(diagnosis, ax, m)
-    _line(diagnosis, diagnosis.member_statistics[:, m], ax, color=_COLOURS[0], lw=0.9)
-    ax.axhline(diagnosis.member_thresholds[m], color=_ALARM, ls="--", lw=1.2)
+    _line(diagnosis, diagnosis.parts.statistics[:, m], ax, color=_COLOURS[0], lw=0.9)
+    ax.axhline(diagnosis.parts.thresholds[m], color=_ALARM, ls="--", lw=1.2)
     ax.set_title(_plain(diagnosis.members[m]), loc="left", fontsize="small")
-    ax.set_ylabel(_plain(with_unit("norm", norm_unit(diagnosis, m))) if diagnosis.horizon else "statistic [–]")
-    _scale(diagnosis, ax, diagnosis.member_statistics, diagnosis.member_thresholds, m)
+    ax.set_ylabel(_plain(with_unit("norm", norm_unit(diagnosis, m))) if diagnosis.test.horizon else "statistic [–]")
+    _scale(diagnosis, ax, diagnosis.parts.statistics, diagnosis.parts.thresholds, m)
     ax.margins(x=0)
 
 
@@ -263,7 +263,7 @@ def _statistic(diagnosis: Diagnosis, ax: Axes, **place: Any) -> None:
     _line(diagnosis, diagnosis.statistic, ax, color=_COLOURS[0], lw=0.9, label="statistic")
     if np.isfinite(diagnosis.threshold):
         ax.axhline(diagnosis.threshold, color=_ALARM, ls="--", lw=1.2, label="threshold")
-    norm = _plain(with_unit("norm", norm_unit(diagnosis))) if diagnosis.horizon else "statistic [–]"
+    norm = _plain(with_unit("norm", norm_unit(diagnosis))) if diagnosis.test.horizon else "statistic [–]"
     ax.set_ylabel("largest ratio to\nthreshold [–]" if diagnosis.members else norm)
     _scale(diagnosis, ax, diagnosis.statistic[:, None], np.array([diagnosis.threshold]), 0)
     ax.margins(x=0)
@@ -273,7 +273,7 @@ def _statistic(diagnosis: Diagnosis, ax: Axes, **place: Any) -> None:
 def _scale(diagnosis: Diagnosis, ax: Axes, values: np.ndarray, limits: np.ndarray, m: int) -> None:
     """Give a norm that far exceeds its threshold a logarithmic axis; all members alike."""
     ratio = values / limits
-    if not diagnosis.horizon or not np.any(ratio > LOG_FROM):
+    if not diagnosis.test.horizon or not np.any(ratio > LOG_FROM):
         return
     ax.set_yscale("log")
     top = np.nanmax(np.where(np.isfinite(values[:, m]), values[:, m], np.nan), initial=limits[m])

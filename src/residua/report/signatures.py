@@ -68,9 +68,9 @@ class Signatures:
 
 def judged_signatures(diagnosis: Diagnosis) -> Signatures:
     """Return the signatures by which a diagnosis was judged; without any, those of its generator."""
-    if not diagnosis.signatures and (diagnosis.groups or not diagnosis.unjudged):
-        return generator_signatures(diagnosis.generator, diagnosis.whitening)
-    return _turned(diagnosis.generator, diagnosis.groups, diagnosis.signatures, diagnosis.whitening)
+    if not diagnosis.naming.signatures and (diagnosis.groups or not diagnosis.naming.unjudged):
+        return generator_signatures(diagnosis.generator, diagnosis.test.whitening)
+    return _turned(diagnosis.generator, diagnosis.groups, diagnosis.naming.signatures, diagnosis.test.whitening)
 
 
 def generator_signatures(generator: ResidualGenerator, whitening: NDArray[np.float64] | None = None) -> Signatures:

@@ -13,7 +13,7 @@ from residua.decide.alarm import Candidate
 from residua.decide.statement import angle, capital, left_out_text, longest_alarms, ranked, sizes_text, tied_name
 from residua.design.core.evidence import Evidence, format_pole
 from residua.monitor.fault_learning import LearntFaults
-from residua.monitor.visible_sizes import DETECTABLE, HEADER
+from residua.monitor.fit_check import DETECTABLE, HEADER
 from residua.report.choosing import SHOWN_FAULTS
 from residua.report.text import escape
 from residua.words import number, score, some
@@ -138,10 +138,10 @@ def candidate_table(diagnosis: Diagnosis) -> str:
     candidates = diagnosis.candidates
     if not candidates:
         return ""
-    by_code = diagnosis.codes is not None
+    by_code = diagnosis.naming.codes is not None
     matched = diagnosis.match is not None
     probable = any(c.probability is not None for c in candidates)
-    scored_alone = by_code or matched or not diagnosis.signatures
+    scored_alone = by_code or matched or not diagnosis.naming.signatures
     sized = any(c.sizes for c in candidates)
     rows = []
     for k, c in ranked(candidates):
@@ -173,7 +173,7 @@ def candidate_table(diagnosis: Diagnosis) -> str:
 
 def learnt_faults_html(diagnosis: Diagnosis) -> str:
     """Return the table of learnt faults, with the angle of the main alarm to each."""
-    table = LearntFaults(diagnosis.learnt_faults)
+    table = LearntFaults(diagnosis.naming.learnt_faults)
     if not table:
         return ""
     header, rows = table.cells()

@@ -16,10 +16,7 @@ if TYPE_CHECKING:
 #: Points that are kept of each series at most.
 POINTS = 20_000
 #: The series of a diagnosis but its times.
-_SERIES = (
-    *("residuals", "statistic", "alarm", "decided", "missing", "scores"),
-    *("member_statistics", "fired", "code", "match", "signals"),
-)
+_SERIES = (*("residuals", "statistic", "alarm", "decided", "missing", "scores", "parts", "match", "signals"),)
 
 
 def thinned(diagnosis: Diagnosis, table: str) -> Diagnosis:
@@ -38,15 +35,14 @@ def thinned(diagnosis: Diagnosis, table: str) -> Diagnosis:
     series = {name: _of(bins, getattr(diagnosis, name)) for name in _SERIES}
     if bins.width == 1:
         return replace(diagnosis, time=np.array(diagnosis.time), **series)
-    return replace(
-        diagnosis,
-        **series,
-        time=bins.times(diagnosis.time),
+    recording = replace(
+        diagnosis.recording,
         compared=(),  # an output and its prediction are thinned at different samples
         thinned=True,
         counted=diagnosis.totals,
         table=table,
     )
+    return replace(diagnosis, **series, time=bins.times(diagnosis.time), recording=recording)
 
 
 def _of(bins: Bins, values: Any) -> Any:

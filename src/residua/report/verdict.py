@@ -81,8 +81,8 @@ def verdict(diagnosis: Diagnosis) -> Verdict:
     Verdict
     """
     found, check = _verdict(diagnosis), diagnosis.fit_check
-    first = [_UNLIKE] if diagnosis.is_unlike_the_fit else []
-    if diagnosis.outside > _MOSTLY and found.kind != "outside":
+    first = [_UNLIKE] if diagnosis.recording.is_unlike_the_fit else []
+    if diagnosis.test.outside > _MOSTLY and found.kind != "outside":
         first.append(f"{_outside(diagnosis)}.")
     first += [f"{capital(one)}." for one in (check.cautions if check else ())]
     return replace(found, headline=" ".join([*first, found.headline])) if first else found
@@ -103,11 +103,11 @@ def _verdict(diagnosis: Diagnosis) -> Verdict:
             f"The statistic reached {number(share, 3)} % of its threshold at most"
             + (", but not for long enough to raise an alarm." if share > 100 else ".")
         )
-    if diagnosis.unjudged:
-        want = "code" if diagnosis.codes else "signature"
-        sentences.append(f"This monitor may miss {some(diagnosis.unjudged)}: it has no {want} for it.")
+    if diagnosis.naming.unjudged:
+        want = "code" if diagnosis.naming.codes else "signature"
+        sentences.append(f"This monitor may miss {some(diagnosis.naming.unjudged)}: it has no {want} for it.")
     check = diagnosis.fit_check
-    if diagnosis.outside > _MOSTLY:
+    if diagnosis.test.outside > _MOSTLY:
         return Verdict("outside", f"Cannot tell: {_outside(diagnosis)}.", tuple(sentences))
     if check is not None:
         sentences += check.could_have_seen
@@ -118,7 +118,7 @@ def _verdict(diagnosis: Diagnosis) -> Verdict:
 
 def _outside(diagnosis: Diagnosis) -> str:
     """Return the share of a recording outside of the learnt range."""
-    share = percent(round(100 * diagnosis.outside), 100)
+    share = percent(round(100 * diagnosis.test.outside), 100)
     return f"{share} of the samples lie outside the range that the monitor has learnt"
 
 
@@ -146,17 +146,17 @@ def _fault(diagnosis: Diagnosis) -> Verdict:
     said = diagnosis.statement(main)
     headline = said.headline
     best = main.candidates[0] if main.candidates else None
-    if diagnosis.unjudged and main.reading is None and best and (main.ended is not None or best.score < _SURE):
-        headline = f"{headline[:-1]}; or {some(diagnosis.unjudged)}, which this monitor never names."
+    if diagnosis.naming.unjudged and main.reading is None and best and (main.ended is not None or best.score < _SURE):
+        headline = f"{headline[:-1]}; or {some(diagnosis.naming.unjudged)}, which this monitor never names."
     sentences += said.sentences
     if diagnosis.no_direction:
         sentences.append(f"{capital(NO_DIRECTION)}, and the size is that of what it estimates.")
-    if diagnosis.certified:
+    if diagnosis.test.certified:
         sentences.append(CERTAIN)
     sentences += [*_sized(main), *_not_apart(diagnosis, main)]
-    if diagnosis.unjudged:
-        want = "code" if diagnosis.codes else "signature"
-        sentences.append(f"Never named, because this monitor has no {want} for it: {some(diagnosis.unjudged)}.")
+    if diagnosis.naming.unjudged:
+        want = "code" if diagnosis.naming.codes else "signature"
+        sentences.append(f"Never named, because this monitor has no {want} for it: {some(diagnosis.naming.unjudged)}.")
     if len(diagnosis.alarms) > 1:
         sentences.append(f"This is the longest of {len(diagnosis.alarms):,} alarms.")
     return Verdict("fault", headline, tuple(sentences), said.confidence, said.margin, said.present, said.rules)

@@ -18,9 +18,9 @@ from residua.decide.isolation import Scores, Seen, last_over
 from residua.decide.test import Block, Tested
 from residua.design import ResidualGenerator
 from residua.linear import StateSpace
-from residua.monitor.filtering import filter_block
 from residua.monitor.fused import run_block
-from residua.monitor.running import initial_state, rows_of
+from residua.monitor.plant_records import rows_of
+from residua.monitor.running import filter_block, initial_state
 from residua.monitor.specification import FilterState, Specification
 from residua.robust.sets.uncertain_plant import UncertainPlant
 from residua.validate.noise import NoiseModel, Resampled

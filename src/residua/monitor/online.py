@@ -1,4 +1,8 @@
-"""Running state of a monitor: the state after the last sample, kept in the fused loop if there is one."""
+"""Running state of a monitor: the state after the last sample, kept in the fused loop if there is one.
+
+A block changes a copy, which takes the place of the state at its end: an error within, an interruption or a fork in
+its middle leaves the state as it was.
+"""
 
 from __future__ import annotations
 
@@ -14,10 +18,10 @@ from residua.design import ResidualGenerator
 from residua.design.core.signals import stacked
 from residua.errors import DataError, SettingError
 from residua.monitor.decision import Decision, decision_from
-from residua.monitor.fused import ALARM, DECIDED, MISSING, OUTPUTS, FusedRun, copied, decisions_of, plan_of
+from residua.monitor.fused import ALARM, DECIDED, MISSING, OUTPUTS, FusedRun, decisions_of, plan_of
+from residua.monitor.plant_records import copied
 from residua.monitor.running import Decisions, State, initial_state, joined_decisions, run_reference
 from residua.monitor.specification import Specification
-from residua.monitor.whole_blocks import UNDER_WAY, Job
 from residua.visible import echo, listed
 
 #: Samples per piece when a recording is run: bounds memory and lets progress be shown.
@@ -28,48 +32,55 @@ KEPT = ("residuals", "missing", "aside", "usable", "statistic", "exceeded", "ala
 _OF_MEMBERS = ("member_statistics", "fired", "code")
 #: Outputs not needed once a recording is judged.
 _PASSING = ("whitened", "ready")
+#: Said where a block begins within a block.
+UNDER_WAY = (
+    "a block is under way: a test or an isolation of your own calls the monitor or the fleet that it runs in, two "
+    "threads share a fleet, or this process was forked in the middle of a block. Take what it needs before the block, "
+    "or a copy of the monitor"
+)
 
 
-class Live:
-    """Running state of a monitor, changed in place by the kernel.
+class Online:
+    """Running state of a monitor.
 
     Parameters
     ----------
     inputs : int
         Channels of u; the others are of y.
 
+    Attributes
+    ----------
+    is_within : bool
+        Whether a block is under way.
+
     Notes
     -----
-    The state is ``None`` before the first sample. Setting it makes the next block go on from there. A block happens
-    whole or not at all: see :mod:`residua.monitor.whole_blocks`.
+    The state is ``None`` before the first sample. Setting it makes the next block go on from there.
     """
 
-    def __init__(self, inputs: int) -> None:
+    def __init__(self, inputs: int, state: State | None = None) -> None:
         self.inputs = inputs
-        #: State for the next block: in the kernel if there is one, else the state itself.
-        self._run: FusedRun | None = None
-        self._kept: State | None = None
-        self._is_running = False
+        self.is_within = False
+        #: What the next block starts from: the state itself, or the kernel on it, with another one for the next block.
+        self._now: tuple[State | None, FusedRun | None, FusedRun | None] = (state, None, None)
 
     @property
     def state(self) -> State | None:
         """State from which the next block starts."""
-        return self._kept if self._run is None else self._run.state
+        state, run, _ = self._now
+        return state if run is None else run.state
 
     @state.setter
     def state(self, state: State | None) -> None:
-        self._kept = state
-        self._run = None
+        self._now = (state, None, None)
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __reduce__(self) -> tuple[Any, ...]:
         """Leave out the kernel, which belongs to the arrays of this object."""
-        return {"inputs": self.inputs, "_kept": self.state, "_run": None, "_is_running": False}
+        return Online, (self.inputs, self.state)
 
-    def apart(self) -> Live:
+    def apart(self) -> Online:
         """Return a copy with its own arrays, which no later block changes."""
-        other = Live(self.inputs)
-        other.state = copied(self.state)
-        return other
+        return Online(self.inputs, copied(self.state))
 
     def go_on(
         self, spec: Specification, data: NDArray[np.float64], keep: Sequence[str] | None = None
@@ -78,29 +89,41 @@ class Live:
         before = self.state
         if before is not None and len(before.count) != len(data):
             raise DataError(f"the monitor follows {len(before.count)} plants, the block has {len(data)}; reset() first")
+        if self.is_within:
+            raise DataError(UNDER_WAY)
+        try:
+            self.is_within = True
+            decisions, state = self._block(spec, before, data, keep)
+            self.is_within = False
+        except BaseException:
+            self.is_within = False
+            raise
+        return (decisions if keep is None else _only(decisions, keep)), state
+
+    def _block(
+        self, spec: Specification, before: State | None, data: NDArray[np.float64], keep: Sequence[str] | None
+    ) -> tuple[Decisions, State]:
         run = self._fused(spec, len(data))
         if run is None:
-            state = initial_state(spec, len(data)) if before is None else before
-            if self._is_running:
-                raise DataError(UNDER_WAY)
-            self._is_running = True
-            try:
-                after, decisions = run_reference(spec, state, data)
-            finally:
-                self._is_running = False
-            self.state = after
-            return (decisions if keep is None else _only(decisions, keep)), after
+            state, decisions = run_reference(spec, before or initial_state(spec, len(data)), data)
+            self.state = state
+            return decisions, state
         wanted = OUTPUTS if keep is None else (*keep, *_OF_MEMBERS)
         if keep is not None and not run.plan.names:
             wanted = (*wanted, "residuals", "ready", "usable")
-        outputs = run.outputs(data.shape[0], data.shape[1], wanted)
-        decisions = run.block(data, outputs)
-        return (decisions if keep is None else _only(decisions, keep)), run.state
+        after = self._now[2]
+        if after is None:
+            after = FusedRun(spec, run.plan, copied(run.state), self.inputs)
+        else:
+            after.take(run.state)
+        decisions = after.block(data, after.outputs(data.shape[0], data.shape[1], wanted))
+        self._now = (None, after, run)
+        return decisions, after.state
 
     def step(self, spec: Specification, generator: ResidualGenerator, u: Any, y: Any) -> Decision | None:
         """Return the decision on one sample, if the kernel can take it unchanged."""
-        run = self._run
-        if run is None or run.spec is not spec or run.worker.work is not None:  # as a rule it is as it is
+        run = self._now[1]
+        if run is None or run.spec is not spec:  # as a rule it is as it is
             run = self._fused(spec, 1)
         if run is None or not run.steps:
             return None
@@ -114,16 +137,15 @@ class Live:
 
     def _fused(self, spec: Specification, plants: int) -> FusedRun | None:
         """Return the kernel on the state; ``None`` if NumPy runs."""
-        run = self._run
-        if run is not None and run.spec is spec:
-            run.finish()
-            return run
-        plan = plan_of(spec)
-        if plan is None:
-            return None
-        before = self.state
-        self._run = FusedRun(spec, plan, copied(initial_state(spec, plants) if before is None else before), self.inputs)
-        return self._run
+        run = self._now[1]
+        if run is None or run.spec is not spec:
+            plan, before = plan_of(spec), self.state
+            if plan is None:
+                return None
+            state = copied(initial_state(spec, plants) if before is None else before)
+            run = FusedRun(spec, plan, state, self.inputs)
+            self._now = (None, run, None)
+        return run
 
 
 def run_whole(
@@ -145,7 +167,7 @@ def run_whole(
     for start in range(0, time, PIECE):
         piece = slice(start, start + PIECE)
         places = {name: None if values is None else values[:, piece] for name, values in out.items()}
-        run.run(Job(u[:, piece], y[:, piece], places, joined=data[:, piece]))
+        run.run(u[:, piece], y[:, piece], places, joined=data[:, piece])
         if progress is not None:
             progress(min(start + PIECE, time), time)
     return run.state, decisions_of(out), data
@@ -173,7 +195,7 @@ def _run_stacked(
             parts.append(decisions)
         elif whole:
             places = {n: None if v is None else v[:, start : start + PIECE] for n, v in out.items()}
-            run.run(Job(part, part[..., :0], places))
+            run.run(part, part[..., :0], places)
         else:
             parts.append(run.block(part, run.outputs(part.shape[0], part.shape[1])))
         if progress is not None:
@@ -209,4 +231,4 @@ def _none() -> Any:
     return None
 
 
-__all__ = ["KEPT", "PIECE", "Live", "checked_keep", "run_whole"]
+__all__ = ["KEPT", "PIECE", "UNDER_WAY", "Online", "checked_keep", "run_whole"]

@@ -19,15 +19,12 @@ from residua.decide.stationarity import changes, transient_samples
 from residua.decide.test import FaultFreeRun, ResidualTest, TestSettings, Watched
 from residua.design import ResidualGenerator
 from residua.errors import DataError, SettingError
-from residua.monitor.filtering import plausible_values
-from residua.monitor.fit_check import Explained, FitCheck
+from residua.monitor.fit_check import Explained, FitCheck, visible_sizes
 from residua.monitor.fused import run_block
 from residua.monitor.inputs import settling_reason, settling_samples, signal_levels
 from residua.monitor.outcome import compared_outputs
-from residua.monitor.running import initial_state
-from residua.monitor.setup import blank_test, specification
-from residua.monitor.specification import Specification
-from residua.monitor.visible_sizes import visible_sizes
+from residua.monitor.running import initial_state, plausible_values
+from residua.monitor.specification import Specification, blank_test, specification
 from residua.recording.levels import level_and_spread, units_at_point, units_between
 from residua.visible import echo
 from residua.words import counted, listing

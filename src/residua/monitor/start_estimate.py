@@ -139,26 +139,7 @@ def start_fit(generator: ResidualGenerator, test: ResidualTest, settle: int) -> 
     if not rank:
         return None
     carried = np.linalg.matrix_power(A, samples) @ inverse @ inverse.T
-    return start_from(A, C, test, samples, carried, weights)
-
-
-def start_from(
-    A: NDArray[np.float64],
-    C: NDArray[np.float64],
-    test: ResidualTest,
-    samples: int,
-    correction: NDArray[np.float64],
-    weights: NDArray[np.float64] | None,
-) -> StartFit:
-    """Return an estimator of the start, from the filter, its test and the correction.
-
-    Weights that the test does not know are those of the correction; ``None`` for a correction from a file that does not
-    have them: then they depend on the units of the states, as they did.
-    """
-    known = _known_weights(test)
-    weights = weights if known is None else known
-    weights = _weights_by_size(C, A, samples) if weights is None else weights
-    return StartFit(samples, A, C, weights, test.per_threshold, correction)
+    return StartFit(samples, A, C, weights, test.per_threshold, carried)
 
 
 def _known_weights(test: ResidualTest) -> NDArray[np.float64] | None:
