@@ -13,7 +13,7 @@ import pytest
 
 from receiver import events
 from residua.errors import SettingError
-from residua.live.sink import DeliveryError
+from residua.live.delivery import DeliveryError
 from residua.live.sinks.command import Command, Settings
 
 

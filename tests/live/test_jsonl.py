@@ -13,7 +13,7 @@ import pytest
 
 from receiver import events
 from residua.errors import SettingError
-from residua.live.sink import DeliveryError
+from residua.live.delivery import DeliveryError
 from residua.live.sinks.jsonl import BATCH, LOOKED_AT, JsonLines, Settings
 
 
@@ -117,7 +117,7 @@ def test_a_full_disk_leaves_whole_lines(path):
         "import resource, signal, sys; sys.path[:0] = sys.argv[3:];"
         "signal.signal(signal.SIGXFSZ, signal.SIG_IGN); resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000));"
         "from receiver import events; from residua.live.sinks.jsonl import JsonLines, Settings\n"
-        "from residua.live.sink import DeliveryError\n"
+        "from residua.live.delivery import DeliveryError\n"
         "sink = JsonLines(Settings(sys.argv[1])); sink.deliver(events(3))\n"
         "try: sink.deliver(events(30)[3:])\n"
         "except DeliveryError as error: print(error)\n"

@@ -13,7 +13,7 @@ kafka = pytest.importorskip("confluent_kafka", reason="confluent-kafka is not in
 
 from live.brokers import Run, wait_for  # noqa: E402
 from residua.errors import SettingError  # noqa: E402
-from residua.live.messages import LARGEST  # noqa: E402
+from residua.live.source import LARGEST  # noqa: E402
 from residua.live.sources.kafka import Kafka, Settings  # noqa: E402
 
 
@@ -133,10 +133,10 @@ def test_a_run_that_takes_nothing_holds_up_the_cluster_and_keeps_its_partitions(
     with Run(source, most=10) as run:
         run.takes.clear()
         send(cluster, numbers(0, 2000), partition=0)
-        wait_for(lambda: source.waiting >= 50)
+        wait_for(lambda: len(source.queue) >= 50)
         ours = dict(source._ours)
         time.sleep(8.0)
-        assert source.waiting + run.waiting <= 100
+        assert len(source.queue) + run.waiting <= 100
         assert source._ours == ours
         assert source.health.good
         run.takes.set()

@@ -14,8 +14,8 @@ import pytest
 from live.brokers import running
 from receiver import events
 from residua.errors import SettingError
+from residua.live.delivery import DeliveryError
 from residua.live.events import Event
-from residua.live.sink import DeliveryError
 
 paho = pytest.importorskip("paho.mqtt.client", reason="paho-mqtt, of the extra 'mqtt', is not installed")
 

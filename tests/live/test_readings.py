@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from residua.live.messages import LARGEST, Message
 from residua.live.readings import Layout, MessageError, Readings, readings_of
+from residua.live.source import LARGEST, Message
 
 LAYOUT = Layout(("valve",), ("level", "flow"), 0.5)
 

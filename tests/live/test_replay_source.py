@@ -14,7 +14,7 @@ import pytest
 import residua.live.sources.replay as replay
 from live.brokers import Run, wait_for
 from residua.errors import SettingError
-from residua.live.messages import Message
+from residua.live.source import Message
 from residua.live.sources.replay import Replay, Settings
 from residua.plant import Plant
 from residua.recording.recording import read_recording

@@ -11,8 +11,9 @@ from pathlib import Path
 
 import pytest
 
+from residua.live.records import rows_from_bytes
 from residua.live.sqlite_store import SqliteStore
-from residua.live.store import Changes, PlantUpdate, Store, StoreError, rows_from_bytes
+from residua.live.store import Changes, PlantUpdate, Store, StoreError
 from residua.live.watched_plant import WatchedPlant
 from store_writer import changes
 from stores import STORES, Database, made_store

@@ -15,7 +15,7 @@ import pytest
 from certificates import certificates
 from receiver import Receiver, events
 from residua.errors import SettingError
-from residua.live.sink import DeliveryError
+from residua.live.delivery import DeliveryError
 
 pytest.importorskip("httpx", reason="the extra 'live' is not installed")
 

@@ -13,9 +13,9 @@ from typing import Any
 
 from residua.errors import FileFormatError, MissingExtraError, SettingError
 from residua.files import read_bytes
-from residua.live.messages import LONGEST_ID
 from residua.live.secrets import secret
-from residua.live.setting_checks import check_seconds, choice, flag, number, text, texts, whole
+from residua.live.setting_checks import check_types, choice, needed, number, seconds, texts, whole
+from residua.live.source import LONGEST_ID
 from residua.visible import echo, listed
 
 #: Sources and sinks by their kind: the module, which has ``Settings``, and the class that they make.
@@ -65,13 +65,12 @@ class MonitorSettings:
     max_plants: int = 10_000
 
     def __post_init__(self) -> None:
-        text(self, "file", needed="the monitor, such as 'tank.json'")
-        text(self, "name")
+        needed(self, "file", "the monitor, such as 'tank.json'")
         texts(self, "plants")
         for plant in self.plants:
             _check(len(plant) <= LONGEST_ID, f"plants: an id has at most {LONGEST_ID} characters")
-        flag(self, "accept_new")
         whole(self, "max_plants", 1, _MOST_PLANTS)
+        check_types(self)
         _check(len(self.plants) <= self.max_plants, f"max_plants: {len(self.plants)} plants are listed")
         _check(bool(self.plants) or self.accept_new, "plants: name the plants, or set accept_new = true")
         object.__setattr__(self, "name", self.name or Path(self.file).stem)
@@ -98,7 +97,7 @@ class SamplingOptions:
     def __post_init__(self) -> None:
         for name in ("wait", "max_age", "silence"):
             number(self, name, 0.0, _LONGEST)
-        check_seconds(self, "silence")
+        seconds(self, "silence")
 
 
 @dataclass(frozen=True)
@@ -127,8 +126,7 @@ class StoreSettings:
 
     def __post_init__(self) -> None:
         choice(self, "kind", ("sqlite", "postgresql"))
-        for name in ("file", "dsn_file", "dsn_env"):
-            text(self, name)
+        check_types(self)
         if self.kind == "sqlite":
             _check(bool(self.file), "file: the file of the store, such as 'live.db'")
             _check(not (self.dsn_file or self.dsn_env), "dsn_file: it is for PostgreSQL: kind = 'postgresql'")
@@ -136,7 +134,7 @@ class StoreSettings:
             _check(not self.file, "file: it is for SQLite; PostgreSQL has dsn_file or dsn_env")
             _check(bool(self.dsn_file) != bool(self.dsn_env), "dsn_file: either dsn_file or dsn_env")
         number(self, "history", 0.0, _LONGEST)
-        check_seconds(self, "history")
+        seconds(self, "history")
         whole(self, "keep_events", 1000, 10**12)
 
 
@@ -325,7 +323,7 @@ def _meant(name: str, known: Any) -> str:
     return f"; did you mean {near[0]}?" if near else ""
 
 
-def made(kind: str, settings: Any, kinds: Mapping[str, tuple[str, str]], *more: Any) -> Any:
+def adapter(kind: str, settings: Any, kinds: Mapping[str, tuple[str, str]], *more: Any) -> Any:
     """Return the source or sink of some settings."""
     module, name = kinds[kind]
     return getattr(import_module(module), name)(settings, *more)
@@ -390,8 +388,8 @@ __all__ = [
     "MonitorSettings",
     "SamplingOptions",
     "StoreSettings",
+    "adapter",
     "check_secrets",
     "example",
     "load_settings",
-    "made",
 ]

@@ -45,7 +45,7 @@ _LOG = logging.getLogger("residua.live")
 
 
 class Routes:
-    """The application behind the gate.
+    """The application behind the access control.
 
     Parameters
     ----------

@@ -15,7 +15,7 @@ import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from residua.errors import SettingError
-from residua.live.gate import OWN_NAMES, Gate
+from residua.live.access import OWN_NAMES, AccessControl
 from residua.live.routes import Routes
 from residua.live.secrets import check_secret, secret
 from residua.live.setting_checks import check_types
@@ -127,7 +127,7 @@ class Server:
         self._routes = Routes(view, per_plant=settings.per_plant)
         self._uvicorn = uvicorn.Server(
             uvicorn.Config(
-                Gate(self._routes.app, self._token, [*names, *settings.hosts], https=settings.https),
+                AccessControl(self._routes.app, self._token, [*names, *settings.hosts], https=settings.https),
                 loop="asyncio",
                 http=_Connection,
                 ws="none",

@@ -14,12 +14,10 @@ from numpy.typing import NDArray
 
 from residua.decide.explanation import FINAL, FIRST
 from residua.errors import DataError, FileFormatError
-from residua.live.alarm_events import News, news, those_since
-from residua.live.events import Event
-from residua.live.patience import Patience
+from residua.live.events import Event, News, news, those_since
+from residua.live.records import rows_from_bytes, rows_to_bytes, state_from_bytes, state_to_bytes
 from residua.live.sampling import Rows, SamplingState
-from residua.live.state_bytes import state_from_bytes, state_to_bytes
-from residua.live.store import Changes, PlantUpdate, Store, rows_from_bytes, rows_to_bytes
+from residua.live.store import Changes, PlantUpdate, Retry, Store
 from residua.live.watched_model import Judged, WatchedModel, clock_of
 from residua.live.watched_plant import WatchedPlant
 from residua.monitor.diagnosis import Diagnosis
@@ -74,8 +72,8 @@ class Watch:
     models : mapping of str to WatchedModel
     store : Store
         Open. Its plants are taken over, and go on where they were.
-    patient : Patience
-        By which rows are read while a batch is worked at.
+    retry : Retry
+        By which rows are read in the course of a batch.
     now : float
         Seconds since 1970.
     heard : float, optional
@@ -91,11 +89,11 @@ class Watch:
         self,
         models: Mapping[str, WatchedModel],
         store: Store,
-        patient: Patience,
+        retry: Retry,
         now: float,
         heard: float | None = None,
     ) -> None:
-        self.models, self.store, self._patient = dict(models), store, patient
+        self.models, self.store, self._retry = dict(models), store, retry
         self.plants: dict[str, WatchedPlant] = {}
         self._blocks: dict[str, FleetBlock] = {}
         self._by_place: dict[str, list[WatchedPlant]] = {name: [] for name in models}
@@ -306,7 +304,7 @@ class Watch:
         begin = fresh[0][0] if fresh else plant.count
         parts = [(number, times, values) for number, times, values in fresh if number + len(times) > first]
         if first < begin:
-            stored = [one for one in self._patient.rows(plant.key, first) if one[0] < begin]
+            stored = [one for one in self._retry(self.store.rows, plant.key, first) if one[0] < begin]
             parts.insert(0, (first, *rows_from_bytes(stored, len(self.models[plant.model].layout.channels), first)))
         begin = parts[0][0]
         times, values = (np.concatenate([part[k] for part in parts]) for k in (1, 2))
@@ -464,7 +462,7 @@ class Watch:
         """Return the last stored rows of a plant: times and values."""
         first = max(plant.anchor_at, plant.count - most)
         channels = len(self.models[plant.model].layout.channels)
-        return rows_from_bytes(self._patient.rows(plant.key, first), channels, first)
+        return rows_from_bytes(self._retry(self.store.rows, plant.key, first), channels, first)
 
     def size(self, model: str) -> int:
         """Return the number of plants of a model."""

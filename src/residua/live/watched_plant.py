@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.live.alarm_events import ToldAlarm
+from residua.live.events import ToldAlarm
 from residua.live.sampling import Rows, SamplingState
 
 #: Rows of a plant that are kept at hand at least.

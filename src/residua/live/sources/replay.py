@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import ResiduaError, SettingError
-from residua.live.messages import Message
-from residua.live.setting_checks import choice, file, flag, number, table_of_texts, text, texts, whole
-from residua.live.sources.threaded import ThreadedSource
+from residua.live.setting_checks import check_types, choice, file, number, table_of_texts, texts, whole
+from residua.live.source import Message
+from residua.live.sources.adapter import ThreadedSource
 from residua.plant import Plant
 from residua.recording.columns import ReadOptions
 from residua.recording.recording import read_recording
@@ -80,14 +80,12 @@ class Settings:
         for key in ("files", "columns"):
             object.__setattr__(self, key, table_of_texts(getattr(self, key), key))
         texts(self, "plants")
-        for key in ("column", "name"):
-            text(self, key)
         number(self, "speed", 0.0)
         number(self, "dt", 0.0)
         whole(self, "rows", 1, _MOST_ROWS)
         whole(self, "repeat", 0, 10**9)
         choice(self, "times", ("own", "now"))
-        flag(self, "fill_gaps")
+        check_types(self)
         if not self.file and not self.files:
             raise SettingError("file: name the recording that is replayed, or one for each plant in files")
         for plant, path in self.files.items():

@@ -29,8 +29,8 @@ HEADERS = {
 _FOREIGN = ("cross-site", "same-site")
 
 
-class Gate:
-    """Gate that only lets allowed requests through; it stands in front of everything, unknown paths included.
+class AccessControl:
+    """Middleware that passes allowed requests on only; it stands in front of everything, unknown paths included.
 
     In this order: 405 for other methods than GET and HEAD; 421 where ``Host`` is not a name of this server (a name of
     another's that leads here is how pages elsewhere would read what is here); 403 for requests that pages of other
@@ -63,7 +63,7 @@ class Gate:
         refused = self._refused(scope, headers, from_address or [])
         fresh = bool(from_address) and not refused
         if scope["path"] == "/":
-            scope = {**scope, "query_string": b""}  # nothing behind the gate sees the token
+            scope = {**scope, "query_string": b""}  # nothing behind it sees the token
 
         async def sent(message: Message) -> None:
             if message["type"] == "http.response.start":
