@@ -207,7 +207,9 @@ class _Reader:
         for name in whole:
             if name not in tables:
                 self._fail("", 0, name, f"unknown; there are {listed(list(tables))}{_meant(name, tables)}")
-        monitors = tuple(self._tables(whole, "monitors", MonitorSettings))
+        monitors = tuple(
+            self._table(one, "monitors", k, MonitorSettings) for k, one in enumerate(self._list(whole, "monitors"))
+        )
         if not monitors:
             raise FileFormatError(f"{self.path}: name at least one monitor: [[monitors]] with file and plants")
         self._check_monitors(monitors)
@@ -235,22 +237,20 @@ class _Reader:
             if one.accept_new and any(other.accept_new for other in monitors[:k]):
                 self._fail("monitors", k, "accept_new", "another monitor takes in new plants already")
 
-    def _tables(self, whole: dict[str, Any], name: str, kind: Any) -> list[Any]:
+    def _list(self, whole: dict[str, Any], name: str) -> list[dict[str, Any]]:
+        """Return the tables of a name, none if it is absent."""
         content = whole.get(name, [])
         if not isinstance(content, list) or not all(isinstance(one, dict) for one in content):
             self._fail("", 0, name, f"must be tables, [[{name}]]")
-        return [self._table(one, name, k, kind) for k, one in enumerate(content)]
+        return content
 
     def _adapters(self, whole: dict[str, Any], name: str, kinds: Mapping[str, tuple[str, str]]) -> tuple[Any, ...]:
-        content = whole.get(name, [])
-        if not isinstance(content, list) or not all(isinstance(one, dict) for one in content):
-            self._fail("", 0, name, f"must be tables, [[{name}]]")
         out = []
-        for k, one in enumerate(content):
+        for k, one in enumerate(self._list(whole, name)):
             kind = one.get("kind")
             if not isinstance(kind, str) or kind not in kinds:
-                said = "missing" if kind is None else f"unknown: {echo(kind)}"
-                self._fail(name, k, "kind", f"{said}; there are {listed(list(kinds))}")
+                found = "missing" if kind is None else f"unknown: {echo(kind)}"
+                self._fail(name, k, "kind", f"{found}; there are {listed(list(kinds))}")
             rest = {key: value for key, value in one.items() if key != "kind"}
             out.append((kind, self._table(rest, name, k, self._settings_of(kinds[str(kind)][0], name, k))))
         return tuple(out)

@@ -98,19 +98,17 @@ class SamplingState:
     late: int = 0
     back: bool = False
 
-    def to_record(self) -> dict[str, Any]:
-        """Return the state as plain values for JSON."""
-        slots = [[n, s.time, _out(s.values), s.stated] for n, s in self.pending]
-        out = {"last": _none(self.last), "grid": _none(self.grid), "dated": self.dated, "late": self.late}
-        return out | {"pending": slots, "back": self.back, "held": _out(self.held), "held_at": _out(self.held_at)}
+    def to_record(self) -> list[Any]:
+        """Return the state as plain values for JSON, with NaN as such."""
+        slots = [[number, slot.time, slot.values, slot.stated] for number, slot in self.pending]
+        return [self.last, self.grid, self.dated, slots, self.held, self.held_at, self.late, self.back]
 
     @staticmethod
-    def from_record(content: dict[str, Any], arrived: float) -> SamplingState:
+    def from_record(content: list[Any], arrived: float) -> SamplingState:
         """Return the state of a record; pending readings count as having arrived at ``arrived``."""
-        slots = tuple((n, Slot(time, _in(values), stated, arrived)) for n, time, values, stated in content["pending"])
-        last, grid = (math.nan if content[name] is None else content[name] for name in ("last", "grid"))
-        held, held_at = _in(content["held"]), _in(content["held_at"])
-        return SamplingState(last, grid, content["dated"], slots, held, held_at, content["late"], content["back"])
+        last, grid, dated, slots, held, held_at, late, back = content
+        pending = tuple((number, Slot(time, tuple(values), stated, arrived)) for number, time, values, stated in slots)
+        return SamplingState(last, grid, dated, pending, tuple(held), tuple(held_at), late, back)
 
 
 @dataclass(frozen=True, slots=True)
@@ -341,18 +339,19 @@ class _Releasing:
 
     def __init__(self, state: SamplingState, dt: float, settings: SamplingSettings) -> None:
         self.state, self.dt, self.settings = state, dt, settings
-        self.last, self.grid, self.held, self.held_at = state.last, state.grid, state.held, state.held_at
+        self.last, self.grid = state.last, state.grid
+        self.held, self.held_at = np.array(state.held), np.array(state.held_at)
         self.step = 0
         self.times: list[float] = []
-        self.values: list[tuple[float, ...]] = []
+        self.values: list[NDArray[np.float64]] = []
 
     def skip(self, rows: int, width: int) -> None:
         """Release rows without readings; not all of them in a long gap."""
         empty = 0
         for j in range(1, rows + 1):
             moment = self.grid + j * self.dt
-            values = _held(self.held, self.held_at, moment, width, self.settings)
-            empty += all(value != value for value in values)
+            values = self._held(moment, width)
+            empty += bool(np.isnan(values).all())
             if empty > self.settings.longest_gap:
                 break
             self.times.append(moment)
@@ -363,22 +362,32 @@ class _Releasing:
 
     def take(self, slot: Slot) -> None:
         """Release the row of a slot."""
-        expected = self.grid + self.dt
-        values = slot.values
+        expected, width = self.grid + self.dt, len(slot.values)
+        values = np.array(slot.values)
         if self.settings.max_age > 0:
-            self.held, self.held_at = _kept(self.held, self.held_at, slot)
-            values = _filled(slot, self.held, self.held_at, self.settings)
+            held = self._held(slot.time, width)
+            stated = [bool(slot.stated >> c & 1) for c in range(width)]
+            self.held = np.where(stated, values, self.held if self.held.size else np.nan)
+            self.held_at = np.where(stated, slot.time, self.held_at if self.held_at.size else np.nan)
+            values = np.where(stated, values, held)
         self.times.append(slot.time)
         self.values.append(values)
         self.step += 1
         self.grid, self.last = expected + FOLLOW * (slot.time - expected), slot.time
+
+    def _held(self, moment: float, width: int) -> NDArray[np.float64]:
+        """Return the last value of each channel that is not too old at a time."""
+        if self.settings.max_age <= 0 or not self.held.size:
+            return np.full(width, np.nan)
+        return np.where(moment - self.held_at <= self.settings.max_age, self.held, np.nan)
 
     def finished(self, pending: Sequence[tuple[int, Slot]]) -> tuple[SamplingState, list[Rows]]:
         """Return the next state, and the rows."""
         if not self.times:
             return self.state, []
         moved = tuple((number - self.step, slot) for number, slot in pending)
-        after = replace(self.state, last=self.last, grid=self.grid, pending=moved, held=self.held, held_at=self.held_at)
+        held, held_at = tuple(self.held.tolist()), tuple(self.held_at.tolist())
+        after = replace(self.state, last=self.last, grid=self.grid, pending=moved, held=held, held_at=held_at)
         return after, [Rows(np.array(self.times), np.array(self.values, dtype=np.float64))]
 
 
@@ -395,48 +404,8 @@ def _spoken_of(pending: Sequence[tuple[int, Slot]]) -> int:
     return bits
 
 
-def _held(
-    held: tuple[float, ...], held_at: tuple[float, ...], moment: float, width: int, settings: SamplingSettings
-) -> tuple[float, ...]:
-    """Return the row of a time without readings."""
-    if settings.max_age <= 0 or not held:
-        return (math.nan,) * width
-    return tuple(v if moment - t <= settings.max_age else math.nan for v, t in zip(held, held_at, strict=True))
-
-
-def _kept(
-    held: tuple[float, ...], held_at: tuple[float, ...], slot: Slot
-) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return the last values with those of a slot."""
-    if not held:
-        held = held_at = (math.nan,) * len(slot.values)
-    stated = [slot.stated >> c & 1 for c in range(len(held))]
-    values = tuple(new if on else old for on, new, old in zip(stated, slot.values, held, strict=True))
-    return values, tuple(slot.time if on else old for on, old in zip(stated, held_at, strict=True))
-
-
-def _filled(
-    slot: Slot, held: tuple[float, ...], held_at: tuple[float, ...], settings: SamplingSettings
-) -> tuple[float, ...]:
-    """Return the values of a slot, with the last ones of channels that were not stated."""
-    ages = _held(held, held_at, slot.time, len(held), settings)
-    return tuple(v if slot.stated >> c & 1 else ages[c] for c, v in enumerate(slot.values))
-
-
 def _same(a: float, b: float) -> bool:
     return a == b or (a != a and b != b)
-
-
-def _none(value: float) -> float | None:
-    return None if value != value else value
-
-
-def _out(values: Sequence[float]) -> list[float | None]:
-    return [_none(value) for value in values]
-
-
-def _in(values: Sequence[float | None]) -> tuple[float, ...]:
-    return tuple(math.nan if value is None else value for value in values)
 
 
 __all__ = [

@@ -38,6 +38,10 @@ _MOST_JUDGED = 100_000
 _RANKS = {"clock": 0, "back": 1, "raised": 2, "renamed": 2, "confirmed": 2, "ended": 2, "missing": 3, "standing": 4}
 
 
+def _lists() -> Any:
+    return defaultdict(list)
+
+
 @dataclass(slots=True)
 class Work:
     """New rows of one plant in a batch.
@@ -58,10 +62,14 @@ class Work:
 class _Batch:
     """Result of a batch: changes of the store, events and unstored rows by plant, and moved anchors."""
 
-    changes: Changes
-    events: dict[int, list[tuple[int, int, float, str, dict[str, Any]]]]
-    fresh: dict[int, list[tuple[int, NDArray[np.float64], NDArray[np.float64]]]]
-    moved: set[int]
+    changes: Changes = field(default_factory=Changes)
+    events: dict[int, list[tuple[int, int, float, str, dict[str, Any]]]] = field(default_factory=_lists)
+    fresh: dict[int, list[tuple[int, NDArray[np.float64], NDArray[np.float64]]]] = field(default_factory=_lists)
+    moved: set[int] = field(default_factory=set)
+
+    def add(self, plant: WatchedPlant, row: int, time: float, kind: str, content: dict[str, Any]) -> None:
+        """Add an event of a plant at a row, to be numbered in the order of rows."""
+        self.events[plant.key].append((row, _RANKS[kind], time, kind, content))
 
 
 class Watch:
@@ -173,38 +181,33 @@ class Watch:
         Changes
             Changes for the store, events included.
         """
-        batch = _empty_batch()
+        batch = _Batch()
         waiting: list[tuple[WatchedPlant, NDArray[np.float64], NDArray[np.float64]]] = []
         for name, one in work.items():
             plant = self.plants[name]
             for rows, time in one.clocks:
-                said = (
+                text = (
                     "the clock has gone back: readings are refused until they are later than the last row, or a reset"
                 )
-                content = {"until": plant.sampling.last, "text": [said]}
-                batch.events[plant.key].append((plant.count + rows, _RANKS["clock"], time, "clock", content))
-            if len(one.rows) == 1:
-                waiting.append((plant, one.rows[0].times, one.rows[0].values))
-            elif one.rows:
-                times, values = (np.concatenate([getattr(r, n) for r in one.rows]) for n in ("times", "values"))
+                batch.add(plant, plant.count + rows, time, "clock", {"until": plant.sampling.last, "text": [text]})
+            if one.rows:
+                times, values = one.rows[0].times, one.rows[0].values
+                if len(one.rows) > 1:
+                    times, values = (np.concatenate([getattr(r, n) for r in one.rows]) for n in ("times", "values"))
                 waiting.append((plant, times, values))
-        while waiting:
-            now, waiting = self._cut(waiting)
-            self._advance(now, batch)
+        while waiting:  # in blocks that end where the anchor of a plant may move
+            block, later = [], []
+            for plant, times, values in waiting:
+                kept = self.models[plant.model].rows_kept
+                room = kept - plant.count % kept
+                block.append((plant, times[:room], values[:room]))
+                if len(times) > room:
+                    later.append((plant, times[room:], values[room:]))
+            self._advance(block, batch)
+            waiting = later
         for name in work:
             self._note(self.plants[name], batch)
         return batch.changes
-
-    def _cut(self, waiting: list[Any]) -> tuple[list[Any], list[Any]]:
-        """Return the rows of each plant up to the next one at which its anchor may move, and the later ones."""
-        now, later = [], []
-        for plant, times, values in waiting:
-            kept = self.models[plant.model].rows_kept
-            room = kept - plant.count % kept
-            now.append((plant, times[:room], values[:room]))
-            if len(times) > room:
-                later.append((plant, times[room:], values[room:]))
-        return now, later
 
     def _advance(self, work: list[Any], batch: _Batch) -> None:
         """Run rows of plants, grouped by equal numbers of them."""
@@ -214,10 +217,9 @@ class Watch:
         for (name, _), ones in groups.items():
             block, threshold = self._blocks[name], self.models[name].spec.test.threshold
             places = np.array([plant.place for plant, _, _ in ones], dtype=np.int64)
-            made = block.advance(places, np.stack([values for _, _, values in ones]), _ASKED)
-            alarm, missing, statistic = (made[asked] for asked in _ASKED)
-            some: Any = (alarm.any(axis=1), missing.any(axis=1))
-            alarmed, gaps = (one.tolist() for one in some)
+            outputs = block.advance(places, np.stack([values for _, _, values in ones]), _ASKED)
+            alarm, missing, statistic = (outputs[name] for name in _ASKED)
+            alarmed, gaps = alarm.any(axis=1).tolist(), missing.any(axis=1).tolist()
             self.judged += int(np.count_nonzero(np.isfinite(statistic)))
             ratios = (statistic[:, -1] / threshold).tolist()
             for k, (plant, times, values) in enumerate(ones):
@@ -268,8 +270,7 @@ class Watch:
             after, told = news(plant.told, judged.dated(alarms, plant.open_since), plant.open_since, over)
         plant.told = after
         for one in told:
-            content = self._content(plant, one)
-            batch.events[plant.key].append((row, _RANKS[one.kind], time, one.kind, content))
+            batch.add(plant, row, time, one.kind, self._content(plant, one))
 
     def _content(self, plant: WatchedPlant, one: News) -> dict[str, Any]:
         model = self.models[plant.model]
@@ -322,20 +323,17 @@ class Watch:
         batch: _Batch,
     ) -> None:
         """Report missing values once the filter has to restart because of them, and their return."""
-        longest = self.models[plant.model].longest_gap
+        model = self.models[plant.model]
+        longest = model.longest_gap
         for k, gone in enumerate(missing):
             plant.gap, plant.whole = (plant.gap + 1, 0) if gone else (0, plant.whole + 1)
             if plant.missing is None and plant.gap == longest:
                 plant.missing = tuple(np.flatnonzero(~np.isfinite(values[k])).tolist())
-                self._tell_missing(plant, first + k, float(times[k]), batch)
+                channels = [model.layout.channels[c] for c in plant.missing]
+                batch.add(plant, first + k, float(times[k]), "missing", {"channels": channels})
             elif plant.missing is not None and plant.whole == longest:
                 plant.missing = None
-                batch.events[plant.key].append((first + k, _RANKS["back"], float(times[k]), "back", {}))
-
-    def _tell_missing(self, plant: WatchedPlant, row: int, time: float, batch: _Batch) -> None:
-        names = self.models[plant.model].layout.channels
-        channels = [names[c] for c in plant.missing or ()]
-        batch.events[plant.key].append((row, _RANKS["missing"], time, "missing", {"channels": channels}))
+                batch.add(plant, first + k, float(times[k]), "back", {})
 
     # --------------------------------------------------------------------- anchors
 
@@ -401,26 +399,25 @@ class Watch:
             model = self.models[plant.model]
             quiet = max(after, 2 * model.longest_gap * model.layout.dt)
             if known and plant.missing is None and now - plant.heard > quiet:
-                plant.missing = tuple(range(len(self.models[plant.model].layout.channels)))
-                plant.whole = 0
-                channels = list(self.models[plant.model].layout.channels)
+                channels = list(model.layout.channels)
+                plant.missing, plant.whole = tuple(range(len(channels))), 0
                 self._number(plant, plant.sampling.last, "missing", {"channels": channels}, changes)
                 changes.plants[plant.key] = self._update(plant)
         return changes
 
     def standing(self) -> Changes:
         """Report the alarms standing at the end of the data."""
-        batch = _empty_batch()
+        batch = _Batch()
         for plant in self.plants.values():
             if not plant.told or plant.standing_at == plant.count:
                 continue
             plant.standing_at = plant.count
             judged = self._judged_to(plant, plant.count, batch)
-            row = (plant.count, _RANKS["standing"], judged.last_time, "standing")
             alarms = judged.dated(judged.alarms(plant.open_since), plant.open_since)
             for alarm in those_since(plant.told, alarms, plant.open_since):
                 if alarm.ended is None:
-                    batch.events[plant.key].append((*row, self._content(plant, News("standing", alarm))))
+                    content = self._content(plant, News("standing", alarm))
+                    batch.add(plant, plant.count, judged.last_time, "standing", content)
             self._note(plant, batch)
         return batch.changes
 
@@ -429,7 +426,7 @@ class Watch:
 
         A standing alarm ends with its present attribution.
         """
-        one, batch = self.plants[plant], _empty_batch()
+        one, batch = self.plants[plant], _Batch()
         model, block = self.models[one.model], self._blocks[one.model]
         if one.told:
             self._look(one, one.count - 1, one.sampling.last, True, batch)
@@ -467,10 +464,6 @@ class Watch:
     def size(self, model: str) -> int:
         """Return the number of plants of a model."""
         return len(self._by_place[model])
-
-
-def _empty_batch() -> _Batch:
-    return _Batch(Changes(), defaultdict(list), defaultdict(list), set())
 
 
 def _clock(plant: WatchedPlant, time: float) -> str:

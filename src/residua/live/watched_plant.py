@@ -135,20 +135,19 @@ class WatchedPlant:
             self.recent_rows -= len(self.recent.popleft().times)
 
     def to_record(self) -> str:
-        """Return the values that change with every row, as JSON."""
+        """Return the values that change with every row, as JSON, with NaN as such."""
         content: list[Any] = [self.count, self.number, self.open_row, self.open_since, self.last_on, self.next_look]
         content += [self.gap, self.whole, None if self.missing is None else list(self.missing)]
         content += [[one.to_record() for one in self.told], self.sampling.to_record()]
         content.append(None if self.said is None else list(self.said))
-        content += [self.standing_at, self.ratio if math.isfinite(self.ratio) else None]
-        return json.dumps(content, allow_nan=False)
+        content += [self.standing_at, self.ratio]
+        return json.dumps(content)
 
     def take_record(self, record: str, now: float) -> None:
         """Restore the values of :meth:`to_record`; pending readings count as having arrived at ``now``."""
         content = json.loads(record)
         self.count, self.number, self.open_row, self.open_since, self.last_on, self.next_look = content[:6]
-        self.gap, self.whole, missing, told, sampling, said, self.standing_at, ratio = content[6:]
-        self.ratio = math.nan if ratio is None else ratio
+        self.gap, self.whole, missing, told, sampling, said, self.standing_at, self.ratio = content[6:]
         self.said = None if said is None else (str(said[0]), str(said[1]), float(said[2]))
         self.missing = None if missing is None else tuple(missing)
         self.told = [ToldAlarm.from_record(one) for one in told]
