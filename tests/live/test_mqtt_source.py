@@ -17,7 +17,6 @@ paho = pytest.importorskip("paho.mqtt.client", reason="paho-mqtt is not installe
 
 from certificates import certificates  # noqa: E402
 from live.brokers import Mosquitto, Run, free_port, running, wait_for  # noqa: E402
-from residua.errors import SettingError  # noqa: E402
 from residua.live.source import LARGEST  # noqa: E402
 from residua.live.sources import mqtt  # noqa: E402
 from residua.live.sources.mqtt import Mqtt, Settings  # noqa: E402
@@ -297,28 +296,3 @@ def test_a_session_that_the_broker_has_lost_is_said(mosquitto: Mosquitto) -> Non
         wait_for(lambda: "the broker has not kept the session" in source.health.text)
         other.disconnect()
         other.loop_stop()
-
-
-@pytest.mark.parametrize(
-    ("wrong", "said"),
-    [
-        ({"client_id": ""}, "client_id: a name for this run"),
-        ({"topics": []}, "topics: name at least one"),
-        ({"topics": "plants/{plant}/data"}, "topics: a list of different texts"),
-        ({"topics": ["$share/a/b"]}, "topics: "),
-        ({"qos": 2}, "qos: 2 takes a message over before it is saved"),
-        ({"qos": True}, "qos: one of 1, 0"),
-        ({"port": 70000}, "port: a whole number"),
-        ({"version": "4"}, "version: one of '5', '3.1.1'"),
-        ({"ca_file": __file__}, "ca_file: it is for TLS"),
-        ({"tls": True, "ca_file": "none.pem"}, "ca_file: none.pem is not a file"),
-        ({"tls": True, "cert_file": __file__}, "cert_file: a certificate and its key"),
-        ({"keepalive": 1}, "keepalive: a whole number from 5"),
-        ({"password_file": "a", "password_env": "b"}, "password_file and password_env"),
-        ({"host": ""}, "host: "),
-        ({"host": "a\nb"}, "host: text on one line"),
-    ],
-)
-def test_wrong_settings_are_named(wrong: dict[str, Any], said: str) -> None:
-    with pytest.raises(SettingError, match=said):
-        Settings(**({"client_id": "run", "topics": ["{plant}/data"]} | wrong))

@@ -546,22 +546,3 @@ def test_it_listens_on_this_machine_alone(standing):
 def test_a_port_that_is_taken(view, running):
     with pytest.raises(SettingError, match=r"listen: .* cannot be opened for connections: Address already in use"):
         server.Server(view, server.Settings(listen=f"127.0.0.1:{running.port}"))
-
-
-@pytest.mark.parametrize(
-    ("settings", "said"),
-    [
-        ({"listen": "8000"}, "listen"),
-        ({"listen": "example.org:80"}, "listen"),
-        ({"listen": "127.0.0.1:99999"}, "listen"),
-        ({"listen": "127.0.0.1:"}, "listen"),
-        ({"listen": "::1:80x"}, "listen"),
-        ({"hosts": ("https://x.org",)}, "hosts"),
-        ({"hosts": "x.org"}, "hosts: a list of texts"),
-        ({"https": "yes"}, "https: true or false"),
-        ({"token_env": "A", "token_file": "b"}, "only one of them"),
-    ],
-)
-def test_settings_that_make_no_sense(settings, said):
-    with pytest.raises(SettingError, match=said):
-        server.Settings(**settings)

@@ -210,7 +210,7 @@ class View:
         Counters: ``messages`` by source, ``dropped`` by reason, ``rows`` by model, ``events`` by kind, ``commits``,
         ``delivered``, ``delivery_failures`` and ``given_up`` (:attr:`residua.live.delivery.Sink.dropped`) by sink.
         Gauges: ``plants``, ``plants_in_alarm``, ``plants_missing``, ``largest_ratio`` (statistic to threshold) and
-        ``oldest_age`` (seconds since the last row) by model and shard, ``queue`` (messages that wait), ``behind``
+        ``oldest_age_seconds`` (since the last row) by model and shard, ``queue`` (messages that wait), ``behind``
         (events that wait) by sink, ``connected`` by source or sink.
         """
         run, out = self._run, {}
@@ -253,7 +253,7 @@ def _of_model(model: str, plants: Sequence[WatchedPlant], now: float) -> dict[An
         ("plants_in_alarm", at): float(states.count("fault")),
         ("plants_missing", at): float(states.count("missing")),
         ("largest_ratio", at): max(ratios, default=math.nan),
-        ("oldest_age", at): max(0.0, now - min(heard)) if heard else math.nan,
+        ("oldest_age_seconds", at): max(0.0, now - min(heard)) if heard else math.nan,
     }
 
 
