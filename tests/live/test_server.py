@@ -292,7 +292,7 @@ def test_health_says_what_is_wrong(running, view):
 
 
 def test_health_of_a_run_that_does_not_answer(running, view, monkeypatch):
-    monkeypatch.setattr(routes, "PATIENCE", 0.2)
+    monkeypatch.setattr(routes, "ANSWER_TIMEOUT", 0.2)
     over = threading.Event()
     view.overview = lambda *_: over.wait(20)
     with client(running) as web:
@@ -403,7 +403,7 @@ def test_a_long_backlog_comes_whole(running, view):
 
 
 def test_signs_of_life(running, view, monkeypatch):
-    monkeypatch.setattr(routes, "BEAT", 0.1)
+    monkeypatch.setattr(routes, "HEARTBEAT", 0.1)
     with client(running) as web, web.stream("GET", "/events?after=1") as answer:
         text = ""
         for piece in answer.iter_text():
@@ -444,8 +444,8 @@ def test_only_so_many_follow_and_room_comes_back(running, monkeypatch):
 
 
 def test_a_follower_who_takes_nothing_is_left(running, view, monkeypatch):
-    monkeypatch.setattr(routes, "STUCK", 0.5)
-    monkeypatch.setattr(routes, "BEAT", 0.2)
+    monkeypatch.setattr(routes, "SEND_TIMEOUT", 0.5)
+    monkeypatch.setattr(routes, "HEARTBEAT", 0.2)
     monkeypatch.setattr(routes, "MOST_FOLLOWERS", 1)
     long = "x" * 100_000
     with socket.create_connection(("127.0.0.1", running.port)) as lazy:

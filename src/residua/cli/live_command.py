@@ -127,7 +127,7 @@ def _run(settings: LiveSettings, *, linger: bool) -> int:
             return NO_FAULT
         if not run.watch.judged:
             raise DataError(f"no sample could be judged, so there is no verdict: {rows:,} rows read{_dropped(run)}")
-        return FAULT if raised or any(one.told for one in run.watch.plants.values()) else NO_FAULT
+        return FAULT if raised or any(one.reported for one in run.watch.plants.values()) else NO_FAULT
 
 
 def _dropped(run: Run) -> str:

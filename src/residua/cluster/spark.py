@@ -248,8 +248,8 @@ def resharded(states: Any, monitor: Monitor, before: int, shards: int) -> Any:
         blank = Shard(monitor_of_text(text), shards=before)
         for part in parts:
             for content in part["content"]:
-                made = blank.restored(content).split(shards)
-                yield pd.DataFrame({"shard": list(made), "content": [one.to_bytes() for one in made.values()]})
+                split = blank.restored(content).split(shards)
+                yield pd.DataFrame({"shard": list(split), "content": [one.to_bytes() for one in split.values()]})
 
     return states.mapInPandas(run, _STATES_TYPE)
 

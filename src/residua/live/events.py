@@ -68,7 +68,7 @@ class Event:
 
 
 @dataclass(frozen=True, slots=True)
-class ToldAlarm:
+class ReportedAlarm:
     """An alarm that was reported, and may not be over.
 
     Attributes
@@ -97,11 +97,11 @@ class ToldAlarm:
         return [self.raised, self.onset, [list(group) for group in self.named], began, self.shortened, self.word]
 
     @staticmethod
-    def from_record(content: list[Any]) -> ToldAlarm:
+    def from_record(content: list[Any]) -> ReportedAlarm:
         """Return the alarm of a record by :meth:`to_record`."""
         raised, onset, named, began, shortened, word = content
         since = None if began is None else Beginning(*began)
-        return ToldAlarm(raised, onset, tuple(tuple(group) for group in named), since, shortened, word)
+        return ReportedAlarm(raised, onset, tuple(tuple(group) for group in named), since, shortened, word)
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,23 +113,23 @@ class News:
     kind : str
         ``raised``, ``renamed``, ``confirmed`` or ``ended``.
     alarm : Alarm
-    part : ToldAlarm or None
+    part : ReportedAlarm or None
         Of an ended one that turned out to be part of an earlier one, ``alarm``: its last report.
     """
 
     kind: str
     alarm: Alarm
-    part: ToldAlarm | None = None
+    part: ReportedAlarm | None = None
 
 
 def news(
-    told: Sequence[ToldAlarm], alarms: Sequence[Alarm], since: float, over: bool
-) -> tuple[list[ToldAlarm], list[News]]:
+    reported: Sequence[ReportedAlarm], alarms: Sequence[Alarm], since: float, over: bool
+) -> tuple[list[ReportedAlarm], list[News]]:
     """Return the news about alarms, and the alarms reported then.
 
     Parameters
     ----------
-    told : sequence of ToldAlarm
+    reported : sequence of ReportedAlarm
         Those that are not over.
     alarms : sequence of Alarm
         Of the rows that are kept.
@@ -140,14 +140,14 @@ def news(
 
     Returns
     -------
-    told : list of ToldAlarm
+    reported : list of ReportedAlarm
     events : list of News
         In the order of the alarms; those that are part of an earlier one first.
     """
-    known = {one.raised: one for one in told}
-    now: list[ToldAlarm] = []
+    known = {one.raised: one for one in reported}
+    now: list[ReportedAlarm] = []
     events: list[News] = []
-    for alarm in those_since(told, alarms, since):
+    for alarm in those_since(reported, alarms, since):
         before = known.pop(alarm.raised, None)
         if before is None:
             events.append(News("raised", alarm))
@@ -159,7 +159,7 @@ def news(
             events.append(News("ended", alarm))
         else:
             shortened = before is not None and before.shortened
-            now.append(ToldAlarm(alarm.raised, alarm.onset, alarm.named, alarm.began, shortened, word_of(alarm)))
+            now.append(ReportedAlarm(alarm.raised, alarm.onset, alarm.named, alarm.began, shortened, word_of(alarm)))
     whole = [one.alarm for one in events] + [one for one in alarms if one.raised >= since]
     parts = [News("ended", _owner(part, whole), part) for part in known.values() if whole]
     return now, [*parts, *events]
@@ -170,19 +170,19 @@ def word_of(alarm: Alarm) -> str:
     return alarm.word.kind if alarm.word is not None else ""
 
 
-def _owner(part: ToldAlarm, alarms: Sequence[Alarm]) -> Alarm:
+def _owner(part: ReportedAlarm, alarms: Sequence[Alarm]) -> Alarm:
     """Return the alarm that a part belongs to: the last one raised before it."""
     before = [one for one in alarms if one.raised <= part.raised]
     return max(before, key=lambda one: one.raised) if before else alarms[0]
 
 
-def those_since(told: Sequence[ToldAlarm], alarms: Sequence[Alarm], since: float) -> list[Alarm]:
+def those_since(reported: Sequence[ReportedAlarm], alarms: Sequence[Alarm], since: float) -> list[Alarm]:
     """Return the alarms since a time; one whose beginning is no longer kept gets the reported one."""
-    first = next((one for one in told if one.shortened), None)
+    first = next((one for one in reported if one.shortened), None)
     out = [one for one in alarms if one.raised >= since]
     if first is None or not out or out[0].start:
         return out
     return [replace(out[0], raised=first.raised, onset=first.onset, began=first.began), *out[1:]]
 
 
-__all__ = ["KINDS", "Event", "News", "ToldAlarm", "news", "those_since"]
+__all__ = ["KINDS", "Event", "News", "ReportedAlarm", "news", "those_since"]

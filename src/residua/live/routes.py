@@ -31,11 +31,11 @@ PIECE = 500
 #: Those that follow the events at once, at most.
 MOST_FOLLOWERS = 32
 #: Seconds between two signs of life, and those after which a follower that takes nothing is left.
-BEAT, STUCK = 5.0, 30.0
+HEARTBEAT, SEND_TIMEOUT = 5.0, 30.0
 #: Seconds in which the run must answer.
-PATIENCE = 5.0
+ANSWER_TIMEOUT = 5.0
 #: Seconds that the thread that waits for events waits at once: the end of a run waits for it.
-WATCHED = 0.5
+NEWS_TIMEOUT = 0.5
 #: The largest place of an event that anybody asks for.
 _LAST = 1 << 62
 
@@ -85,7 +85,7 @@ class Routes:
         finally:
             self.stop()
             self._loop = None
-            thread.join(2 * WATCHED)
+            thread.join(2 * NEWS_TIMEOUT)
             self._threads.shutdown(wait=False, cancel_futures=True)
 
     def stop(self) -> None:
@@ -106,13 +106,13 @@ class Routes:
         while not self._stopping.is_set():
             try:
                 place = self._last_place() if place < 0 else place
-                if self._view.wait_for_event(place, WATCHED):
+                if self._view.wait_for_event(place, NEWS_TIMEOUT):
                     events = self._view.events_after(place, PIECE)
                     place = events[-1].place if events else place
                     self._tell()
             except Exception:
                 _LOG.exception("The page does not see events at once.")
-                self._stopping.wait(BEAT)
+                self._stopping.wait(HEARTBEAT)
 
     def _last_place(self) -> int:
         return int(self._view.overview(0, 0)["last_event"])
@@ -150,9 +150,9 @@ class Routes:
 
     async def _health(self, request: Request) -> Response:
         try:
-            now = await asyncio.wait_for(self.ask(self._view.overview, 0, 0), PATIENCE)
+            now = await asyncio.wait_for(self.ask(self._view.overview, 0, 0), ANSWER_TIMEOUT)
         except TimeoutError:
-            return _json({"good": False, "reasons": [f"the run did not answer within {PATIENCE:g} s"]}, 503)
+            return _json({"good": False, "reasons": [f"the run did not answer within {ANSWER_TIMEOUT:g} s"]}, 503)
         reasons = [*now["problems"]]
         reasons += [f"{one['name']}: {one['text']}" for one in (*now["sources"], *now["sinks"]) if not one["good"]]
         return _json({"good": not reasons, "reasons": reasons}, 503 if reasons else 200)
@@ -191,7 +191,7 @@ class Routes:
                 continue
             try:
                 assert news is not None
-                await asyncio.wait_for(news.wait(), BEAT)
+                await asyncio.wait_for(news.wait(), HEARTBEAT)
             except TimeoutError:
                 yield beat(after)
 
@@ -211,7 +211,7 @@ class _EventStream(StreamingResponse):
 
     async def stream_response(self, send: Send) -> None:
         async def limited(message: Message) -> None:
-            await asyncio.wait_for(send(message), STUCK)
+            await asyncio.wait_for(send(message), SEND_TIMEOUT)
 
         with suppress(TimeoutError):
             await super().stream_response(limited)

@@ -69,7 +69,7 @@ class View:
         groups: dict[str, list[WatchedPlant]] = {"fault": [], "missing": [], "waiting": [], "quiet": []}
         for one in plants:
             groups[_state(one)].append(one)
-        groups["fault"].sort(key=lambda one: -(one.said[2] if one.said else 0.0))
+        groups["fault"].sort(key=lambda one: -(one.attribution[2] if one.attribution else 0.0))
         rest = sorted([*groups["waiting"], *groups["quiet"]], key=lambda one: one.plant)
         order = [*groups["fault"], *groups["missing"], *rest]
         wanted = find.casefold()
@@ -92,7 +92,7 @@ class View:
 
     def _row(self, plant: WatchedPlant) -> dict[str, Any]:
         state = _state(plant)
-        name, sure, since = plant.said if state == "fault" and plant.said else ("", "", None)
+        name, sure, since = plant.attribution if state == "fault" and plant.attribution else ("", "", None)
         if state == "missing":
             names = self._run.models[plant.model].layout.channels
             name = listing([names[c] for c in plant.missing or ()])
@@ -259,7 +259,7 @@ def _of_model(model: str, plants: Sequence[WatchedPlant], now: float) -> dict[An
 
 def _state(plant: WatchedPlant) -> str:
     """Return the state of a plant, as one word."""
-    if plant.told:
+    if plant.reported:
         return "fault"
     if plant.missing is not None:
         return "missing"

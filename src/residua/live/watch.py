@@ -258,18 +258,18 @@ class Watch:
                 words = (plant.open_row + count - 1 for count in (FIRST, FINAL))
                 plant.next_look = min([plant.next_look, *(at for at in words if at > row)])
             if over:
-                plant.open_row, plant.told = -1, []
+                plant.open_row, plant.reported = -1, []
                 self._judged.pop(plant.key, None)
 
     def _look(self, plant: WatchedPlant, row: int, time: float, over: bool, batch: _Batch) -> None:
         """Report the changes in the alarms of a plant up to a row."""
         judged = self._judged_to(plant, row + 1, batch)
         alarms = judged.alarms(plant.open_since)
-        after, told = news(plant.told, alarms, plant.open_since, over)
-        if told:  # only then it matters when they began
-            after, told = news(plant.told, judged.dated(alarms, plant.open_since), plant.open_since, over)
-        plant.told = after
-        for one in told:
+        after, reported = news(plant.reported, alarms, plant.open_since, over)
+        if reported:  # only then it matters when they began
+            after, reported = news(plant.reported, judged.dated(alarms, plant.open_since), plant.open_since, over)
+        plant.reported = after
+        for one in reported:
             batch.add(plant, row, time, one.kind, self._content(plant, one))
 
     def _content(self, plant: WatchedPlant, one: News) -> dict[str, Any]:
@@ -346,7 +346,7 @@ class Watch:
         too_long = plant.open_row >= 0 and plant.count - plant.anchor_at >= LONGEST_ALARM * kept
         if plant.mark is not None and (plant.open_row < 0 or too_long):
             if too_long and plant.open_row < plant.mark_at:
-                plant.told = [replace(one, shortened=k == 0) for k, one in enumerate(plant.told)]
+                plant.reported = [replace(one, shortened=k == 0) for k, one in enumerate(plant.reported)]
             plant.anchor, plant.anchor_at = plant.mark, plant.mark_at
             batch.changes.forgotten[plant.key] = plant.anchor_at
         plant.mark, plant.mark_at = self._state(plant), plant.count
@@ -362,7 +362,7 @@ class Watch:
 
     def _number(self, plant: WatchedPlant, time: float, kind: str, content: dict[str, Any], changes: Changes) -> None:
         if kind in ("raised", "renamed", "confirmed"):
-            plant.said = (content["name"], content["sure"], content["raised"])
+            plant.attribution = (content["name"], content["sure"], content["raised"])
         plant.number += 1
         self.last_place += 1
         event = Event(self.last_place, plant.plant, plant.number, kind, time, _clock(plant, time), content)
@@ -409,12 +409,12 @@ class Watch:
         """Report the alarms standing at the end of the data."""
         batch = _Batch()
         for plant in self.plants.values():
-            if not plant.told or plant.standing_at == plant.count:
+            if not plant.reported or plant.standing_at == plant.count:
                 continue
             plant.standing_at = plant.count
             judged = self._judged_to(plant, plant.count, batch)
             alarms = judged.dated(judged.alarms(plant.open_since), plant.open_since)
-            for alarm in those_since(plant.told, alarms, plant.open_since):
+            for alarm in those_since(plant.reported, alarms, plant.open_since):
                 if alarm.ended is None:
                     content = self._content(plant, News("standing", alarm))
                     batch.add(plant, plant.count, judged.last_time, "standing", content)
@@ -428,11 +428,11 @@ class Watch:
         """
         one, batch = self.plants[plant], _Batch()
         model, block = self.models[one.model], self._blocks[one.model]
-        if one.told:
+        if one.reported:
             self._look(one, one.count - 1, one.sampling.last, True, batch)
         block.replace_state(np.array([one.place]), model.start())
         self._judged.pop(one.key, None)
-        one.sampling, one.told, one.open_row, one.ratio = SamplingState(), [], -1, math.nan
+        one.sampling, one.reported, one.open_row, one.ratio = SamplingState(), [], -1, math.nan
         one.anchor = one.mark = state_to_bytes(model.start())
         one.anchor_at = one.mark_at = one.count
         batch.changes.forgotten[one.key] = one.count

@@ -14,7 +14,7 @@ from residua.live.source import Backoff, Health, Message, MessageQueue, RunStopp
 logger = logging.getLogger("residua.live")
 
 #: Seconds that ``stop`` waits for a thread.
-PATIENCE = 10.0
+JOIN_TIMEOUT = 10.0
 
 
 class ThreadedSource(Source):
@@ -47,7 +47,7 @@ class ThreadedSource(Source):
         self.stopping.set()
         if self._thread is not None:
             self.wake()
-            self._thread.join(PATIENCE)
+            self._thread.join(JOIN_TIMEOUT)
             self.waker.close()
 
     @property
@@ -135,7 +135,7 @@ class BrokerSource(ThreadedSource):
                     self.backoff.wait(self.stopping)
         finally:
             self.queue.close()
-            putting.join(PATIENCE)
+            putting.join(JOIN_TIMEOUT)
             self._health = Health(False, "has ended")
 
     def _put_all(self) -> None:

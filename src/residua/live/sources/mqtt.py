@@ -208,10 +208,6 @@ class Mqtt(BrokerSource):
                 self.connected(True, "")
 
 
-class _LostError(Exception):
-    """The connection is lost, or was refused; the text gives the reason."""
-
-
 class _Client(paho.Client):
     """Client of paho that reads and acknowledges many messages by one system call.
 
@@ -339,7 +335,7 @@ class _Connection:
                     client.flush()
                 self._check(client.loop_misc())
                 if not self._ready and time.monotonic() - opened > 2 * _CONNECTING:
-                    raise _LostError("no answer")
+                    raise ConnectionError("no answer")
         self._leave()
 
     def _wait(self, selector: selectors.BaseSelector, reads: bool) -> None:
@@ -347,7 +343,7 @@ class _Connection:
         client = self._client
         socket = client.socket()
         if socket is None:
-            raise _LostError(self._refusal or "the connection was lost")
+            raise ConnectionError(self._refusal or "the connection was lost")
         events = selectors.EVENT_READ * reads | selectors.EVENT_WRITE * client.want_write()
         if events != self._events:
             if self._events:
@@ -402,7 +398,7 @@ class _Connection:
 
     def _check(self, result: MQTTErrorCode) -> None:
         if result != paho.MQTT_ERR_SUCCESS or self._refusal:
-            raise _LostError(self._refusal or paho.error_string(result).rstrip("."))
+            raise ConnectionError(self._refusal or paho.error_string(result).rstrip("."))
 
     def _leave(self) -> None:
         """Send the acknowledgements, and disconnect."""

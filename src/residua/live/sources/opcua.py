@@ -277,8 +277,8 @@ class OpcUa(BrokerSource):
                     places[handle] = self._places[node]
         if not places:
             raise ConnectionError(f"the server has none of the nodes: {'; '.join(refused[:3])}")
-        said = f"; {len(refused):,} are not there: {'; '.join(refused[:3])}" if refused else ""
-        return subscription, places, said + ("; values that do not change are not sent" if plain else "")
+        remark = f"; {len(refused):,} are not there: {'; '.join(refused[:3])}" if refused else ""
+        return subscription, places, remark + ("; values that do not change are not sent" if plain else "")
 
     def _request(self, handle: int, node: Any, by_time: bool) -> ua.MonitoredItemCreateRequest:
         """Return the request for a node; ``by_time``: report equal values at later times too."""
@@ -352,19 +352,19 @@ def _parsed(node: str) -> tuple[str, ua.NodeId]:
     if node.startswith("nsu="):
         address, _, rest = node.removeprefix("nsu=").rpartition(";")
     try:
-        made = ua.NodeId.from_string(rest)
+        node_id = ua.NodeId.from_string(rest)
     except Exception as error:  # asyncua raises several kinds
         raise SettingError(f"nodes: {echo(node)} is not a node; 'ns=2;s=name' and 'ns=2;i=number' are") from error
-    return address, made
+    return address, node_id
 
 
 def _resolved(node: str, namespaces: list[str]) -> ua.NodeId | None:
-    address, made = _parsed(node)
+    address, node_id = _parsed(node)
     if not address:
-        return made
+        return node_id
     if address not in namespaces:
         return None
-    return ua.NodeId(made.Identifier, ua.Int16(namespaces.index(address)), made.NodeIdType)
+    return ua.NodeId(node_id.Identifier, ua.Int16(namespaces.index(address)), node_id.NodeIdType)
 
 
 def _is_about_filters(answer: Any) -> bool:
