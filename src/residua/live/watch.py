@@ -219,7 +219,7 @@ class Watch:
             places = np.array([plant.place for plant, _, _ in ones], dtype=np.int64)
             outputs = block.advance(places, np.stack([values for _, _, values in ones]), _ASKED)
             alarm, missing, statistic = (outputs[name] for name in _ASKED)
-            alarmed, gaps = alarm.any(axis=1).tolist(), missing.any(axis=1).tolist()
+            alarmed, gaps = (np.asarray(one.any(axis=1)).tolist() for one in (alarm, missing))
             self.judged += int(np.count_nonzero(np.isfinite(statistic)))
             ratios = (statistic[:, -1] / threshold).tolist()
             for k, (plant, times, values) in enumerate(ones):

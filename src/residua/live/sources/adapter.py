@@ -13,6 +13,8 @@ from residua.live.source import Backoff, Health, Message, MessageQueue, RunStopp
 
 logger = logging.getLogger("residua.live")
 
+#: Messages, and bytes of them, that are on their way from the queue of a broker to the run.
+_AT_ONCE, _BYTES_AT_ONCE = 100, 1_000_000
 #: Seconds that ``stop`` waits for a thread.
 JOIN_TIMEOUT = 10.0
 
@@ -143,7 +145,7 @@ class BrokerSource(ThreadedSource):
         try:
             while not self.queue.closed:
                 full = self.queue.full
-                for message in self.queue.take(1):
+                for message in self.queue.take(_AT_ONCE, octets=_BYTES_AT_ONCE):
                     self.put(message)
                 if full and not self.queue.full:
                     self.wake()

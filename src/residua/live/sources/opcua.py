@@ -246,39 +246,35 @@ class OpcUa(BrokerSource):
 
     async def _subscribed(self, client: Client) -> tuple[Subscription, dict[int, list[tuple[str, str]]], str]:
         """Subscribe to all nodes; return the channels of each handle, and the requests that the server refused."""
-        settings = self._settings
         subscription = await client.create_subscription(
-            1000.0 * settings.interval,
+            1000.0 * self._settings.interval,
             queue_maxsize=0,  # it is emptied after every message of the server
         )
         namespaces = await client.get_namespace_array()
-        places: dict[int, list[tuple[str, str]]] = {}
-        refused: list[str] = []
-        plain, nodes = False, list(self._places)
-        for first in range(0, len(nodes), _AT_ONCE):
-            part = list(enumerate(nodes[first : first + _AT_ONCE], first + 1))
-            ids = {handle: _resolved(node, namespaces) for handle, node in part}
-            known = [(handle, node) for handle, node in part if ids[handle] is not None]
-            refused += [f"{node}: its namespace does not exist" for handle, node in part if ids[handle] is None]
-            requests = [self._request(handle, ids[handle], not plain) for handle, _ in known]
-            answers = await subscription.create_monitored_items(requests)
-            if not plain and any(_is_about_filters(one) for one in answers):
-                plain = True
-                again = [k for k, one in enumerate(answers) if _is_about_filters(one)]
-                more = await subscription.create_monitored_items(
-                    [self._request(known[k][0], ids[known[k][0]], False) for k in again]
-                )
-                for k, one in zip(again, more, strict=True):
-                    answers[k] = one
-            for (handle, node), answer in zip(known, answers, strict=True):
-                if isinstance(answer, ua.StatusCode):
-                    refused.append(f"{node}: {answer.name}")
-                else:
-                    places[handle] = self._places[node]
+        nodes = dict(enumerate(self._places, 1))
+        ids = {handle: _resolved(node, namespaces) for handle, node in nodes.items()}
+        refused = [f"{nodes[handle]}: its namespace does not exist" for handle, one in ids.items() if one is None]
+        ids = {handle: one for handle, one in ids.items() if one is not None}
+        answers = await self._monitored(subscription, ids, by_time=True)
+        plain = {handle: ids[handle] for handle, answer in answers.items() if _is_about_filters(answer)}
+        answers |= await self._monitored(subscription, plain, by_time=False)
+        failed = {handle for handle, answer in answers.items() if isinstance(answer, ua.StatusCode)}
+        refused += [f"{nodes[handle]}: {answers[handle].name}" for handle in sorted(failed)]
+        places = {handle: self._places[nodes[handle]] for handle in answers.keys() - failed}
         if not places:
             raise ConnectionError(f"the server has none of the nodes: {'; '.join(refused[:3])}")
         remark = f"; {len(refused):,} are not there: {'; '.join(refused[:3])}" if refused else ""
         return subscription, places, remark + ("; values that do not change are not sent" if plain else "")
+
+    async def _monitored(self, subscription: Subscription, ids: dict[int, Any], *, by_time: bool) -> dict[int, Any]:
+        """Request values of nodes, many at once, and return the answers by handle."""
+        answers: dict[int, Any] = {}
+        handles = list(ids)
+        for first in range(0, len(handles), _AT_ONCE):
+            part = handles[first : first + _AT_ONCE]
+            requests = [self._request(handle, ids[handle], by_time) for handle in part]
+            answers |= zip(part, await subscription.create_monitored_items(requests), strict=True)
+        return answers
 
     def _request(self, handle: int, node: Any, by_time: bool) -> ua.MonitoredItemCreateRequest:
         """Return the request for a node; ``by_time``: report equal values at later times too."""
