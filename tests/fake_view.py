@@ -206,7 +206,7 @@ class FakeView:
             ("plants_in_alarm", model): counts["fault"],
             ("plants_missing", model): counts["missing"],
             ("largest_ratio", model): max(self.ratios().values(), default=0.0),
-            ("oldest_age", model): 0.5,
+            ("oldest_age_seconds", model): 0.5,
             ("rows", (("model", "three tanks"),)): sum(p.rows for p in self.plants.values()),
             ("commits", ()): 12,
             ("queue", ()): 0,

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 import residua as rs
 from residua.library import simulate_three_tank
-from residua.live.patience import Patience
 from residua.live.sampling import Rows, SamplingState
 from residua.live.sqlite_store import SqliteStore
+from residua.live.store import Retry
 from residua.live.watch import Watch, Work
 from residua.live.watched_model import WatchedModel
 
@@ -66,7 +66,7 @@ def opened(path: Path, model: WatchedModel, plants: Sequence[str] = ()) -> Watch
     store = SqliteStore(path)
     store.open()
     try:
-        watch = Watch({model.name: model}, store, Patience(store, threading.Event()), 0.0)
+        watch = Watch({model.name: model}, store, Retry(threading.Event()), 0.0)
     except Exception:
         store.close()
         raise

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 import residua as rs
 from live_examples import alarms_of, monitor, recording
 from residua.live.config import load_settings
-from residua.live.messages import Message
-from residua.live.run import AT_ONCE, Inbox, Run
+from residua.live.run import AT_ONCE, BYTES_AT_ONCE, MOST_BYTES, MOST_MESSAGES, Run
+from residua.live.source import Message, MessageQueue
 from residua.live.sqlite_store import SqliteStore
 
 
@@ -142,12 +142,12 @@ def memory_by_hour(run: Run, plants: int, hours: int) -> tuple[list[float], int,
         blocks.append(json.dumps({"dt": 1.0} | columns).encode()[1:])
     memory: list[float] = []
     begin = time.monotonic()
-    inbox = Inbox()
+    inbox = MessageQueue(MOST_MESSAGES, MOST_BYTES)
     for k in range(hours * 36):
         for p in range(plants):
             text = b'{"plant": "p%d", "t0": %d, ' % (p, 100 * k) + blocks[(k + p) % len(blocks)]
             inbox.put(Message(source, text, 0.0))
-        while messages := inbox.take(AT_ONCE, 0.0):
+        while messages := inbox.take(AT_ONCE, 0.0, BYTES_AT_ONCE):
             run.apply(messages)
         if k % 36 == 35:
             memory.append(resident())

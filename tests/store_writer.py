@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from residua.live.events import Event
+from residua.live.records import rows_to_bytes
 from residua.live.sqlite_store import SqliteStore
-from residua.live.store import Changes, PlantUpdate, rows_to_bytes
+from residua.live.store import Changes, PlantUpdate
 from residua.live.watched_plant import WatchedPlant
 
 

@@ -11,10 +11,10 @@ from hypothesis import given, settings, strategies as st
 import residua as rs
 from cluster_examples import PLANTS, SAMPLES, expected, in_order, key, monitor, part, recordings
 from residua.cluster import PackedRows, Shard, monitor_of_text, packed_table, shard_of, text_of_monitor
-from residua.cluster.event_table import EVENT_COLUMNS, arrow_of, columns_of
 from residua.cluster.packed_rows import checked_shards
-from residua.cluster.travelling import mark_of
+from residua.cluster.shard import EVENT_COLUMNS
 from residua.errors import DataError, FileFormatError, NotFittedError, SettingError
+from residua.monitor.fleet_block import fingerprint_of
 
 pytest.importorskip("pyarrow")
 
@@ -269,8 +269,8 @@ def test_parts_of_different_numbers_of_shards_do_not_go_together() -> None:
 
 def test_a_monitor_arrives_as_it_left() -> None:
     text = text_of_monitor(monitor())
-    assert mark_of(monitor_of_text(text)) == mark_of(monitor())
-    assert mark_of(monitor(5.0)) != mark_of(monitor())
+    assert fingerprint_of(monitor_of_text(text)) == fingerprint_of(monitor())
+    assert fingerprint_of(monitor(5.0)) != fingerprint_of(monitor())
     with pytest.raises(FileFormatError, match="not what was saved"):
         monitor_of_text(text.replace("4.0", "4.5", 1))
     with pytest.raises(NotFittedError):
@@ -292,9 +292,9 @@ def test_shards_are_about_equal() -> None:
 
 def test_events_as_a_table() -> None:
     taken = Shard(monitor(), plants=recordings()).take(rows(record(100, 0, SAMPLES), (999, 5, 1, np.zeros(3))))
-    table = arrow_of(taken, whole=True)
+    table = taken.arrow(whole=True)
     assert table.schema.names == list(EVENT_COLUMNS)
     assert [row["kind"] for row in table.to_pylist()] == ["raised", "ended", "aside"]
     last = {"kind": "aside", "plant": 999, "sample": 5, "cause": "unknown plant", "reason": ""}
     assert table.to_pylist()[-1] | {"reason": ""} == dict.fromkeys(EVENT_COLUMNS) | last
-    assert set(columns_of(taken)) == set(EVENT_COLUMNS)
+    assert set(taken.columns()) == set(EVENT_COLUMNS)

@@ -15,8 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from residua.live.messages import Message
-from residua.live.source import RunStoppedError, Source
+from residua.live.source import Message, RunStoppedError, Source
 
 
 def free_port() -> int:

@@ -13,7 +13,7 @@ import pytest
 
 from receiver import events
 from residua.errors import SettingError
-from residua.live.sink import DeliveryError
+from residua.live.delivery import DeliveryError
 from residua.live.sinks.command import Command, Settings
 
 
@@ -91,22 +91,6 @@ def test_its_output_does_not_mix_with_the_runs(capfd):
     out, err = capfd.readouterr()
     assert out == ""
     assert "from the program" in err
-
-
-@pytest.mark.parametrize(
-    ("settings", "said"),
-    [
-        ({"command": ()}, "command"),
-        ({"command": "echo hello"}, "command: a list"),
-        ({"command": ("",)}, "command"),
-        ({"command": ("echo", 3)}, "command: a list"),
-        ({"command": ("echo", "a\0b")}, "command: a list"),
-        ({"command": ("true",), "timeout": 0.0}, "timeout"),
-    ],
-)
-def test_settings_that_make_no_sense(settings, said):
-    with pytest.raises(SettingError, match=said):
-        Settings(**settings)
 
 
 def test_a_program_that_is_not_there():

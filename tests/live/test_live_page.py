@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import re
 import socket
@@ -22,6 +23,7 @@ from residua.report.live_page import live_page, live_policy
 
 in_browser = pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
 LIVE = "document.body.dataset.state === 'live'"
+DRAWN = "document.body.dataset.drawnCharts > 0"
 
 
 def test_the_page_is_whole_without_a_server():
@@ -68,6 +70,15 @@ def view():
     return made
 
 
+@contextlib.contextmanager
+def shown(page: Chromium, view: FakeView, path: str = "", until: str = LIVE, settings: Settings | None = None):
+    """A server whose page is open, once something is so of it."""
+    with Server(view, settings) as running:
+        page.open(running.address + path)
+        page.wait(until)
+        yield running
+
+
 def numbers(page: Chromium) -> list[int]:
     """Return the places of the events that the page lists, oldest first."""
     places = "[...document.querySelectorAll('ol.events li')].map((li) => Number(li.dataset.place))"
@@ -76,9 +87,7 @@ def numbers(page: Chromium) -> list[int]:
 
 def test_the_first_fault_is_there_within_two_seconds(page, view):
     view.play(150)
-    with Server(view) as running:
-        page.open(running.address)
-        page.wait(LIVE)
+    with shown(page, view) as running:
         assert page.ask("document.body.dataset.faults") == "0"
         assert "No fault in 2 plants" in page.ask("document.querySelector('#summary').textContent")
         raised = view.plants["north"].diagnosis.alarms[0].start
@@ -101,9 +110,7 @@ def test_after_a_lost_connection_it_goes_on_without_a_hole(page, view, tmp_path)
     view.play(150)
     with socket.create_server(("127.0.0.1", 0)) as free:
         settings = Settings(listen=f"127.0.0.1:{free.getsockname()[1]}", token_file=str(secret))
-    with Server(view, settings) as running:
-        page.open(running.address)
-        page.wait(LIVE)
+    with shown(page, view, settings=settings):
         page.wait(f"document.body.dataset.lastEvent == {len(view.events)}")
     page.wait("document.body.dataset.state === 'lost'")
     assert "Connection lost" in page.ask("document.querySelector('#status').textContent")
@@ -123,9 +130,7 @@ def test_after_a_lost_connection_it_goes_on_without_a_hole(page, view, tmp_path)
 
 def test_a_network_that_goes_and_comes(page, view):
     view.play(150)
-    with Server(view) as running:
-        page.open(running.address)
-        page.wait(LIVE)
+    with shown(page, view):
         page.call("Network.emulateNetworkConditions", offline=True, latency=0, downloadThroughput=0, uploadThroughput=0)
         page.wait("document.body.dataset.state === 'lost'")
         view.tell("south", "missing", 1.0)
@@ -138,9 +143,7 @@ def test_a_network_that_goes_and_comes(page, view):
 
 
 def test_another_token_is_said(page, view):
-    with Server(view) as running:
-        page.open(running.address)
-        page.wait(LIVE)
+    with shown(page, view) as running:
         port = running.port
     with Server(view, Settings(listen=f"127.0.0.1:{port}")):
         page.wait("document.body.dataset.state === 'refused'")
@@ -149,9 +152,7 @@ def test_another_token_is_said(page, view):
 
 def test_one_plant_is_drawn_and_goes_on(page, view):
     view.play(400)
-    with Server(view) as running:
-        page.open(running.address + "#/north")
-        page.wait("document.body.dataset.drawnCharts > 0")
+    with shown(page, view, "#/north", DRAWN):
         d = view.plants["north"].diagnosis
         assert page.ask("document.body.dataset.plant") == "north"
         assert page.ask("document.body.dataset.fault") == "leak 3"
@@ -184,9 +185,7 @@ def test_one_plant_is_drawn_and_goes_on(page, view):
 def test_a_run_of_one_plant_shows_it_at_once(page):
     view = FakeView.of({"the only one": "leak"})
     view.play(300)
-    with Server(view) as running:
-        page.open(running.address)
-        page.wait("document.body.dataset.view === 'plant' && document.body.dataset.drawnCharts > 0")
+    with shown(page, view, until=f"document.body.dataset.view === 'plant' && {DRAWN}"):
         assert page.ask("document.body.dataset.plant") == "the only one"
         assert page.ask("document.querySelector('#all').hidden") is True
 
@@ -197,12 +196,10 @@ def test_whatever_is_said_is_shown_as_text(page):
     view.sources.append({"name": NASTY, "kind": "mqtt", "good": False, "text": NASTY})
     view.play(400)
     view.tell(NASTY, "missing", 1.0, channels=[NASTY])
-    with Server(view) as running:
-        page.open(running.address)
-        page.wait(LIVE)
+    with shown(page, view):
         page.wait("document.querySelectorAll('ol.events li').length > 2")
         page.ask(f"location.hash = '#/' + encodeURIComponent({json.dumps(NASTY)})")
-        page.wait("document.body.dataset.drawnCharts > 0")
+        page.wait(DRAWN)
         assert page.ask("document.body.dataset.plant") == NASTY
         assert page.ask("window.bad === undefined") is True
         assert page.ask("document.images.length") == 0
@@ -211,9 +208,7 @@ def test_whatever_is_said_is_shown_as_text(page):
 
 def test_what_is_away_is_marked(page, view):
     view.play(100, "north")  # within the gap
-    with Server(view) as running:
-        page.open(running.address)
-        page.wait(LIVE)
+    with shown(page, view):
         assert page.ask("document.querySelector('tr[data-plant=north]').dataset.state") == "missing"
         assert page.ask("document.querySelector('tr[data-plant=south]').dataset.state") == "waiting"
         assert "ago" not in page.ask("document.querySelector('table.plants tbody').textContent")
@@ -242,9 +237,7 @@ def many():
 
 
 def test_ten_thousand_plants_go_by_pages(page, many):
-    with Server(many) as running:
-        page.open(running.address)
-        page.wait(LIVE)
+    with shown(page, many):
         page.wait("document.querySelectorAll('table.plants tbody tr').length === 100")
         assert page.ask("document.querySelector('table.plants tbody tr').dataset.plant") == "zz last"
         assert page.ask("document.querySelector('#range').textContent") == "1 to 100 of 10,000"
@@ -260,19 +253,15 @@ def test_ten_thousand_plants_go_by_pages(page, many):
 def test_it_fits_its_window(page, view, width, hash):
     view.play(400)
     page.size(width, 844, phone=width < 600)
-    with Server(view) as running:
-        page.open(running.address + hash)
-        page.wait(LIVE)
-        page.wait("document.body.dataset.drawnCharts > 0" if hash else "document.querySelector('tr[data-plant=north]')")
+    with shown(page, view, hash):
+        page.wait(DRAWN if hash else "document.querySelector('tr[data-plant=north]')")
         assert page.ask("document.documentElement.scrollWidth") <= width
 
 
 def test_the_ratio_reads_as_such_on_a_phone(page, view):
     view.play(900)
     page.size(390, 844, phone=True)
-    with Server(view) as running:
-        page.open(running.address)
-        page.wait("document.querySelector('tr[data-plant=north]')")
+    with shown(page, view, until="document.querySelector('tr[data-plant=north]')"):
         cell = "document.querySelector('tr[data-plant=north] td.num')"
         assert float(page.ask(f"{cell}.textContent")) > 1
         assert page.ask(f"getComputedStyle({cell}, '::after').content") == '" × the threshold"'
@@ -280,9 +269,7 @@ def test_the_ratio_reads_as_such_on_a_phone(page, view):
 
 def test_a_live_chart_is_read_by_keyboard_and_as_a_table(page, view):
     view.play(400)
-    with Server(view) as running:
-        page.open(running.address + "#/north")
-        page.wait("document.body.dataset.drawnCharts > 0")
+    with shown(page, view, "#/north", DRAWN):
         page.ask("document.querySelector('#statistic .plot').focus()")
         heard = "document.activeElement.getAttribute('aria-valuetext')"
         last = view.plants["north"].diagnosis.statistic[399]
@@ -302,9 +289,7 @@ def test_charts_are_drawn_in_light_and_dark(page, view, tmp_path, dark):
 
     view.play(400)
     page.dark(dark)
-    with Server(view) as running:
-        page.open(running.address + "#/north")
-        page.wait("document.body.dataset.drawnCharts > 0")
+    with shown(page, view, "#/north", DRAWN):
         pixels = imread(page.picture(tmp_path / "page.png"))[..., :3]
     page.dark(False)
     corner = pixels[5, 5].mean()

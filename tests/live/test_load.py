@@ -13,8 +13,8 @@ import pytest
 from live_examples import recording
 from live_runs import Nobody, configuration, line, memory_by_hour, resident
 from residua.live.config import load_settings
-from residua.live.messages import Message
 from residua.live.run import Run
+from residua.live.source import Message
 
 SOURCE = '[[sources]]\nkind = "stdin"\npath = "rows.jsonl"'
 

@@ -14,8 +14,8 @@ import pytest
 from live.brokers import running
 from receiver import events
 from residua.errors import SettingError
+from residua.live.delivery import DeliveryError
 from residua.live.events import Event
-from residua.live.sink import DeliveryError
 
 paho = pytest.importorskip("paho.mqtt.client", reason="paho-mqtt, of the extra 'mqtt', is not installed")
 
@@ -131,26 +131,6 @@ def test_a_broker_that_never_answers_is_left_in_time():
             made.deliver(events(1))
         assert time.monotonic() - begun < 5.0
         made.close()
-
-
-@pytest.mark.parametrize(
-    ("settings", "said"),
-    [
-        ({"host": ""}, "host"),
-        ({"host": "b", "port": 70000}, "port"),
-        ({"host": "b", "port": "1883"}, "port: a whole number"),
-        ({"host": "b", "topic": "a/+/b"}, "topic"),
-        ({"host": "b", "topic": ""}, "topic"),
-        ({"host": "b", "ca_file": "x"}, "tls = true"),
-        ({"host": "b", "version": "3.1"}, "version"),
-        ({"host": "b", "timeout": 0.0}, "timeout"),
-        ({"host": "b", "password_env": "P"}, "username"),
-        ({"host": "b", "username": "u", "password_env": "P", "password_file": "f"}, "only one of them"),
-    ],
-)
-def test_settings_that_make_no_sense(settings, said):
-    with pytest.raises(SettingError, match=said):
-        sink.Settings(**settings)
 
 
 def test_what_cannot_be_read_is_said_before_anything_is_opened(tmp_path):

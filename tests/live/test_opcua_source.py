@@ -17,7 +17,6 @@ from asyncua import ua  # noqa: E402
 
 from live.brokers import Run, free_port, wait_for  # noqa: E402
 from live.opcua_server import URI, VARIABLES, OpcUaServer  # noqa: E402
-from residua.errors import SettingError  # noqa: E402
 from residua.live.sources.opcua import OpcUa, Settings  # noqa: E402
 
 NODES = {"north": {"level": "ns=2;s=north.level", "flow": "ns=2;s=north.flow"}}
@@ -103,13 +102,13 @@ def test_a_run_that_takes_nothing_holds_up_the_server(server: OpcUaServer, monke
         run.wait_for(2)
         run.takes.clear()
         server.set_all([("north.level", float(k), BEGIN + k) for k in range(1000)])
-        wait_for(lambda: source.waiting > 50)
+        wait_for(lambda: len(source.queue) > 50)
         time.sleep(1.0)
-        held = source.waiting + run.waiting
+        held = len(source.queue) + run.waiting
         server.set_all([("north.level", float(k), BEGIN + k) for k in range(1000, 3000)])
         time.sleep(2.0)
         assert source.health.good
-        assert source.waiting + run.waiting == held < 3000
+        assert len(source.queue) + run.waiting == held < 3000
         run.takes.set()
         run.wait_for(3002, 60.0)
     assert of(run, "level") == [(float(k), BEGIN + k) for k in range(3000)]
@@ -194,25 +193,3 @@ def test_users_and_certificates(tmp_path: Path) -> None:
                 else:
                     wait_for(lambda source=source: "tries again" in source.health.text, 30.0)
                 assert "secret" not in source.health.text
-
-
-@pytest.mark.parametrize(
-    ("wrong", "said"),
-    [
-        ({"url": "http://localhost:4840"}, "url: opc.tcp"),
-        ({"url": "opc.tcp://user:word@localhost:4840"}, "url: opc.tcp"),
-        ({"url": "opc.tcp://localhost"}, "url: opc.tcp"),
-        ({"nodes": {}}, "nodes: name at least one node"),
-        ({"nodes": {"north": {"level": "level"}}}, "nodes: 'level' is not a node"),
-        ({"nodes": {"north": {"level": 3}}}, "nodes: 'north': a table from text to text"),
-        ({"plants": ("a",)}, "channels: plants whose nodes"),
-        ({"plants": ("north",), "channels": {"level": "ns=2;s=x"}}, "nodes: level of north has two nodes"),
-        ({"interval": 0}, "interval: a number from 0.01"),
-        ({"policy": "None"}, "policy: one of"),
-        ({"policy": "Basic256Sha256"}, "cert_file: a policy needs"),
-        ({"cert_file": __file__}, "cert_file: a policy needs"),
-    ],
-)
-def test_wrong_settings_are_named(wrong: dict[str, Any], said: str) -> None:
-    with pytest.raises(SettingError, match=said):
-        Settings(**({"url": "opc.tcp://localhost:4840", "nodes": NODES} | wrong))

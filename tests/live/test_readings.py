@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from residua.live.messages import LARGEST, Message
 from residua.live.readings import Layout, MessageError, Readings, readings_of
+from residua.live.source import LARGEST, Message
 
 LAYOUT = Layout(("valve",), ("level", "flow"), 0.5)
 
@@ -129,16 +129,7 @@ GOOD = {"plant": "north", "t": 1, "u": [1], "y": [1, 2]}
     ids=str,
 )
 def test_what_is_refused(payload: Any, reason: str) -> None:
-    with pytest.raises(MessageError) as error:
-        read(payload)
-    assert error.value.reason == reason
-
-
-@pytest.mark.parametrize("number", ["1" + "0" * 400, "1e999", "-1e400"])
-def test_huge_numbers_are_refused_and_not_infinite(number: str) -> None:
-    with pytest.raises(MessageError) as error:
-        read(f'{{"plant": "north", "t": 1, "u": [1], "y": [{number}, 2]}}'.encode())
-    assert error.value.reason in ("number", "json")
+    refused(payload, reason)
 
 
 @pytest.mark.parametrize(
@@ -153,9 +144,18 @@ def test_huge_numbers_are_refused_and_not_infinite(number: str) -> None:
     ],
 )
 def test_what_is_refused_of_topics(payload: Any, more: dict[str, Any], reason: str) -> None:
+    refused(payload, reason, **more)
+
+
+def refused(payload: Any, *reasons: str, **more: Any) -> None:
     with pytest.raises(MessageError) as error:
         read(payload, **more)
-    assert error.value.reason == reason
+    assert error.value.reason in reasons
+
+
+@pytest.mark.parametrize("number", ["1" + "0" * 400, "1e999", "-1e400"])
+def test_huge_numbers_are_refused_and_not_infinite(number: str) -> None:
+    refused(f'{{"plant": "north", "t": 1, "u": [1], "y": [{number}, 2]}}'.encode(), "number", "json")
 
 
 JSON = st.recursive(

@@ -14,7 +14,7 @@ import pytest
 import residua.live.sources.replay as replay
 from live.brokers import Run, wait_for
 from residua.errors import SettingError
-from residua.live.messages import Message
+from residua.live.source import Message
 from residua.live.sources.replay import Replay, Settings
 from residua.plant import Plant
 from residua.recording.recording import read_recording
@@ -168,26 +168,6 @@ def test_what_cannot_be_read_ends_it_and_is_said(tmp_path: Path) -> None:
         wait_for(lambda: source.over)
     assert not source.health.good
     assert "missing columns 'valve', 'flow'" in source.health.text
-
-
-@pytest.mark.parametrize(
-    ("wrong", "said"),
-    [
-        ({}, "file: name the recording"),
-        ({"file": "none.csv"}, "file: none.csv is not a file"),
-        ({"files": {"north": "none.csv"}}, "files: none.csv, of north, is not a file"),
-        ({"file": __file__, "speed": -1.0}, "speed: a number of at least 0"),
-        ({"file": __file__, "speed": float("nan")}, "speed: a number"),
-        ({"file": __file__, "rows": 0}, "rows: a whole number from 1 to 10,000"),
-        ({"file": __file__, "rows": True}, "rows: a whole number"),
-        ({"file": __file__, "times": "then"}, "times: one of 'own', 'now'"),
-        ({"file": __file__, "plants": ["a", "a"]}, "plants: a list of different texts"),
-        ({"file": __file__, "columns": {"a": 1}}, "columns: a table from text to text"),
-    ],
-)
-def test_wrong_settings_are_named(wrong: dict[str, Any], said: str) -> None:
-    with pytest.raises(SettingError, match=said):
-        Settings(**wrong)
 
 
 def test_a_plant_without_a_model_or_a_file_is_named() -> None:

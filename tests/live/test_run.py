@@ -17,11 +17,10 @@ from live_examples import recording, told
 from live_runs import Nobody, configuration, line, wait_for
 from residua.errors import DataError
 from residua.live.config import load_settings
-from residua.live.delivery import Delivery
+from residua.live.delivery import Delivery, Sink
 from residua.live.events import Event
-from residua.live.messages import Message
-from residua.live.run import Run
-from residua.live.sink import Sink
+from residua.live.run import MOST_BYTES, MOST_MESSAGES, Run
+from residua.live.source import Message, MessageQueue, RunStoppedError
 from residua.live.store import Changes, StoreAwayError, StoreError
 from residua.live.watched_plant import Steps
 
@@ -193,11 +192,8 @@ def test_another_step_than_that_of_the_monitor_is_said(tmp_path: Path) -> None:
     assert not any(lost.odd([float(k)], 1.0) for k in range(1000) if k % 5)
 
 
-def test_a_full_inbox_waits_and_a_closed_one_refuses() -> None:
-    from residua.live.run import Inbox
-    from residua.live.source import RunStoppedError
-
-    inbox, over = Inbox(messages=2), threading.Event()
+def test_a_full_queue_waits_and_a_closed_one_refuses() -> None:
+    inbox, over = MessageQueue(2, MOST_BYTES), threading.Event()
 
     def put() -> None:
         try:
@@ -218,9 +214,7 @@ def test_a_full_inbox_waits_and_a_closed_one_refuses() -> None:
 
 
 def test_what_is_committed_together_is_bounded_in_bytes_too() -> None:
-    from residua.live.run import Inbox
-
-    inbox = Inbox()
+    inbox = MessageQueue(MOST_MESSAGES, MOST_BYTES)
     for k in range(5):
         inbox.put(Message(None, b"x" * 1000, float(k)))
     assert [one.arrived for one in inbox.take(10, 0.0, 2000)] == [0.0, 1.0]

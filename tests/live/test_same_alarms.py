@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from live_runs import alarms_in, command, configuration, line, running, wait_for
 
 SAMPLES = 2200
 TIMES = np.arange(SAMPLES, dtype=float)
+CHANNELS = ("Q1", "Q2", "h1", "h2", "h3")
 
 
 @pytest.fixture(scope="module")
@@ -57,54 +59,52 @@ def test_lines_of_standard_input(tmp_path: Path, rows: np.ndarray, wanted: list[
 
 
 def test_a_replay(tmp_path: Path, rows: np.ndarray, wanted: list[dict[str, Any]]) -> None:
-    np.savez(tmp_path / "run.npz", time=TIMES, **dict(zip(("Q1", "Q2", "h1", "h2", "h3"), rows.T, strict=True)))
+    np.savez(tmp_path / "run.npz", time=TIMES, **dict(zip(CHANNELS, rows.T, strict=True)))
     source = '[[sources]]\nkind = "replay"\nfile = "run.npz"\nspeed = 0\nrows = 37'
     made = command(configuration(tmp_path, source))
     assert made.returncode == 1, made.stderr
     assert alarms_in(tmp_path / "live.db") == wanted
 
 
-def test_mqtt(tmp_path: Path, mosquitto: Mosquitto, rows: np.ndarray, wanted: list[dict[str, Any]]) -> None:
+def by_channels(rows: np.ndarray) -> Iterator[tuple[str, str]]:
+    for time, row in zip(TIMES.tolist(), rows.tolist(), strict=True):
+        for c in (4, 0, 2, 1, 3):
+            value = None if row[c] != row[c] else row[c]
+            yield f"plants/north/{CHANNELS[c]}", json.dumps({"t": time, "value": value})
+
+
+def whole_rows(rows: np.ndarray) -> Iterator[tuple[str, str]]:
+    return (("plants/north/data", one) for one in messages(rows))
+
+
+@pytest.mark.parametrize(
+    ("topic", "published", "wait"), [("data", whole_rows, 2), ("{channel}", by_channels, 30)], ids=["rows", "channels"]
+)
+def test_mqtt(
+    tmp_path: Path,
+    mosquitto: Mosquitto,
+    rows: np.ndarray,
+    wanted: list[dict[str, Any]],
+    topic: str,
+    published: Callable[[np.ndarray], Iterator[tuple[str, str]]],
+    wait: float,
+) -> None:
     paho = pytest.importorskip("paho.mqtt.client")
     source = f"""[[sources]]
 kind = "mqtt"
 client_id = "residua"
 host = "127.0.0.1"
 port = {mosquitto.port}
-topics = ["plants/{{plant}}/data"]"""
-    client = paho.Client(paho.CallbackAPIVersion.VERSION2)
-    client.connect("127.0.0.1", mosquitto.port)
-    client.loop_start()
-    with running(configuration(tmp_path, source)) as run:
-        wait_for(lambda: run.sources[0].health.good)
-        for one in messages(rows):
-            client.publish("plants/north/data", one, qos=1)
-        wait_for(lambda: run.watch.plants["north"].count == SAMPLES)
-    client.disconnect()
-    client.loop_stop()
-    assert alarms_in(tmp_path / "live.db") == wanted
-
-
-def test_mqtt_by_channels(tmp_path: Path, mosquitto: Mosquitto, rows: np.ndarray, wanted: list[dict[str, Any]]) -> None:
-    paho = pytest.importorskip("paho.mqtt.client")
-    source = f"""[[sources]]
-kind = "mqtt"
-client_id = "residua"
-host = "127.0.0.1"
-port = {mosquitto.port}
-topics = ["plants/{{plant}}/{{channel}}"]
+topics = ["plants/{{plant}}/{topic}"]
 [sampling]
-wait = 30"""
+wait = {wait}"""
     client = paho.Client(paho.CallbackAPIVersion.VERSION2)
     client.connect("127.0.0.1", mosquitto.port)
     client.loop_start()
     with running(configuration(tmp_path, source)) as run:
         wait_for(lambda: run.sources[0].health.good)
-        for time, row in zip(TIMES.tolist(), rows.tolist(), strict=True):
-            for c in (4, 0, 2, 1, 3):
-                name, value = ("Q1", "Q2", "h1", "h2", "h3")[c], row[c]
-                said = json.dumps({"t": time, "value": None if value != value else value})
-                client.publish(f"plants/north/{name}", said, qos=1)
+        for message in published(rows):
+            client.publish(*message, qos=1)
         wait_for(lambda: run.watch.plants["north"].count == SAMPLES)
     client.disconnect()
     client.loop_stop()
@@ -129,14 +129,13 @@ def test_opc_ua(tmp_path: Path, rows: np.ndarray, wanted: list[dict[str, Any]]) 
     pytest.importorskip("asyncua")
     from live.opcua_server import OpcUaServer
 
-    names = ("Q1", "Q2", "h1", "h2", "h3")
     readings = [
-        [(name, value, time) for name, value in zip(names, row, strict=True)]
+        [(name, value, time) for name, value in zip(CHANNELS, row, strict=True)]
         for time, row in zip(TIMES.tolist(), rows.tolist(), strict=True)
     ]
-    with OpcUaServer(free_port(), dict.fromkeys(names, 0.0)) as server:
+    with OpcUaServer(free_port(), dict.fromkeys(CHANNELS, 0.0)) as server:
         server.set_all(readings[0])  # what is there when the run connects
-        nodes = "\n".join(f'{name} = "ns=2;s={name}"' for name in names)
+        nodes = "\n".join(f'{name} = "ns=2;s={name}"' for name in CHANNELS)
         source = f'[[sources]]\nkind = "opcua"\nurl = "{server.url}"\nqueue = 10000\n[sources.nodes.north]\n{nodes}'
         with running(configuration(tmp_path, source, "[sampling]\nwait = 60")) as run:
             wait_for(lambda: run.sources[0].health.good)

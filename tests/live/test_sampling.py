@@ -65,26 +65,30 @@ class Feed:
         return [one.kind for one in self.remarks]
 
 
-def test_whole_rows_come_out_at_once_with_their_own_times() -> None:
+#: Times of whole rows as they come; those that are released, of which ``None`` has no reading; and the remarks.
+ORDERS = {
+    "at once": ([0.0, 1.0, 2.0], [0.0, 1.0, 2.0], []),
+    "late ones sorted in": ([0.0, 1.0, 3.0, 2.0, 5.0, 4.0, 6.0], [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0], []),
+    "waiting": ([0.0, 1.0, 3.0], [0.0, 1.0], []),
+    "missing after the wait": ([0.0, 1.0, 3.0, 4.0], [0.0, 1.0, None, 3.0, 4.0], ["gap"]),
+    "too late": ([0.0, 2.0, 3.0, 4.0, 1.0], [0.0, None, 2.0, 3.0, 4.0], ["gap", "late"]),
+}
+
+
+@pytest.mark.parametrize("case", ORDERS)
+def test_whole_rows_come_out_in_order_each_with_its_own_time(case: str) -> None:
+    times, released, remarks = ORDERS[case]
+    feed = Feed()(whole(time, time) for time in times)
+    assert feed.times == [float(k) if time is None else time for k, time in enumerate(released)]
+    assert [None if math.isnan(values[0]) else values[0] for _, values in feed.rows] == released
+    assert feed.kinds() == remarks
+
+
+def test_times_of_a_step_that_is_not_exact_stay_as_they_are() -> None:
     times = [0.1 * k for k in range(50)]
     feed = Feed(dt=0.1)(whole(t, t, 1.0) for t in times)
     assert feed.times == times
     assert not feed.remarks
-
-
-def test_rows_that_come_late_are_sorted_in() -> None:
-    feed = Feed()(whole(t, t) for t in (0.0, 1.0, 3.0, 2.0, 5.0, 4.0, 6.0))
-    assert feed.times == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
-    assert not feed.remarks
-
-
-def test_a_row_that_never_comes_is_missing_after_the_wait() -> None:
-    feed = Feed()(whole(t, t) for t in (0.0, 1.0, 3.0))
-    assert feed.times == [0.0, 1.0]
-    feed([whole(4.0, 4.0)])
-    assert feed.times == [0.0, 1.0, 2.0, 3.0, 4.0]
-    assert math.isnan(feed.rows[2][1][0])
-    assert feed.kinds() == ["gap"]
 
 
 def test_the_wait_is_over_by_the_clock_too() -> None:
@@ -102,13 +106,6 @@ def test_the_same_again_is_dropped_and_something_else_is_counted() -> None:
     assert feed.rows == [(0.0, [0.0]), (1.0, [1.0])]
     waiting = Feed()([part(0.0, 0, 5.0), part(0.0, 0, 5.0), part(0.0, 0, 6.0)])
     assert waiting.kinds() == ["repeat", "conflict"]
-
-
-def test_too_late_is_counted_and_the_row_keeps_its_nan() -> None:
-    feed = Feed()([whole(t, t) for t in (0.0, 2.0, 3.0, 4.0)])
-    feed([whole(1.0, 1.0)])
-    assert feed.kinds() == ["gap", "late"]
-    assert math.isnan(feed.rows[1][1][0])
 
 
 def test_a_long_gap_is_no_more_rows_than_say_something() -> None:

@@ -34,9 +34,9 @@ def test_nothing_is_asked_for_where_nothing_is_set():
     assert secret(settings(), "password") is None
 
 
-@pytest.mark.parametrize("end", ["", "\n", "\r\n"])
-def test_a_file_without_its_line_end(kept, end):
-    assert secret(settings(password_file=kept((WORD + end).encode())), "password") == WORD
+@pytest.mark.parametrize(("end", "mode"), [("", 0o600), ("\n", 0o600), ("\r\n", 0o600), ("", 0o400), ("", 0o640)])
+def test_a_file_of_the_owner_or_a_group_is_read_without_its_line_end(kept, end, mode):
+    assert secret(settings(password_file=kept((WORD + end).encode(), mode)), "password") == WORD
 
 
 def test_a_variable(monkeypatch):
@@ -49,11 +49,6 @@ def test_a_variable(monkeypatch):
 def test_a_file_that_everybody_may_read_is_refused(kept, mode):
     with pytest.raises(SettingError, match=rf"password_file: every user.*mode is {mode:03o}.*chmod 600"):
         secret(settings(password_file=kept(WORD.encode(), mode)), "password")
-
-
-@pytest.mark.parametrize("mode", [0o600, 0o400, 0o640])
-def test_a_file_of_the_owner_or_a_group_is_read(kept, mode):
-    assert secret(settings(password_file=kept(WORD.encode(), mode)), "password") == WORD
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from residua.live.config import SOURCES
-from residua.live.messages import Message
 from residua.live.readings import Layout, readings_of
+from residua.live.source import Message
 from residua.live.sources.topics import Topics
 
 PAGE = (Path(__file__).parents[2] / "docs" / "live-sources.rst").read_text(encoding="utf-8")
@@ -55,8 +55,8 @@ def test_every_message_is_read() -> None:
 
 
 def test_what_the_page_says_of_limits() -> None:
-    from residua.live.messages import LARGEST
     from residua.live.run import MOST_MESSAGES
+    from residua.live.source import LARGEST
 
     assert f"{LARGEST:,} bytes" in PAGE
     assert f"some {MOST_MESSAGES:,} messages wait" in PAGE

@@ -14,7 +14,7 @@ import pytest
 
 from live.brokers import Run, wait_for
 from residua.errors import SettingError
-from residua.live.messages import LARGEST
+from residua.live.source import LARGEST
 from residua.live.sources.stdin import JsonLines, Settings, split
 
 

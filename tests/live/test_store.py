@@ -7,12 +7,15 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 
+from residua.live.records import rows_from_bytes
 from residua.live.sqlite_store import SqliteStore
-from residua.live.store import Changes, PlantUpdate, Store, StoreError, rows_from_bytes
+from residua.live.store import Changes, PlantUpdate, Store, StoreAwayError, StoreError
 from residua.live.watched_plant import WatchedPlant
 from store_writer import changes
 from stores import STORES, Database, made_store
@@ -172,45 +175,47 @@ def _places(path: Path) -> int:
         connection.close()
 
 
-def test_a_database_that_comes_back_goes_on_and_is_still_owned() -> None:
-    database = Database()
-    from residua.live.postgresql_store import PostgresqlStore
-    from residua.live.store import StoreAwayError
-
-    database.start()
+@pytest.fixture
+def database() -> Iterator[Database]:
+    one = Database()
+    one.start()
     try:
-        store = PostgresqlStore(database.dsn)
-        store.open()
-        store.commit(changes())
-        database.kill()
-        with pytest.raises(StoreAwayError, match="cannot be reached"):
-            store.commit(changes(first=3, place=2))
-        database.start()
-        for _ in range(100):
-            try:
-                store.commit(changes(first=3, place=2))
-                break
-            except StoreAwayError:
-                time.sleep(0.1)
-        assert store.last_place() == 2
-        other = PostgresqlStore(database.dsn)
-        with pytest.raises(StoreError, match="another run uses"):
-            other.open()
-        other.close()
-        store.close()
-        with pytest.raises(StoreAwayError) as error:
-            PostgresqlStore("host=/nowhere user=residua password=hidden dbname=x").open()
-        assert "hidden" not in str(error.value)
+        yield one
     finally:
-        database.stop()
+        one.stop()
 
 
-def test_a_run_waits_for_the_end_of_the_one_before_it() -> None:
-    database = Database()
-    from residua.live.postgresql_store import PostgresqlStore
+def postgresql(database: Database) -> Store:
+    return import_module("residua.live.postgresql_store").PostgresqlStore(database.dsn)
 
+
+def test_a_database_that_comes_back_goes_on_and_is_still_owned(database: Database) -> None:
+    store = postgresql(database)
+    store.open()
+    store.commit(changes())
+    database.kill()
+    with pytest.raises(StoreAwayError, match="cannot be reached"):
+        store.commit(changes(first=3, place=2))
     database.start()
-    first, second = PostgresqlStore(database.dsn), PostgresqlStore(database.dsn)
+    for _ in range(100):
+        try:
+            store.commit(changes(first=3, place=2))
+            break
+        except StoreAwayError:
+            time.sleep(0.1)
+    assert store.last_place() == 2
+    other = postgresql(database)
+    with pytest.raises(StoreError, match="another run uses"):
+        other.open()
+    other.close()
+    store.close()
+    with pytest.raises(StoreAwayError) as error:
+        type(store)("host=/nowhere user=residua password=hidden dbname=x").open()
+    assert "hidden" not in str(error.value)
+
+
+def test_a_run_waits_for_the_end_of_the_one_before_it(database: Database) -> None:
+    first, second = postgresql(database), postgresql(database)
     try:
         first.open()
         ending = threading.Timer(0.5, first.close)  # a server needs a while to see that a client has gone
@@ -221,25 +226,18 @@ def test_a_run_waits_for_the_end_of_the_one_before_it() -> None:
     finally:
         first.close()
         second.close()
-        database.stop()
 
 
-def test_a_run_whose_database_another_has_taken_over_ends() -> None:
-    database = Database()
-    from residua.live.postgresql_store import PostgresqlStore
-
-    database.start()
-    try:
-        first, second = PostgresqlStore(database.dsn), PostgresqlStore(database.dsn)
-        first.open()
-        first.commit(changes())
-        assert first._owner is not None
-        first._owner.close()  # lost, as by a server that was started again
-        second.open()
-        second.commit(changes(first=3, place=2))
-        second.close()
-        with pytest.raises(StoreError, match="another run has taken this database over"):
-            first.commit(changes(first=3, place=2))
-        first.close()
-    finally:
-        database.stop()
+def test_a_run_whose_database_another_has_taken_over_ends(database: Database) -> None:
+    first, second = postgresql(database), postgresql(database)
+    first.open()
+    first.commit(changes())
+    first._owner.close()  # lost, as by a server that was started again
+    second.open()
+    second.commit(changes(first=3, place=2))
+    second.close()
+    with pytest.raises(StoreError, match="another run has taken this database over"):
+        first.commit(changes(first=3, place=2))
+    with pytest.raises(StoreError, match="another run has taken this database over"):
+        first.delivered("x", 2)  # nor does it write anything else
+    first.close()

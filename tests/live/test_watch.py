@@ -11,7 +11,7 @@ import pytest
 import residua as rs
 from live_examples import alarms_of, alarms_of_run, fed, monitor, opened, recording, told
 from residua.errors import DataError, FileFormatError, NotFittedError, SettingError
-from residua.live.state_bytes import state_from_bytes, state_to_bytes
+from residua.live.records import state_from_bytes, state_to_bytes
 from residua.live.watched_model import WatchedModel
 
 SAMPLES = 3000

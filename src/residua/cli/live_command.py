@@ -86,8 +86,7 @@ def _say(settings: LiveSettings) -> None:
 
 def _reset(settings: LiveSettings, plant: str) -> None:
     """Let the run that has the store, or the next one, restart a plant."""
-    from residua.live.store import Changes
-    from residua.live.stores import store_of
+    from residua.live.store import Changes, store_of
 
     store = store_of(settings.store)
     store.open(own=False)
@@ -102,8 +101,8 @@ def _reset(settings: LiveSettings, plant: str) -> None:
 
 def _run(settings: LiveSettings, *, linger: bool) -> int:
     """Run until the sources have ended, or a signal arrives; return the exit status."""
-    from residua.live.live_view import LiveView
     from residua.live.run import Run
+    from residua.live.view import View
 
     with _logged():
         run = Run(settings)
@@ -112,7 +111,7 @@ def _run(settings: LiveSettings, *, linger: bool) -> int:
             if settings.server is not None:
                 from residua.live.server import Server
 
-                server = Server(LiveView(run), settings.server)
+                server = Server(View(run), settings.server)
             with _ended_by_signals(run) as stopped:
                 run.work(lambda: _started(run, server))
                 if linger and server is not None and not stopped.is_set():
@@ -128,7 +127,7 @@ def _run(settings: LiveSettings, *, linger: bool) -> int:
             return NO_FAULT
         if not run.watch.judged:
             raise DataError(f"no sample could be judged, so there is no verdict: {rows:,} rows read{_dropped(run)}")
-        return FAULT if raised or any(one.told for one in run.watch.plants.values()) else NO_FAULT
+        return FAULT if raised or any(one.reported for one in run.watch.plants.values()) else NO_FAULT
 
 
 def _dropped(run: Run) -> str:

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING
 from residua.facade import hand_on
 
 if TYPE_CHECKING:
-    from residua.cluster.event_table import EVENT_COLUMNS
+    from residua.cluster.monitor_text import monitor_of_text, text_of_monitor
     from residua.cluster.packed_rows import PackedRows, packed_table, shard_of
-    from residua.cluster.shard import Aside, Shard, Taken
-    from residua.cluster.travelling import monitor_of_text, text_of_monitor
+    from residua.cluster.shard import EVENT_COLUMNS, Aside, Shard, Taken
 
 __all__ = [
     "EVENT_COLUMNS",
@@ -28,9 +27,8 @@ __all__ = [
 hand_on(
     __name__,
     {
-        "residua.cluster.event_table": ("EVENT_COLUMNS",),
         "residua.cluster.packed_rows": ("PackedRows", "packed_table", "shard_of"),
-        "residua.cluster.shard": ("Aside", "Shard", "Taken"),
-        "residua.cluster.travelling": ("monitor_of_text", "text_of_monitor"),
+        "residua.cluster.shard": ("EVENT_COLUMNS", "Aside", "Shard", "Taken"),
+        "residua.cluster.monitor_text": ("monitor_of_text", "text_of_monitor"),
     },
 )

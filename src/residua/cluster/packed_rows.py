@@ -108,7 +108,9 @@ class PackedRows:
         """Return the rows of a table or a record batch of Arrow, without copying numbers that are contiguous."""
         _check_columns(table.schema.names)
         columns = [table.column(table.schema.get_field_index(name)) for name in COLUMNS]
-        plant, start, samples, values = (_in_one(one) for one in columns)
+        plant, start, samples, values = (
+            one.combine_chunks() if hasattr(one, "combine_chunks") else one for one in columns
+        )
         complete = np.ones(len(plant), dtype=bool)
         for one in (plant, start, samples, values):
             if one.null_count:
@@ -142,11 +144,6 @@ def _whole(column: Any) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     numbers = np.array([np.nan if one is None else one for one in column], dtype=np.float64)
     there = np.isfinite(numbers) & (numbers == np.floor(numbers)) & (np.abs(numbers) < 2.0**63)
     return np.where(there, numbers, 0).astype(np.int64), there
-
-
-def _in_one(column: Any) -> Any:
-    """Return an array of Arrow, possibly in chunks, as one."""
-    return column.combine_chunks() if hasattr(column, "combine_chunks") else column
 
 
 def shard_of(plant: Hashable, shards: int) -> int:
@@ -216,10 +213,7 @@ def packed_table(
     >>> table.select(["plant", "start", "samples"]).to_pydict()
     {'plant': ['north', 'north'], 'start': [0, 3], 'samples': [3, 2]}
     """
-    try:
-        import pyarrow as pa  # pyright: ignore[reportMissingImports]
-    except ImportError as error:
-        raise missing_extra("pyarrow", "parquet") from error
+    pa = pyarrow()
     check_samples(samples, "samples")
     ids = list(recordings)
     if not (all(type(one) is int for one in ids) or all(type(one) is str for one in ids)):
@@ -239,4 +233,19 @@ def packed_table(
     return pa.table({name: pa.array(columns[name], kind) for name, kind in zip(COLUMNS, types, strict=True)})
 
 
-__all__ = ["COLUMNS", "EXACT", "PackedRows", "checked_shards", "packed_table", "shard_of"]
+def pyarrow() -> Any:
+    """Return the package of Arrow.
+
+    Raises
+    ------
+    MissingExtraError
+        If it is not installed.
+    """
+    try:
+        import pyarrow as pa  # pyright: ignore[reportMissingImports]
+    except ImportError as error:
+        raise missing_extra("pyarrow", "parquet") from error
+    return pa
+
+
+__all__ = ["COLUMNS", "EXACT", "PackedRows", "checked_shards", "packed_table", "pyarrow", "shard_of"]

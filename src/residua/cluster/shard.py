@@ -1,7 +1,8 @@
-"""The plants of one shard: packed rows in, events of alarms and records put aside out, a blob of bytes in between."""
+"""The plants of one shard: packed rows in, a table of events out, a blob of bytes in between."""
 
 from __future__ import annotations
 
+import copy
 import struct
 import zlib
 from collections.abc import Collection, Sequence
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.cluster.packed_rows import EXACT, PackedRows, checked_shards, shard_of
+from residua.cluster.packed_rows import EXACT, PackedRows, checked_shards, pyarrow, shard_of
 from residua.decide.checks import check_samples
 from residua.errors import DataError, FileFormatError
 from residua.files import other_version
@@ -24,6 +25,21 @@ from residua.words import counted
 #: The mark and the version of a blob.
 MARK, VERSION = b"RESIDUAS", 1
 _HEAD, _CHECK = struct.Struct("<8sIIQ"), struct.Struct("<Q")
+#: The columns and their types in Spark; ``plant`` is a text or a whole number, as it came.
+EVENT_COLUMNS = {
+    "kind": "string",
+    "plant": "string",
+    "sample": "bigint",
+    "onset": "double",
+    "raised": "double",
+    "ended": "double",
+    "names": "array<string>",
+    "scores": "array<double>",
+    "cause": "string",
+    "reason": "string",
+}
+#: The kind of a record that was put aside.
+ASIDE = "aside"
 #: The longest gap in samples that is filled with missing ones, when nothing else is asked for.
 LONGEST_GAP = 100_000
 #: Numbers that are run at once.
@@ -52,7 +68,7 @@ class Aside:
 
 @dataclass(frozen=True)
 class Taken:
-    """Results of some records.
+    """Results of some records: a table with a row for each event of an alarm, and for each record put aside.
 
     Attributes
     ----------
@@ -62,6 +78,31 @@ class Taken:
 
     events: list[AlarmEvent]
     aside: list[Aside]
+
+    def __bool__(self) -> bool:
+        return bool(self.events or self.aside)
+
+    def columns(self) -> dict[str, list[Any]]:
+        """Return events, and then records put aside, as columns."""
+        events, aside = self.events, self.aside
+        return {
+            "kind": [one.kind for one in events] + [ASIDE] * len(aside),
+            "plant": [one.plant for one in (*events, *aside)],
+            "sample": [one.sample for one in events] + [one.start for one in aside],
+            **{name: [getattr(one, name, None) for one in (*events, *aside)] for name in ("onset", "raised", "ended")},
+            "names": [[c.name for c in one.candidates] for one in events] + [None] * len(aside),
+            "scores": [[c.score for c in one.candidates] for one in events] + [None] * len(aside),
+            **{name: [getattr(one, name, None) for one in (*events, *aside)] for name in ("cause", "reason")},
+        }
+
+    def arrow(self, whole: bool) -> Any:
+        """Return the table as one of Arrow; ``whole``: whether ids are whole numbers."""
+        pa = pyarrow()
+        types = {"string": pa.string(), "bigint": pa.int64(), "double": pa.float64()}
+        types |= {"array<string>": pa.list_(pa.string()), "array<double>": pa.list_(pa.float64())}
+        columns = self.columns()
+        fields = {name: types[kind] for name, kind in EVENT_COLUMNS.items()} | ({"plant": pa.int64()} if whole else {})
+        return pa.table({name: pa.array(columns[name], kind) for name, kind in fields.items()})
 
 
 class Shard:
@@ -174,7 +215,8 @@ class Shard:
             good = np.array([row for row in good.tolist() if rows.plants[row] not in late], dtype=np.int64)
             begins = {plant: begin for plant, begin in begins.items() if not begin}
         if begins:
-            self._add(begins)
+            self._block = FleetBlock.joined([self._block, FleetBlock(self.monitor, list(begins))])
+            self._origins = np.concatenate([self._origins, np.array(list(begins.values()), dtype=np.int64)])
         places = self._places(rows, good)
         start, samples = rows.start[good], rows.samples[good]
         order = np.lexsort((-samples, start, places))
@@ -184,11 +226,6 @@ class Shard:
             by_bytes = [(*key, numbers.tobytes()) for *key, numbers in keys]
             order = np.array(sorted(range(len(good)), key=by_bytes.__getitem__), dtype=np.int64)
         return good[order]
-
-    def _add(self, begins: dict[Any, int]) -> None:
-        """Add plants, from the numbers of their first samples on."""
-        self._block = FleetBlock.joined([self._block, FleetBlock(self.monitor, list(begins))])
-        self._origins = np.concatenate([self._origins, np.array(list(begins.values()), dtype=np.int64)])
 
     def _places(self, rows: PackedRows, which: NDArray[np.int64]) -> NDArray[np.int64]:
         at = self._block.rows
@@ -265,10 +302,8 @@ class Shard:
 
     def keep(self, plants: Collection[Any]) -> None:
         """Remove all plants but some."""
-        self._take(np.array([row for row, plant in enumerate(self._block.ids) if plant in plants], dtype=np.int64))
-
-    def _take(self, rows: NDArray[np.int64]) -> None:
-        if len(rows) < len(self._block.ids):
+        rows = np.array([row for row, plant in enumerate(self._block.ids) if plant in plants], dtype=np.int64)
+        if len(rows) < len(self):
             self._block, self._origins = self._block.of(rows), self._origins[rows]
 
     def split(self, shards: int) -> dict[int, Shard]:
@@ -276,20 +311,15 @@ class Shard:
         numbers = np.array([shard_of(plant, shards) for plant in self._block.ids], dtype=np.int64)
         parts = {}
         for number in np.unique(numbers).tolist():
-            part = self._blank(checked_shards(shards))
             rows = np.flatnonzero(numbers == number)
-            part._block, part._origins = self._block.of(rows), self._origins[rows]
-            parts[number] = part
+            parts[number] = self._with(self._block.of(rows), self._origins[rows], checked_shards(shards))
         return parts
 
-    def _blank(self, shards: int) -> Shard:
-        return Shard(
-            self.monitor,
-            shards=shards,
-            plants=self.plants,
-            longest_gap=self.longest_gap,
-            from_zero=self.from_zero,
-        )
+    def _with(self, block: FleetBlock, origins: NDArray[np.int64], shards: int) -> Shard:
+        """Return a shard of other plants, with the settings of this one."""
+        shard = copy.copy(self)
+        shard._block, shard._origins, shard.shards = block, origins, shards
+        return shard
 
     @staticmethod
     def joined(parts: Sequence[Shard]) -> Shard:
@@ -303,10 +333,8 @@ class Shard:
         first = parts[0]
         if any(part.shards != first.shards for part in parts):
             raise DataError(f"the parts are of different numbers of shards: {sorted({part.shards for part in parts})}")
-        whole = first._blank(first.shards)
-        whole._block = FleetBlock.joined([part._block for part in parts])
-        whole._origins = np.concatenate([part._origins for part in parts])
-        return whole
+        block, origins = FleetBlock.joined([part._block for part in parts]), [part._origins for part in parts]
+        return first._with(block, np.concatenate(origins), first.shards)
 
     # --------------------------------------------------------------------------- bytes
 
@@ -331,12 +359,10 @@ class Shard:
                 f"this state is that of one of {shards} shards, the job has {self.shards}: "
                 f"go on with shards={shards}, or bring the state over (resharded)"
             )
-        made = self._blank(self.shards)
-        made._block = restored_blocks(snapshot, {"": self.monitor})[""]
-        made._origins = origins
-        if len(origins) != len(made):
+        block = restored_blocks(snapshot, {"": self.monitor})[""]
+        if len(origins) != len(block.ids):
             raise FileFormatError("this state has other numbers of plants in its head and in its snapshot")
-        return made
+        return self._with(block, origins, shards)
 
 
 def _parts(content: bytes) -> tuple[int, NDArray[np.int64], bytes]:
@@ -357,4 +383,4 @@ def _parts(content: bytes) -> tuple[int, NDArray[np.int64], bytes]:
     return shards, origins, content[end + _CHECK.size :]
 
 
-__all__ = ["LONGEST_GAP", "MARK", "VERSION", "Aside", "Shard", "Taken"]
+__all__ = ["ASIDE", "EVENT_COLUMNS", "LONGEST_GAP", "MARK", "VERSION", "Aside", "Shard", "Taken"]

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator
 from typing import Any
 
-from residua.cluster.event_table import EVENT_COLUMNS, arrow_of, columns_of
+from residua.cluster.monitor_text import monitor_of_text, text_of_monitor
 from residua.cluster.packed_rows import COLUMNS, PackedRows, checked_shards
-from residua.cluster.shard import LONGEST_GAP, Shard, Taken
-from residua.cluster.travelling import monitor_of_text, text_of_monitor
+from residua.cluster.shard import EVENT_COLUMNS, LONGEST_GAP, Shard, Taken
 from residua.errors import DataError, missing_extra
 from residua.monitor.monitor import Monitor
 from residua.visible import echo, listed
@@ -129,8 +128,8 @@ class ShardProcessor(_Base):
             shard = shard.restored(kept[0])
         taken = shard.take(PackedRows.joined([self._rows(part) for part in rows]))
         self._state.update((shard.to_bytes(),))
-        if taken.events or taken.aside:
-            yield pd.DataFrame(columns_of(taken), dtype=object)
+        if taken:
+            yield pd.DataFrame(taken.columns(), dtype=object)
 
     def _rows(self, part: Any) -> PackedRows:
         columns = {name: part[name] for name in COLUMNS}
@@ -188,8 +187,8 @@ def diagnose_batch(
     def run(batches: Iterator[Any]) -> Iterator[Any]:
         shard = Shard(monitor_of_text(text), plants=known, longest_gap=longest_gap)
         for taken in run_sorted(shard, batches):
-            if taken.events or taken.aside:
-                yield from arrow_of(taken, whole).to_batches()
+            if taken:
+                yield from taken.arrow(whole).to_batches()
 
     together = frame.select(*COLUMNS).repartition(*number, "plant").sortWithinPartitions("plant", "start")
     return together.mapInArrow(run, _event_type(whole))
@@ -249,8 +248,8 @@ def resharded(states: Any, monitor: Monitor, before: int, shards: int) -> Any:
         blank = Shard(monitor_of_text(text), shards=before)
         for part in parts:
             for content in part["content"]:
-                made = blank.restored(content).split(shards)
-                yield pd.DataFrame({"shard": list(made), "content": [one.to_bytes() for one in made.values()]})
+                split = blank.restored(content).split(shards)
+                yield pd.DataFrame({"shard": list(split), "content": [one.to_bytes() for one in split.values()]})
 
     return states.mapInPandas(run, _STATES_TYPE)
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Any
 
-from residua.cluster.event_table import arrow_of
+from residua.cluster.monitor_text import monitor_of_text, text_of_monitor
 from residua.cluster.packed_rows import PackedRows, checked_shards, shard_of
 from residua.cluster.shard import LONGEST_GAP, Shard
-from residua.cluster.travelling import monitor_of_text, text_of_monitor
 from residua.decide.alarm import Alarm
 from residua.decide.checks import check_samples
 from residua.errors import DataError, FileFormatError, missing_extra
@@ -109,7 +109,11 @@ def diagnose_many(
     text = text_of_monitor(monitor)
     check_samples(batch, "batch")
     check_samples(retries, "retries", least=0)
-    named = list(recordings.items()) if isinstance(recordings, Mapping) else _numbered(recordings)
+    if isinstance(recordings, Mapping):
+        named = list(recordings.items())
+    else:  # by their paths, or their numbers
+        paths = [isinstance(one, str) or hasattr(one, "__fspath__") for one in recordings]
+        named = [(one if paths[k] else k, one) for k, one in enumerate(recordings)]
     todo = [named[k : k + batch] for k in range(0, len(named), batch)]
     done: list[Diagnosed] = []
     config = {} if backend is None else {"backend": backend}
@@ -135,18 +139,14 @@ def diagnosed(text: str, named: Sequence[tuple[Any, Any]]) -> list[Diagnosed]:
     for name, recording in named:
         pair = isinstance(recording, tuple) and len(recording) == 2
         try:
-            made = monitor.run(*recording) if pair else monitor.run(recording)
-            if not isinstance(made, Diagnosis):
-                raise DataError(f"a recording is of one plant, got {len(made)} at once")
+            diagnosis = monitor.run(*recording) if pair else monitor.run(recording)
+            if not isinstance(diagnosis, Diagnosis):
+                raise DataError(f"a recording is of one plant, got {len(diagnosis)} at once")
         except (DataError, FileFormatError) as error:
             out.append(Diagnosed(name, (), (), shortened(str(error), _MOST)))
         else:
-            out.append(Diagnosed(name, made.alarms, made.notes))
+            out.append(Diagnosed(name, diagnosis.alarms, diagnosis.notes))
     return out
-
-
-def _numbered(recordings: Sequence[Any]) -> list[tuple[Any, Any]]:
-    return [(one if isinstance(one, str) or hasattr(one, "__fspath__") else k, one) for k, one in enumerate(recordings)]
 
 
 def _has_ended(error: BaseException) -> bool:
@@ -156,22 +156,19 @@ def _has_ended(error: BaseException) -> bool:
 
 def _joblib(backend: str | None) -> Any:
     """Return joblib, with the backend of another package registered."""
-    try:
-        import joblib  # pyright: ignore[reportMissingImports]
-    except ImportError as error:
-        raise missing_extra("joblib", "workers") from error
+    joblib = _imported("joblib", "workers")
     if backend == "ray":
-        try:
-            from ray.util.joblib import register_ray  # pyright: ignore[reportMissingImports]
-        except ImportError as error:
-            raise missing_extra("ray", "ray") from error
-        register_ray()
+        _imported("ray.util.joblib", "ray").register_ray()
     if backend == "dask":
-        try:
-            import distributed  # noqa: F401  # pyright: ignore[reportMissingImports]
-        except ImportError as error:
-            raise missing_extra("distributed", "dask") from error
+        _imported("distributed", "dask")
     return joblib
+
+
+def _imported(module: str, extra: str) -> Any:
+    try:
+        return import_module(module)
+    except ImportError as error:
+        raise missing_extra(module.partition(".")[0], extra) from error
 
 
 # ---------------------------------------------------------------------------- packed rows
@@ -232,9 +229,9 @@ class BatchEvents:
         shard = Shard(monitor_of_text(self._text), **self._settings)
         if hasattr(batch, "schema"):
             whole = str(batch.schema.field("plant").type).startswith("int")
-            return arrow_of(shard.take(PackedRows.of_arrow(batch)), whole)
+            return shard.take(PackedRows.of_arrow(batch)).arrow(whole)
         whole = batch["plant"].dtype.kind in "if"
-        return arrow_of(shard.take(PackedRows.of_columns(batch)), whole).to_pandas()
+        return shard.take(PackedRows.of_columns(batch)).arrow(whole).to_pandas()
 
 
 class ShardColumn:

@@ -13,9 +13,9 @@ from typing import Any
 
 from residua.errors import FileFormatError, MissingExtraError, SettingError
 from residua.files import read_bytes
-from residua.live.messages import LONGEST_ID
 from residua.live.secrets import secret
-from residua.live.setting_checks import check_seconds, choice, flag, number, text, texts, whole
+from residua.live.setting_checks import check_types, choice, needed, number, seconds, texts, whole
+from residua.live.source import LONGEST_ID
 from residua.visible import echo, listed
 
 #: Sources and sinks by their kind: the module, which has ``Settings``, and the class that they make.
@@ -65,13 +65,12 @@ class MonitorSettings:
     max_plants: int = 10_000
 
     def __post_init__(self) -> None:
-        text(self, "file", needed="the monitor, such as 'tank.json'")
-        text(self, "name")
+        needed(self, "file", "the monitor, such as 'tank.json'")
         texts(self, "plants")
         for plant in self.plants:
             _check(len(plant) <= LONGEST_ID, f"plants: an id has at most {LONGEST_ID} characters")
-        flag(self, "accept_new")
         whole(self, "max_plants", 1, _MOST_PLANTS)
+        check_types(self)
         _check(len(self.plants) <= self.max_plants, f"max_plants: {len(self.plants)} plants are listed")
         _check(bool(self.plants) or self.accept_new, "plants: name the plants, or set accept_new = true")
         object.__setattr__(self, "name", self.name or Path(self.file).stem)
@@ -98,7 +97,7 @@ class SamplingOptions:
     def __post_init__(self) -> None:
         for name in ("wait", "max_age", "silence"):
             number(self, name, 0.0, _LONGEST)
-        check_seconds(self, "silence")
+        seconds(self, "silence")
 
 
 @dataclass(frozen=True)
@@ -127,8 +126,7 @@ class StoreSettings:
 
     def __post_init__(self) -> None:
         choice(self, "kind", ("sqlite", "postgresql"))
-        for name in ("file", "dsn_file", "dsn_env"):
-            text(self, name)
+        check_types(self)
         if self.kind == "sqlite":
             _check(bool(self.file), "file: the file of the store, such as 'live.db'")
             _check(not (self.dsn_file or self.dsn_env), "dsn_file: it is for PostgreSQL: kind = 'postgresql'")
@@ -136,7 +134,7 @@ class StoreSettings:
             _check(not self.file, "file: it is for SQLite; PostgreSQL has dsn_file or dsn_env")
             _check(bool(self.dsn_file) != bool(self.dsn_env), "dsn_file: either dsn_file or dsn_env")
         number(self, "history", 0.0, _LONGEST)
-        check_seconds(self, "history")
+        seconds(self, "history")
         whole(self, "keep_events", 1000, 10**12)
 
 
@@ -209,7 +207,9 @@ class _Reader:
         for name in whole:
             if name not in tables:
                 self._fail("", 0, name, f"unknown; there are {listed(list(tables))}{_meant(name, tables)}")
-        monitors = tuple(self._tables(whole, "monitors", MonitorSettings))
+        monitors = tuple(
+            self._table(one, "monitors", k, MonitorSettings) for k, one in enumerate(self._list(whole, "monitors"))
+        )
         if not monitors:
             raise FileFormatError(f"{self.path}: name at least one monitor: [[monitors]] with file and plants")
         self._check_monitors(monitors)
@@ -237,22 +237,20 @@ class _Reader:
             if one.accept_new and any(other.accept_new for other in monitors[:k]):
                 self._fail("monitors", k, "accept_new", "another monitor takes in new plants already")
 
-    def _tables(self, whole: dict[str, Any], name: str, kind: Any) -> list[Any]:
+    def _list(self, whole: dict[str, Any], name: str) -> list[dict[str, Any]]:
+        """Return the tables of a name, none if it is absent."""
         content = whole.get(name, [])
         if not isinstance(content, list) or not all(isinstance(one, dict) for one in content):
             self._fail("", 0, name, f"must be tables, [[{name}]]")
-        return [self._table(one, name, k, kind) for k, one in enumerate(content)]
+        return content
 
     def _adapters(self, whole: dict[str, Any], name: str, kinds: Mapping[str, tuple[str, str]]) -> tuple[Any, ...]:
-        content = whole.get(name, [])
-        if not isinstance(content, list) or not all(isinstance(one, dict) for one in content):
-            self._fail("", 0, name, f"must be tables, [[{name}]]")
         out = []
-        for k, one in enumerate(content):
+        for k, one in enumerate(self._list(whole, name)):
             kind = one.get("kind")
             if not isinstance(kind, str) or kind not in kinds:
-                said = "missing" if kind is None else f"unknown: {echo(kind)}"
-                self._fail(name, k, "kind", f"{said}; there are {listed(list(kinds))}")
+                found = "missing" if kind is None else f"unknown: {echo(kind)}"
+                self._fail(name, k, "kind", f"{found}; there are {listed(list(kinds))}")
             rest = {key: value for key, value in one.items() if key != "kind"}
             out.append((kind, self._table(rest, name, k, self._settings_of(kinds[str(kind)][0], name, k))))
         return tuple(out)
@@ -325,7 +323,7 @@ def _meant(name: str, known: Any) -> str:
     return f"; did you mean {near[0]}?" if near else ""
 
 
-def made(kind: str, settings: Any, kinds: Mapping[str, tuple[str, str]], *more: Any) -> Any:
+def adapter(kind: str, settings: Any, kinds: Mapping[str, tuple[str, str]], *more: Any) -> Any:
     """Return the source or sink of some settings."""
     module, name = kinds[kind]
     return getattr(import_module(module), name)(settings, *more)
@@ -390,8 +388,8 @@ __all__ = [
     "MonitorSettings",
     "SamplingOptions",
     "StoreSettings",
+    "adapter",
     "check_secrets",
     "example",
     "load_settings",
-    "made",
 ]

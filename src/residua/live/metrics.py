@@ -2,13 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Iterator, Mapping
-
-from prometheus_client import CollectorRegistry, generate_latest
-from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
-from prometheus_client.metrics_core import Metric
-from prometheus_client.registry import Collector
+from itertools import groupby
 
 from residua.live.view import View
 
@@ -25,19 +19,18 @@ COUNTERS = {
     "delivery_failures": "Deliveries that failed, each to be tried again.",
     "given_up": "Events that a receiver refused for good and that were given up.",
 }
-#: Names of other numbers, with their outside names and help texts.
+#: Names of other numbers, with their help texts.
 GAUGES = {
-    "plants": ("plants", "Plants that are watched."),
-    "plants_in_alarm": ("plants_in_alarm", "Plants with an alarm that lasts."),
-    "plants_missing": ("plants_missing", "Plants that are not watched because values are missing."),
-    "largest_ratio": ("largest_ratio", "Largest statistic over its threshold among the plants: over 1 is over it."),
-    "oldest_age": ("oldest_age_seconds", "Seconds since the last sample of the plant that has waited longest."),
-    "queue": ("queue", "Messages that wait to be read."),
-    "behind": ("behind", "Events that a sink has not delivered yet."),
-    "connected": ("connected", "Whether a source or sink is connected."),
+    "plants": "Plants that are watched.",
+    "plants_in_alarm": "Plants with an alarm that lasts.",
+    "plants_missing": "Plants that are not watched because values are missing.",
+    "largest_ratio": "Largest statistic over its threshold among the plants: over 1 is over it.",
+    "oldest_age_seconds": "Seconds since the last sample of the plant that has waited longest.",
+    "queue": "Messages that wait to be read.",
+    "behind": "Events that a sink has not delivered yet.",
+    "connected": "Whether a source or sink is connected.",
+    "plant_ratio": "Last statistic of a plant over its threshold: over 1 is over it.",
 }
-
-Numbers = Mapping[tuple[str, tuple[tuple[str, str], ...]], float]
 
 
 def metrics_text(view: View, *, per_plant: bool = False) -> bytes:
@@ -45,38 +38,20 @@ def metrics_text(view: View, *, per_plant: bool = False) -> bytes:
 
     Names begin with ``residua_``; those of counters end in ``_total``.
     """
-    registry = CollectorRegistry(auto_describe=False)
-    registry.register(_Numbers(view.counters(), view.ratios() if per_plant else {}))
-    return generate_latest(registry)
+    numbers = dict(view.counters())
+    if per_plant:
+        numbers |= {("plant_ratio", (("plant", plant),)): ratio for plant, ratio in view.ratios().items()}
+    lines = []
+    for family, samples in groupby(sorted(numbers.items()), key=lambda one: one[0][0]):
+        counts = family in COUNTERS
+        name = f"residua_{family}_total" if counts else f"residua_{family}"
+        lines.append(f"# HELP {name} {COUNTERS[family] if counts else GAUGES[family]}")
+        lines.append(f"# TYPE {name} {'counter' if counts else 'gauge'}")
+        for (_, labels), value in samples:
+            inner = ",".join(f'{label}="{_escaped(text)}"' for label, text in labels)
+            lines.append(f"{name}{{{inner}}} {float(value)}" if labels else f"{name} {float(value)}")
+    return "\n".join([*lines, ""]).encode()
 
 
-class _Numbers(Collector):
-    def __init__(self, numbers: Numbers, ratios: Mapping[str, float]) -> None:
-        self._numbers, self._ratios = numbers, ratios
-
-    def collect(self) -> Iterator[Metric]:
-        families: defaultdict[str, list[tuple[dict[str, str], float]]] = defaultdict(list)
-        for (name, labels), value in sorted(self._numbers.items()):
-            families[name].append((dict(labels), value))
-        for name, samples in families.items():
-            labels = sorted({label for one, _ in samples for label in one})
-            family = _family(name, labels)
-            for one, value in samples:
-                family.add_metric([one.get(label, "") for label in labels], value)
-            yield family
-        if self._ratios:
-            each = GaugeMetricFamily(
-                "residua_plant_ratio",
-                "Last statistic of a plant over its threshold: over 1 is over it.",
-                labels=["plant"],
-            )
-            for plant, ratio in sorted(self._ratios.items()):
-                each.add_metric([plant], ratio)
-            yield each
-
-
-def _family(name: str, labels: list[str]) -> CounterMetricFamily | GaugeMetricFamily:
-    if name in COUNTERS:
-        return CounterMetricFamily(f"residua_{name}", COUNTERS[name], labels=labels)
-    called, text = GAUGES[name]
-    return GaugeMetricFamily(f"residua_{called}", text, labels=labels)
+def _escaped(text: str) -> str:
+    return text.replace("\\", r"\\").replace("\n", r"\n").replace('"', r"\"")

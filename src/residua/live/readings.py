@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from residua.errors import missing_extra
 from residua.kernels import kernel
-from residua.live.messages import LARGEST, LONGEST_ID, Message
+from residua.live.source import LARGEST, LONGEST_ID, Message
 from residua.recording.matching import matched_names
 from residua.visible import echo, listed
 from residua.words import counted
@@ -326,7 +326,7 @@ def sample_of(message: Message, layout: Layout, plant: str) -> str:
 
     Examples
     --------
-    >>> from residua.live.messages import Message
+    >>> from residua.live.source import Message
     >>> from residua.live.readings import Layout, sample_of
     >>> sample_of(Message(None, b"", 1764288000.0), Layout(("valve",), ("level",), 1.0), "tank 1")
     '{"plant":"tank 1","t":1764288000.0,"values":{"valve":0.5,"level":0.5}}'

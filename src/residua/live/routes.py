@@ -10,15 +10,14 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from functools import partial
 from typing import Any, TypeVar
-from urllib.parse import parse_qs, unquote_to_bytes
+from urllib.parse import unquote_to_bytes
 
 import orjson
 from starlette.applications import Starlette
-from starlette.datastructures import Headers
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, PlainTextResponse, Response
+from starlette.responses import HTMLResponse, PlainTextResponse, Response, StreamingResponse
 from starlette.routing import Route
-from starlette.types import Receive, Scope, Send
+from starlette.types import Message, Receive, Scope, Send
 
 from residua.live.events import Event
 from residua.live.metrics import CONTENT_TYPE, metrics_text
@@ -32,11 +31,11 @@ PIECE = 500
 #: Those that follow the events at once, at most.
 MOST_FOLLOWERS = 32
 #: Seconds between two signs of life, and those after which a follower that takes nothing is left.
-BEAT, STUCK = 5.0, 30.0
+HEARTBEAT, SEND_TIMEOUT = 5.0, 30.0
 #: Seconds in which the run must answer.
-PATIENCE = 5.0
+ANSWER_TIMEOUT = 5.0
 #: Seconds that the thread that waits for events waits at once: the end of a run waits for it.
-WATCHED = 0.5
+NEWS_TIMEOUT = 0.5
 #: The largest place of an event that anybody asks for.
 _LAST = 1 << 62
 
@@ -45,7 +44,7 @@ _LOG = logging.getLogger("residua.live")
 
 
 class Routes:
-    """The application behind the gate.
+    """The application behind the access control.
 
     Parameters
     ----------
@@ -58,7 +57,7 @@ class Routes:
         self._view, self._per_plant = view, per_plant
         self._threads = ThreadPoolExecutor(4, thread_name_prefix="residua-page")
         self._stopping = threading.Event()
-        self._followers = 0
+        self.followers = 0
         self._loop: asyncio.AbstractEventLoop | None = None
         self._news: asyncio.Event | None = None
         self.app = Starlette(
@@ -68,7 +67,7 @@ class Routes:
                 Route("/plant/{rest:path}", self._plant),
                 Route("/metrics", self._metrics),
                 Route("/health", self._health),
-                Route("/events", _Follow(self)),
+                Route("/events", self._events),
             ]
         )
         self.app.router.redirect_slashes = False
@@ -86,7 +85,7 @@ class Routes:
         finally:
             self.stop()
             self._loop = None
-            thread.join(2 * WATCHED)
+            thread.join(2 * NEWS_TIMEOUT)
             self._threads.shutdown(wait=False, cancel_futures=True)
 
     def stop(self) -> None:
@@ -107,13 +106,13 @@ class Routes:
         while not self._stopping.is_set():
             try:
                 place = self._last_place() if place < 0 else place
-                if self._view.wait_for_event(place, WATCHED):
+                if self._view.wait_for_event(place, NEWS_TIMEOUT):
                     events = self._view.events_after(place, PIECE)
                     place = events[-1].place if events else place
                     self._tell()
             except Exception:
                 _LOG.exception("The page does not see events at once.")
-                self._stopping.wait(BEAT)
+                self._stopping.wait(HEARTBEAT)
 
     def _last_place(self) -> int:
         return int(self._view.overview(0, 0)["last_event"])
@@ -151,23 +150,29 @@ class Routes:
 
     async def _health(self, request: Request) -> Response:
         try:
-            now = await asyncio.wait_for(self.ask(self._view.overview, 0, 0), PATIENCE)
+            now = await asyncio.wait_for(self.ask(self._view.overview, 0, 0), ANSWER_TIMEOUT)
         except TimeoutError:
-            return _json({"good": False, "reasons": [f"the run did not answer within {PATIENCE:g} s"]}, 503)
+            return _json({"good": False, "reasons": [f"the run did not answer within {ANSWER_TIMEOUT:g} s"]}, 503)
         reasons = [*now["problems"]]
         reasons += [f"{one['name']}: {one['text']}" for one in (*now["sources"], *now["sinks"]) if not one["good"]]
         return _json({"good": not reasons, "reasons": reasons}, 503 if reasons else 200)
 
     # ------------------------------------------------------------ events
 
-    @contextmanager
-    def follower(self) -> Iterator[bool]:
-        """Count one more follower of events; yield whether there is room."""
-        self._followers += 1
+    async def _events(self, request: Request) -> Response:
+        """Answer with an endless stream of events, if there is room for one more follower."""
+        # A browser that reconnects sends the place in a header.
+        after = request.headers.get("last-event-id") or request.query_params.get("after")
         try:
-            yield self._followers <= MOST_FOLLOWERS
-        finally:
-            self._followers -= 1
+            place = _whole(after, _LAST) if after else None
+        except ValueError:
+            return PlainTextResponse("after, or Last-Event-ID, is a whole number", 400)
+        if self.followers >= MOST_FOLLOWERS:
+            return PlainTextResponse("Too many follow the events.", 503, {"Retry-After": "10"})
+        if request.method == "HEAD":
+            return Response(headers={"Content-Type": "text/event-stream"})
+        self.followers += 1
+        return _EventStream(self, place)
 
     async def pieces(self, after: int | None) -> AsyncIterator[bytes]:
         """Yield the stream of events after a place (``None``: from now on), for as long as the server runs."""
@@ -186,63 +191,30 @@ class Routes:
                 continue
             try:
                 assert news is not None
-                await asyncio.wait_for(news.wait(), BEAT)
+                await asyncio.wait_for(news.wait(), HEARTBEAT)
             except TimeoutError:
                 yield beat(after)
 
 
-class _Follow:
-    """The route of the events: an endless stream of text."""
+class _EventStream(StreamingResponse):
+    """The events after a place, until the reader leaves or takes nothing any more."""
 
-    def __init__(self, routes: Routes) -> None:
+    def __init__(self, routes: Routes, after: int | None) -> None:
+        super().__init__(routes.pieces(after), headers={"Content-Type": "text/event-stream", "X-Accel-Buffering": "no"})
         self._routes = routes
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         try:
-            after = _asked_place(scope)
-        except ValueError:
-            await PlainTextResponse("after, or Last-Event-ID, is a whole number", 400)(scope, receive, send)
-            return
-        with self._routes.follower() as room:
-            if not room:
-                full = PlainTextResponse("Too many follow the events.", 503, {"Retry-After": "10"})
-                await full(scope, receive, send)
-                return
-            leaving = asyncio.ensure_future(_gone(receive))
-            following = asyncio.ensure_future(self._follow(scope, send, after))
-            _, pending = await asyncio.wait({leaving, following}, return_when=asyncio.FIRST_COMPLETED)
-            for one in pending:
-                one.cancel()
-            await asyncio.gather(*pending, return_exceptions=True)
-            if following.done() and not following.cancelled() and (error := following.exception()) is not None:
-                raise error
+            await super().__call__(scope, receive, send)
+        finally:
+            self._routes.followers -= 1
 
-    async def _follow(self, scope: Scope, send: Send, after: int | None) -> None:
-        headers = [(b"content-type", b"text/event-stream"), (b"x-accel-buffering", b"no")]
-        await send({"type": "http.response.start", "status": 200, "headers": headers})
-        if scope["method"] == "GET":
-            async for piece in self._routes.pieces(after):
-                try:
-                    await asyncio.wait_for(
-                        send({"type": "http.response.body", "body": piece, "more_body": True}), STUCK
-                    )
-                except TimeoutError:
-                    return
-        await send({"type": "http.response.body", "body": b"", "more_body": False})
+    async def stream_response(self, send: Send) -> None:
+        async def limited(message: Message) -> None:
+            await asyncio.wait_for(send(message), SEND_TIMEOUT)
 
-
-async def _gone(receive: Receive) -> None:
-    while (await receive())["type"] != "http.disconnect":
-        pass
-
-
-def _asked_place(scope: Scope) -> int | None:
-    """Return the place after which events are requested: a browser that reconnects sends it in a header."""
-    asked = (
-        Headers(scope=scope).get("last-event-id")
-        or parse_qs(scope["query_string"].decode("latin-1")).get("after", [""])[-1]
-    )
-    return _whole(asked, _LAST) if asked else None
+        with suppress(TimeoutError):
+            await super().stream_response(limited)
 
 
 def _whole(text: str, most: int) -> int:

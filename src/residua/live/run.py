@@ -6,7 +6,7 @@ import logging
 import math
 import threading
 import time
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
@@ -14,15 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import DataError
-from residua.live.config import SINKS, SOURCES, LiveSettings, made
+from residua.live.config import SINKS, SOURCES, LiveSettings, adapter
 from residua.live.delivery import Delivery
-from residua.live.messages import Message
-from residua.live.patience import Patience
 from residua.live.readings import Layout, MessageError, Readings, readings_of, sample_of
 from residua.live.sampling import Remark, Rows, SamplingSettings, due, sample
-from residua.live.source import RunStoppedError, Source
-from residua.live.store import Changes, Store, StoreAwayError
-from residua.live.stores import store_of
+from residua.live.source import Message, MessageQueue, RunStoppedError, Source
+from residua.live.store import Changes, Retry, Store, StoreAwayError, store_of
 from residua.live.watch import Watch, Work
 from residua.live.watched_model import WatchedModel
 from residua.live.watched_plant import WatchedPlant
@@ -39,13 +36,13 @@ _LOOKED_THROUGH = 4096
 _DROPPED_AT_ONCE = 1000
 #: Plants of which it is said that their step is another one.
 _MOST_ODD = 20
-#: Characters of a message that the log quotes, and of all that it says of one.
-_QUOTED, _TOLD = 120, 700
+#: Characters of a message that the log quotes, and of a whole line about one.
+_QUOTED, _LONGEST_LINE = 120, 700
 #: Seconds that sinks have at the end.
 _LEAVING = 10.0
-_LOG = logging.getLogger("residua.live")
 #: Messages that may wait, and bytes of them.
 MOST_MESSAGES, MOST_BYTES = 20_000, 64_000_000
+_LOG = logging.getLogger("residua.live")
 
 
 @dataclass
@@ -65,80 +62,6 @@ class Numbers:
     rows: Counter[str] = field(default_factory=Counter)
     events: Counter[str] = field(default_factory=Counter)
     commits: int = 0
-
-
-class Inbox:
-    """A queue with limits on the number of messages and of bytes; one thread takes, many put."""
-
-    def __init__(self, messages: int = MOST_MESSAGES, octets: int = MOST_BYTES) -> None:
-        self._most, self._most_bytes = messages, octets
-        self._queue: deque[Message] = deque()
-        self._bytes = 0
-        self._lock = threading.Lock()
-        self._some, self._room = threading.Condition(self._lock), threading.Condition(self._lock)
-        self._closed = False
-
-    def __len__(self) -> int:
-        return len(self._queue)
-
-    def put(self, message: Message) -> None:
-        """Put a message; wait while there is no room.
-
-        Raises
-        ------
-        RunStoppedError
-            If the run is ending.
-        """
-        size = _size(message)
-        with self._lock:
-            while (
-                not self._closed
-                and self._queue
-                and (len(self._queue) >= self._most or self._bytes + size > self._most_bytes)
-            ):
-                self._room.wait()
-            if self._closed:
-                raise RunStoppedError
-            self._queue.append(message)
-            self._bytes += size
-            if len(self._queue) == 1:
-                self._some.notify()
-
-    def take(self, most: int, seconds: float, octets: int = BYTES_AT_ONCE) -> list[Message]:
-        """Return the waiting messages, up to so many messages and bytes; wait for the first for a limited time."""
-        with self._lock:
-            if not self._queue and not self._closed:
-                self._some.wait(seconds)
-            out: list[Message] = []
-            size = 0
-            while self._queue and len(out) < most and size < octets:
-                out.append(self._queue.popleft())
-                size += _size(out[-1])
-            self._bytes -= size
-            if out:
-                self._room.notify_all()
-            return out
-
-    def oldest(self) -> float:
-        """Return the arrival time of the oldest waiting message; infinite without one."""
-        with self._lock:
-            return self._queue[0].arrived if self._queue else math.inf
-
-    def wake(self) -> None:
-        """Wake the thread that takes messages."""
-        with self._lock:
-            self._some.notify_all()
-
-    def close(self) -> None:
-        """Refuse further messages, and notify threads that wait to put one."""
-        with self._lock:
-            self._closed = True
-            self._room.notify_all()
-            self._some.notify_all()
-
-
-def _size(message: Message) -> int:
-    return len(message.payload) + 200 if isinstance(message.payload, bytes) else 200
 
 
 class Run:
@@ -168,7 +91,7 @@ class Run:
     def __init__(self, settings: LiveSettings) -> None:
         self.settings = settings
         self.stopping, self.news = threading.Event(), threading.Condition()
-        self.numbers, self.inbox = Numbers(), Inbox()
+        self.numbers, self.inbox = Numbers(), MessageQueue(MOST_MESSAGES, MOST_BYTES)
         self.models = {
             one.name: WatchedModel(one.name, Monitor.load(one.file), settings.store.history)
             for one in settings.monitors
@@ -186,18 +109,17 @@ class Run:
 
     def _begin(self) -> None:
         settings, now = self.settings, time.time()
-        self.patient = Patience(self.store, self.stopping)
-        self.watch = Watch(self.models, self.store, self.patient, now, time.monotonic())
+        self.retry = Retry(self.stopping)
+        self.watch = Watch(self.models, self.store, self.retry, now, time.monotonic())
         for one in settings.monitors:
             self._check_plants(one.plants, one.name)
             self._commit(self.watch.add(one.plants, one.name, time.monotonic()))
         self._open = {one.name: one.max_plants for one in settings.monitors if one.accept_new}
         plants = {name: self.models[one.model].generator.plant for name, one in self.watch.plants.items()}
         self.sources = [
-            made(kind, one, SOURCES, plants) if kind == "replay" else made(kind, one, SOURCES)
-            for kind, one in settings.sources
+            adapter(kind, one, SOURCES, *([plants] if kind == "replay" else [])) for kind, one in settings.sources
         ]
-        sinks = [made(kind, one, SINKS) for kind, one in settings.sinks]
+        sinks = [adapter(kind, one, SINKS) for kind, one in settings.sinks]
         self._check_names([one.name for one in self.sources], "source")
         self._check_names([one.name for one in sinks], "sink")
         self.committed = self.watch.last_place
@@ -208,7 +130,7 @@ class Run:
             name: SamplingSettings(settings.sampling.wait, settings.sampling.max_age, model.longest_gap)
             for name, model in self.models.items()
         }
-        self._said: dict[str, tuple[float, int]] = {}
+        self._logged: dict[str, tuple[float, int]] = {}
         self._dropped = 0
         self._odd_steps: dict[str, str] = {}
 
@@ -266,7 +188,7 @@ class Run:
         next_tick = next_slow = 0.0
         while not self.stopping.is_set():
             over = all(one.finite and one.over for one in self.sources)  # asked first: they put before they are over
-            messages = self.inbox.take(AT_ONCE, _TICK)
+            messages = self.inbox.take(AT_ONCE, _TICK, BYTES_AT_ONCE)
             self._whole = False  # until changes in memory are in the store
             if messages:
                 self.apply(messages)
@@ -294,8 +216,8 @@ class Run:
     @property
     def problems(self) -> list[str]:
         """Problems that hinder the run, or make its answers doubtful."""
-        away = self.patient.health
-        store = [] if away.good else [f"store: {away.text}; nothing is acknowledged meanwhile"]
+        health = self.retry.health
+        store = [] if health.good else [f"store: {health.text}; nothing is acknowledged meanwhile"]
         return [*store, *self._odd_steps.values()]
 
     def stop(self) -> None:
@@ -309,7 +231,7 @@ class Run:
         for source in self.sources:
             source.stop()
         try:
-            if self._whole and self.patient.health.good:
+            if self._whole and self.retry.health.good:
                 self.store.commit(self.watch.rest())
         except StoreAwayError as error:  # the next start then runs some rows again
             _LOG.warning("%s", error)
@@ -407,33 +329,33 @@ class Run:
         plant.sampling, rows, remarks = sample(before, readings, model.layout.dt, self._sampling[plant.model], known)
         plant.heard = now
         if plant.steps.odd(readings.times, model.layout.dt):
-            self._tell_step(plant, model.layout.dt)
-        if remarks:
-            self._remark(plant, remarks, work, rows, now)
-        if rows:
-            work.setdefault(plant.plant, Work()).rows += rows
-            plant.remember(rows)
-            self.numbers.rows[plant.model] += sum(len(one.times) for one in rows)
-        elif plant.sampling is not before:
+            self._report_step(plant, model.layout.dt)
+        self._collect(plant, rows, remarks, work, now)
+        if not rows and plant.sampling is not before:
             touched.add(plant.plant)
         if plant.sampling.pending:
             self._pending.add(plant.plant)
 
-    def _tell_step(self, plant: WatchedPlant, dt: float) -> None:
+    def _report_step(self, plant: WatchedPlant, dt: float) -> None:
         """Report that a plant has another step than its monitor."""
         if plant.plant not in self._odd_steps and len(self._odd_steps) < _MOST_ODD:
             steps = f"sends every {plant.steps.usual:.6g} s, its monitor runs at {dt:g} s"
-            said = f"{visible(plant.plant)} {steps}: make one for that step, or send at that of the monitor"
-            self._odd_steps[plant.plant] = said
-            _LOG.warning("%s", said)
+            text = f"{visible(plant.plant)} {steps}: make one for that step, or send at that of the monitor"
+            self._odd_steps[plant.plant] = text
+            _LOG.warning("%s", text)
 
-    def _remark(
-        self, plant: WatchedPlant, remarks: Sequence[Remark], work: dict[str, Work], rows: Sequence[Rows], now: float
+    def _collect(
+        self, plant: WatchedPlant, rows: list[Rows], remarks: Sequence[Remark], work: dict[str, Work], now: float
     ) -> None:
+        """Add the released rows of a plant to the work of a batch, and count the remarks about its readings."""
+        if rows:
+            work.setdefault(plant.plant, Work()).rows += rows
+            plant.remember(rows)
+            self.numbers.rows[plant.model] += sum(len(one.times) for one in rows)
         for one in remarks:
             if one.kind == "clock":
-                mine = work.setdefault(plant.plant, Work())
-                mine.clocks.append((sum(len(r.times) for r in [*mine.rows, *rows]), one.time))
+                batch = work.setdefault(plant.plant, Work())
+                batch.clocks.append((sum(len(some.times) for some in batch.rows), one.time))
             else:
                 self._drop(one.kind, plant.plant, f"at {one.time:.15g} s", now, one.count)
 
@@ -459,12 +381,7 @@ class Run:
             plant = self.watch.plants[name]
             model = self.models[plant.model]
             plant.sampling, rows, remarks = due(plant.sampling, model.layout.dt, self._sampling[plant.model], now)
-            if rows:
-                work[name] = Work(rows)
-                plant.remember(rows)
-                self.numbers.rows[plant.model] += sum(len(one.times) for one in rows)
-            if remarks:
-                self._remark(plant, remarks, work, (), time.monotonic())
+            self._collect(plant, rows, remarks, work, time.monotonic())
             if not plant.sampling.pending:
                 self._pending.discard(name)
         if work:
@@ -478,11 +395,11 @@ class Run:
         before = min(done, self.committed - self.settings.store.keep_events)
         if before - self._dropped >= _DROPPED_AT_ONCE:
             self._dropped = before
-            self.patient.drop_events(before)
+            self.retry(self.store.drop_events, before)
 
     def _take_requests(self) -> None:
         """Reset the plants for which it was requested."""
-        for name, wanted in self.patient.meta().items():
+        for name, wanted in self.retry(self.store.meta).items():
             if name.startswith("reset ") and wanted:
                 plant = name.removeprefix("reset ")
                 changes = self.watch.reset(plant) if plant in self.watch.plants else Changes()
@@ -495,7 +412,7 @@ class Run:
     def _commit(self, changes: Changes) -> None:
         if not changes:
             return
-        self.patient.commit(changes)
+        self.retry(self.store.commit, changes)
         self.numbers.commits += 1
         if changes.events:
             self.numbers.events.update(one.kind for one in changes.events)
@@ -503,18 +420,18 @@ class Run:
                 self.committed = changes.events[-1].place
                 self.news.notify_all()
 
-    # ---------------------------------------------------------------------- telling
+    # -------------------------------------------------------------------- reporting
 
     def _drop(self, reason: str, where: str, text: str, now: float, count: int = 1) -> None:
         """Count dropped messages, and log them at most once a second for each reason."""
         self.numbers.dropped[reason] += count
-        last, more = self._said.get(reason, (-math.inf, 0))
+        last, more = self._logged.get(reason, (-math.inf, 0))
         if now - last < 1.0:
-            self._said[reason] = (last, more + count)
+            self._logged[reason] = (last, more + count)
             return
-        self._said[reason] = (now, 0)
-        beside = f", and {more} more since then" if more else ""
-        _LOG.warning("%s: %s (%s)%s", visible(where)[:100], reason, visible(text)[:_TOLD], beside)
+        self._logged[reason] = (now, 0)
+        others = f", and {more} more since then" if more else ""
+        _LOG.warning("%s: %s (%s)%s", visible(where)[:100], reason, visible(text)[:_LONGEST_LINE], others)
 
     def wait_for_event(self, place: int, timeout: float) -> bool:
         """Wait, for a limited time, for an event after a place; return whether there is one."""
@@ -524,4 +441,4 @@ class Run:
             return self.committed > place
 
 
-__all__ = ["Inbox", "Numbers", "Run"]
+__all__ = ["Numbers", "Run"]

@@ -98,19 +98,17 @@ class SamplingState:
     late: int = 0
     back: bool = False
 
-    def to_record(self) -> dict[str, Any]:
-        """Return the state as plain values for JSON."""
-        slots = [[n, s.time, _out(s.values), s.stated] for n, s in self.pending]
-        out = {"last": _none(self.last), "grid": _none(self.grid), "dated": self.dated, "late": self.late}
-        return out | {"pending": slots, "back": self.back, "held": _out(self.held), "held_at": _out(self.held_at)}
+    def to_record(self) -> list[Any]:
+        """Return the state as plain values for JSON, with NaN as such."""
+        slots = [[number, slot.time, slot.values, slot.stated] for number, slot in self.pending]
+        return [self.last, self.grid, self.dated, slots, self.held, self.held_at, self.late, self.back]
 
     @staticmethod
-    def from_record(content: dict[str, Any], arrived: float) -> SamplingState:
+    def from_record(content: list[Any], arrived: float) -> SamplingState:
         """Return the state of a record; pending readings count as having arrived at ``arrived``."""
-        slots = tuple((n, Slot(time, _in(values), stated, arrived)) for n, time, values, stated in content["pending"])
-        last, grid = (math.nan if content[name] is None else content[name] for name in ("last", "grid"))
-        held, held_at = _in(content["held"]), _in(content["held_at"])
-        return SamplingState(last, grid, content["dated"], slots, held, held_at, content["late"], content["back"])
+        last, grid, dated, slots, held, held_at, late, back = content
+        pending = tuple((number, Slot(time, tuple(values), stated, arrived)) for number, time, values, stated in slots)
+        return SamplingState(last, grid, dated, pending, tuple(held), tuple(held_at), late, back)
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,11 +149,7 @@ Known = Callable[[float], Sequence[float] | None]
 
 
 def sample(
-    state: SamplingState,
-    readings: Readings,
-    dt: float,
-    settings: SamplingSettings,
-    known: Known,
+    state: SamplingState, readings: Readings, dt: float, settings: SamplingSettings, known: Known
 ) -> tuple[SamplingState, list[Rows], list[Remark]]:
     """Take readings of one plant, and release the rows that are complete or overdue.
 
@@ -179,24 +173,20 @@ def sample(
     quick = _next_rows(state, readings, dt, settings)
     if quick is not None:
         return quick
-    rows: list[Rows] = []
-    remarks: list[Remark] = []
+    grid = _Grid(state, dt, settings)
     for k, time in enumerate(np.asarray(readings.times).tolist()):
-        state = _one(state, time, readings, k, dt, settings.longest_gap, known, remarks)
-        state, released = _released(state, dt, settings, readings.arrived, remarks)
-        rows += released
-    return state, rows, remarks
+        grid.put(time, readings, k, known)
+        grid.release(readings.arrived)
+    return grid.state, grid.rows, grid.remarks
 
 
 def due(
     state: SamplingState, dt: float, settings: SamplingSettings, now: float
 ) -> tuple[SamplingState, list[Rows], list[Remark]]:
     """Release the rows that have waited long enough by the clock; ``now`` infinite: all of them."""
-    remarks: list[Remark] = []
-    if not state.pending:
-        return state, [], remarks
-    state, rows = _released(state, dt, settings, now, remarks)
-    return state, rows, remarks
+    grid = _Grid(state, dt, settings)
+    grid.release(now)
+    return grid.state, grid.rows, grid.remarks
 
 
 def _next_rows(
@@ -231,109 +221,94 @@ def _followed(grid: float, times: NDArray[np.float64], dt: float) -> float | Non
     return grid
 
 
-def _one(
-    state: SamplingState,
-    time: float,
-    readings: Readings,
-    k: int,
-    dt: float,
-    longest_gap: int,
-    known: Known,
-    remarks: list[Remark],
-) -> SamplingState:
-    """Put one reading into its slot."""
-    if math.isnan(state.grid):
-        state = replace(state, grid=time - dt, last=time - dt, dated=readings.dated)
-    number = round((time - state.grid) / dt)
-    values = readings.values[k]
-    if state.back and number <= longest_gap:  # later rows are another stretch: the filter restarts after the gap
-        remarks.append(Remark("refused", time))
-        return state
-    if number <= 0:
-        return _old(state, time, values, readings, known, remarks)
-    if state.late or state.back:
-        state = replace(state, late=0, back=False)
-    place, slot = _slot_at(state.pending, number)
-    if slot is None:
-        slot = Slot(time, (math.nan,) * len(values), 0, readings.arrived)
-    now, bits, clash = list(slot.values), slot.stated, False
-    for c in range(len(values)) if readings.stated is None else readings.stated:
-        value = float(values[c])
-        if not bits >> c & 1:
-            now[c], bits = value, bits | 1 << c
-        elif not _same(now[c], value):
-            clash = True
-    if bits == slot.stated:
-        remarks.append(Remark("conflict" if clash else "repeat", time))
-        return state
-    new = (number, Slot(slot.time, tuple(now), bits, slot.arrived))
-    after = place + 1 if place < len(state.pending) and state.pending[place][0] == number else place
-    return replace(state, pending=(*state.pending[:place], new, *state.pending[after:]))
+class _Grid:
+    """The grid of a plant: slots are filled by readings, and released as rows."""
 
+    def __init__(self, state: SamplingState, dt: float, settings: SamplingSettings) -> None:
+        self.state, self._dt, self._settings = state, dt, settings
+        self.rows: list[Rows] = []
+        self.remarks: list[Remark] = []
 
-def _slot_at(pending: Sequence[tuple[int, Slot]], number: int) -> tuple[int, Slot | None]:
-    """Return the place of a row's slot, and the slot if it exists."""
-    if not pending or number > pending[-1][0]:
-        return len(pending), None
-    place = bisect_left(pending, number, key=lambda one: one[0])
-    return place, pending[place][1] if pending[place][0] == number else None
+    def put(self, time: float, readings: Readings, k: int, known: Known) -> None:
+        """Put one reading into its slot."""
+        state, dt, values = self.state, self._dt, readings.values[k]
+        if math.isnan(state.grid):
+            self.state = state = replace(state, grid=time - dt, last=time - dt, dated=readings.dated)
+        number = round((time - state.grid) / dt)
+        if state.back and number <= self._settings.longest_gap:  # later rows are another stretch: the filter restarts
+            self.remarks.append(Remark("refused", time))
+            return
+        channels = range(len(values)) if readings.stated is None else readings.stated
+        stated = [(c, float(values[c])) for c in channels]
+        if number <= 0:
+            self._put_late(time, stated, known(time), readings.past)
+            return
+        if state.late or state.back:
+            state = replace(state, late=0, back=False)
+        place = bisect_left(state.pending, number, key=lambda one: one[0])
+        there = place < len(state.pending) and state.pending[place][0] == number
+        slot = state.pending[place][1] if there else Slot(time, (math.nan,) * len(values), 0, readings.arrived)
+        filled, bits, clash = list(slot.values), slot.stated, False
+        for c, value in stated:
+            if not bits >> c & 1:
+                filled[c], bits = value, bits | 1 << c
+            elif not _same(filled[c], value):
+                clash = True
+        if bits == slot.stated:
+            self.remarks.append(Remark("conflict" if clash else "repeat", time))
+        else:
+            new = (number, Slot(slot.time, tuple(filled), bits, slot.arrived))
+            state = replace(state, pending=(*state.pending[:place], new, *state.pending[place + there :]))
+        self.state = state
 
+    def _put_late(self, time: float, stated: list[tuple[int, float]], row: Sequence[float] | None, past: bool) -> None:
+        """Remark on a reading for a released row: a repeat, a conflict, late, or of a clock that was set back."""
+        kind = "late"
+        if row is not None:
+            if all(_same(row[c], value) for c, value in stated):
+                self.remarks.append(Remark("repeat", time))
+                return
+            kind = "conflict" if any(row[c] == row[c] for c, _ in stated) else "late"
+        self.remarks.append(Remark(kind, time))
+        if past:
+            return
+        late = self.state.late + 1
+        if late < BACK_AFTER:
+            self.state = replace(self.state, late=late)
+            return
+        self.remarks.append(Remark("clock", time))
+        self.state = replace(self.state, late=0, back=True)
 
-def _old(
-    state: SamplingState,
-    time: float,
-    values: NDArray[np.float64],
-    readings: Readings,
-    known: Known,
-    remarks: list[Remark],
-) -> SamplingState:
-    """Return the state after a reading for a released row, with a remark: repeat, conflict, late, or clock set back."""
-    row, kind = known(time), "late"
-    if row is not None:
-        stated = range(len(values)) if readings.stated is None else readings.stated
-        pairs = [(row[c], float(values[c])) for c in stated]
-        if all(_same(a, b) for a, b in pairs):
-            remarks.append(Remark("repeat", time))
-            return state
-        kind = "conflict" if any(a == a for a, _ in pairs) else "late"
-    remarks.append(Remark(kind, time))
-    if readings.past:
-        return state
-    late = state.late + 1
-    if late < BACK_AFTER:
-        return replace(state, late=late)
-    remarks.append(Remark("clock", time))
-    return replace(state, late=0, back=True)
-
-
-def _released(
-    state: SamplingState, dt: float, settings: SamplingSettings, now: float, remarks: list[Remark]
-) -> tuple[SamplingState, list[Rows]]:
-    """Release rows from the front for as long as they are complete or overdue."""
-    out, pending, k = _Releasing(state, dt, settings), state.pending, 0
-    spoken = _spoken_of(pending) if settings.max_age > 0 else 0
-    last = pending[-1][1].time if pending else math.nan
-    while k < len(pending):
-        number, slot = pending[k]
-        full = (1 << len(slot.values)) - 1
-        if k and settings.max_age > 0:
-            spoken = _spoken_of(pending[k:])
-        overdue = now - slot.arrived >= settings.wait or len(pending) - k > MOST_PENDING
-        newest = math.inf if overdue else last
-        gap = number - out.step - 1
-        if gap:
-            gone = gap if spoken == full or newest == math.inf else _steps(newest - settings.wait - out.grid, dt)
-            if gone < 1:
+    def release(self, now: float) -> None:
+        """Release rows from the front for as long as they are complete or overdue."""
+        pending, settings, dt, k = self.state.pending, self._settings, self._dt, 0
+        if not pending:
+            return
+        out = _Releasing(self.state, dt, settings)
+        spoken = _spoken_of(pending) if settings.max_age > 0 else 0
+        last = pending[-1][1].time
+        while k < len(pending):
+            number, slot = pending[k]
+            full = (1 << len(slot.values)) - 1
+            if k and settings.max_age > 0:
+                spoken = _spoken_of(pending[k:])
+            overdue = now - slot.arrived >= settings.wait or len(pending) - k > MOST_PENDING
+            newest = math.inf if overdue else last
+            gap = number - out.step - 1
+            if gap:
+                gone = gap if spoken == full or newest == math.inf else _steps(newest - settings.wait - out.grid, dt)
+                if gone < 1:
+                    break
+                self.remarks.append(Remark("gap", out.grid + dt, min(gap, gone)))
+                out.skip(min(gap, gone), len(slot.values))
+                if gone < gap:
+                    break
+            if slot.stated != full and newest < out.grid + dt + settings.wait and spoken != full:
                 break
-            remarks.append(Remark("gap", out.grid + dt, min(gap, gone)))
-            out.skip(min(gap, gone), len(slot.values))
-            if gone < gap:
-                break
-        if slot.stated != full and newest < out.grid + dt + settings.wait and spoken != full:
-            break
-        out.take(slot)
-        k += 1
-    return out.finished(pending[k:])
+            out.take(slot)
+            k += 1
+        self.state, rows = out.finished(pending[k:])
+        self.rows += rows
 
 
 class _Releasing:
@@ -341,18 +316,19 @@ class _Releasing:
 
     def __init__(self, state: SamplingState, dt: float, settings: SamplingSettings) -> None:
         self.state, self.dt, self.settings = state, dt, settings
-        self.last, self.grid, self.held, self.held_at = state.last, state.grid, state.held, state.held_at
+        self.last, self.grid = state.last, state.grid
+        self.held, self.held_at = np.array(state.held), np.array(state.held_at)
         self.step = 0
         self.times: list[float] = []
-        self.values: list[tuple[float, ...]] = []
+        self.values: list[NDArray[np.float64]] = []
 
     def skip(self, rows: int, width: int) -> None:
         """Release rows without readings; not all of them in a long gap."""
         empty = 0
         for j in range(1, rows + 1):
             moment = self.grid + j * self.dt
-            values = _held(self.held, self.held_at, moment, width, self.settings)
-            empty += all(value != value for value in values)
+            values = self._held(moment, width)
+            empty += bool(np.isnan(values).all())
             if empty > self.settings.longest_gap:
                 break
             self.times.append(moment)
@@ -363,22 +339,32 @@ class _Releasing:
 
     def take(self, slot: Slot) -> None:
         """Release the row of a slot."""
-        expected = self.grid + self.dt
-        values = slot.values
+        expected, width = self.grid + self.dt, len(slot.values)
+        values = np.array(slot.values)
         if self.settings.max_age > 0:
-            self.held, self.held_at = _kept(self.held, self.held_at, slot)
-            values = _filled(slot, self.held, self.held_at, self.settings)
+            held = self._held(slot.time, width)
+            stated = [bool(slot.stated >> c & 1) for c in range(width)]
+            self.held = np.where(stated, values, self.held if self.held.size else np.nan)
+            self.held_at = np.where(stated, slot.time, self.held_at if self.held_at.size else np.nan)
+            values = np.where(stated, values, held)
         self.times.append(slot.time)
         self.values.append(values)
         self.step += 1
         self.grid, self.last = expected + FOLLOW * (slot.time - expected), slot.time
+
+    def _held(self, moment: float, width: int) -> NDArray[np.float64]:
+        """Return the last value of each channel that is not too old at a time."""
+        if self.settings.max_age <= 0 or not self.held.size:
+            return np.full(width, np.nan)
+        return np.where(moment - self.held_at <= self.settings.max_age, self.held, np.nan)
 
     def finished(self, pending: Sequence[tuple[int, Slot]]) -> tuple[SamplingState, list[Rows]]:
         """Return the next state, and the rows."""
         if not self.times:
             return self.state, []
         moved = tuple((number - self.step, slot) for number, slot in pending)
-        after = replace(self.state, last=self.last, grid=self.grid, pending=moved, held=self.held, held_at=self.held_at)
+        held, held_at = tuple(self.held.tolist()), tuple(self.held_at.tolist())
+        after = replace(self.state, last=self.last, grid=self.grid, pending=moved, held=held, held_at=held_at)
         return after, [Rows(np.array(self.times), np.array(self.values, dtype=np.float64))]
 
 
@@ -395,48 +381,8 @@ def _spoken_of(pending: Sequence[tuple[int, Slot]]) -> int:
     return bits
 
 
-def _held(
-    held: tuple[float, ...], held_at: tuple[float, ...], moment: float, width: int, settings: SamplingSettings
-) -> tuple[float, ...]:
-    """Return the row of a time without readings."""
-    if settings.max_age <= 0 or not held:
-        return (math.nan,) * width
-    return tuple(v if moment - t <= settings.max_age else math.nan for v, t in zip(held, held_at, strict=True))
-
-
-def _kept(
-    held: tuple[float, ...], held_at: tuple[float, ...], slot: Slot
-) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return the last values with those of a slot."""
-    if not held:
-        held = held_at = (math.nan,) * len(slot.values)
-    stated = [slot.stated >> c & 1 for c in range(len(held))]
-    values = tuple(new if on else old for on, new, old in zip(stated, slot.values, held, strict=True))
-    return values, tuple(slot.time if on else old for on, old in zip(stated, held_at, strict=True))
-
-
-def _filled(
-    slot: Slot, held: tuple[float, ...], held_at: tuple[float, ...], settings: SamplingSettings
-) -> tuple[float, ...]:
-    """Return the values of a slot, with the last ones of channels that were not stated."""
-    ages = _held(held, held_at, slot.time, len(held), settings)
-    return tuple(v if slot.stated >> c & 1 else ages[c] for c, v in enumerate(slot.values))
-
-
 def _same(a: float, b: float) -> bool:
     return a == b or (a != a and b != b)
-
-
-def _none(value: float) -> float | None:
-    return None if value != value else value
-
-
-def _out(values: Sequence[float]) -> list[float | None]:
-    return [_none(value) for value in values]
-
-
-def _in(values: Sequence[float | None]) -> tuple[float, ...]:
-    return tuple(math.nan if value is None else value for value in values)
 
 
 __all__ = [

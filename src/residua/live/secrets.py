@@ -1,13 +1,15 @@
-"""Passwords, tokens and keys: from a file or an environment variable, never from the configuration itself."""
+"""Passwords, tokens and keys, from a file or an environment variable, never the configuration; and certificates."""
 
 from __future__ import annotations
 
 import os
+import ssl
 import stat
 from pathlib import Path
 from typing import Any
 
 from residua.errors import SettingError
+from residua.live.setting_checks import file
 
 #: Bytes of a file that holds a secret, at most.
 LARGEST = 65_536
@@ -97,3 +99,36 @@ def _checked(value: str, where: str) -> str:
     if not value.isprintable():
         raise SettingError(f"{where} holds line ends or control characters; a secret is one line of text")
     return value
+
+
+def check_tls(settings: Any) -> None:
+    """Raise if settings name certificates without TLS, files that do not exist, or a certificate without its key.
+
+    Raises
+    ------
+    SettingError
+    """
+    for key in ("ca_file", "cert_file", "key_file"):
+        if getattr(settings, key, ""):
+            if not settings.tls:
+                raise SettingError(f"{key}: it is for TLS: set tls = true")
+            file(settings, key)
+    if bool(getattr(settings, "cert_file", "")) != bool(getattr(settings, "key_file", "")):
+        raise SettingError("cert_file: a certificate and its key go together: cert_file and key_file")
+
+
+def tls_context(settings: Any) -> ssl.SSLContext:
+    """Return a context that checks the name and certificates of a server, and shows a certificate if there is one.
+
+    Raises
+    ------
+    SettingError
+        If the certificates cannot be read.
+    """
+    try:
+        context = ssl.create_default_context(cafile=settings.ca_file or None)
+        if getattr(settings, "cert_file", ""):
+            context.load_cert_chain(settings.cert_file, settings.key_file)
+    except (OSError, ssl.SSLError) as error:
+        raise SettingError(f"ca_file, cert_file: the certificates cannot be read: {error}") from error
+    return context

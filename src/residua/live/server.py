@@ -15,7 +15,7 @@ import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from residua.errors import SettingError
-from residua.live.gate import OWN_NAMES, Gate
+from residua.live.access import OWN_NAMES, AccessControl
 from residua.live.routes import Routes
 from residua.live.secrets import check_secret, secret
 from residua.live.setting_checks import check_types
@@ -127,7 +127,7 @@ class Server:
         self._routes = Routes(view, per_plant=settings.per_plant)
         self._uvicorn = uvicorn.Server(
             uvicorn.Config(
-                Gate(self._routes.app, self._token, [*names, *settings.hosts], https=settings.https),
+                AccessControl(self._routes.app, self._token, [*names, *settings.hosts], https=settings.https),
                 loop="asyncio",
                 http=_Connection,
                 ws="none",
@@ -194,17 +194,17 @@ class Server:
 
 def _listening(listen: str) -> socket.socket:
     host, port = address_of(listen)
-    made = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_STREAM)
+    listener = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_STREAM)
     try:
         if socket.has_ipv6 and ":" in host:
-            made.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+            listener.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
         if os.name == "posix":  # elsewhere it would let others listen at the same port
-            made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        made.bind((host, port))
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind((host, port))
     except OSError as error:
-        made.close()
+        listener.close()
         raise SettingError(f"listen: {listen} cannot be opened for connections: {error.strerror or error}") from error
-    return made
+    return listener
 
 
 class _Connection(H11Protocol):

@@ -12,13 +12,10 @@ from residua.errors import SettingError
 from residua.visible import echo
 
 
-def text(settings: Any, key: str, *, needed: str = "") -> None:
-    """Check that a value is text; ``needed`` is the message if it must not be empty."""
-    value = getattr(settings, key)
-    if not isinstance(value, str) or not value.isprintable():
-        raise SettingError(f"{key}: text on one line is expected, got {echo(value)}")
-    if needed and not value:
-        raise SettingError(f"{key}: {needed}")
+def needed(settings: Any, key: str, meaning: str) -> None:
+    """Check that a value is not empty; otherwise the message is its meaning."""
+    if not getattr(settings, key):
+        raise SettingError(f"{key}: {meaning}")
 
 
 def whole(settings: Any, key: str, least: int, most: int) -> None:
@@ -31,15 +28,17 @@ def whole(settings: Any, key: str, least: int, most: int) -> None:
 def number(settings: Any, key: str, least: float, most: float = math.inf) -> None:
     """Check that a value is a finite number within limits."""
     value = getattr(settings, key)
-    if type(value) not in (int, float) or not (math.isfinite(value) and least <= value <= most):
+    if not _finite(value) or not least <= value <= most:
         above = f"from {least:g} to {most:g}" if most < math.inf else f"of at least {least:g}"
         raise SettingError(f"{key}: a number {above} is expected, got {echo(value)}")
 
 
-def flag(settings: Any, key: str) -> None:
-    """Check that a value is true or false."""
-    if type(getattr(settings, key)) is not bool:
-        raise SettingError(f"{key}: true or false is expected, got {echo(getattr(settings, key))}")
+def seconds(settings: Any, *keys: str) -> None:
+    """Check that times are positive."""
+    for key in keys:
+        value = getattr(settings, key)
+        if not _finite(value) or value <= 0:
+            raise SettingError(f"{key}: more than 0 seconds are expected, got {echo(value)}")
 
 
 def choice(settings: Any, key: str, among: Sequence[Any]) -> None:
@@ -62,17 +61,14 @@ def texts(settings: Any, key: str, *, needed: str = "") -> None:
 
 def file(settings: Any, key: str) -> None:
     """Check that a value is empty, or the path of an existing file."""
-    text(settings, key)
     value = getattr(settings, key)
-    if value and not Path(value).is_file():
+    if value and not (_one_line(value) and Path(value).is_file()):
         raise SettingError(f"{key}: {value} is not a file")
 
 
 def table_of_texts(value: Any, key: str) -> dict[str, str]:
     """Return a table whose keys and values are non-empty text."""
-    if not isinstance(value, Mapping) or not all(
-        isinstance(one, str) and one and one.isprintable() for one in (*value.keys(), *value.values())
-    ):
+    if not isinstance(value, Mapping) or not all(one and _one_line(one) for pair in value.items() for one in pair):
         raise SettingError(f"{key}: a table from text to text is expected, got {echo(value)}")
     return dict(value)
 
@@ -103,7 +99,7 @@ def check_types(settings: Any) -> None:
     Parameters
     ----------
     settings : dataclass
-        With fields of text, truth values, numbers and tuples of texts.
+        With fields of text, truth values, numbers, tuples of texts, and tables, which are checked apart.
 
     Raises
     ------
@@ -118,37 +114,17 @@ def check_types(settings: Any) -> None:
     >>> check_types(Settings("10"))
     Traceback (most recent call last):
     ...
-    residua.errors.SettingError: timeout: a number is expected, not '10'
+    residua.errors.SettingError: timeout: a number is expected, got '10'
     """
     for one in fields(settings):
-        value = getattr(settings, one.name)
-        fits, meant = _KINDS[getattr(one.type, "__name__", str(one.type))]
+        kind, value = getattr(one.type, "__name__", str(one.type)), getattr(settings, one.name)
+        if kind.startswith("Mapping["):
+            continue
+        fits, meaning = _KINDS[kind]
         if not fits(value):
-            raise SettingError(f"{one.name}: {meant} is expected, not {echo(value)}")
+            raise SettingError(f"{one.name}: {meaning} is expected, got {echo(value)}")
         if isinstance(value, list):
             object.__setattr__(settings, one.name, tuple(value))
 
 
-def check_seconds(settings: Any, name: str) -> None:
-    """Raise unless a time is positive.
-
-    Raises
-    ------
-    SettingError
-    """
-    if getattr(settings, name) <= 0:
-        raise SettingError(f"{name}: more than 0 seconds are expected, not {getattr(settings, name)}")
-
-
-__all__ = [
-    "check_seconds",
-    "check_types",
-    "choice",
-    "file",
-    "flag",
-    "number",
-    "table_of_texts",
-    "text",
-    "texts",
-    "whole",
-]
+__all__ = ["check_types", "choice", "file", "needed", "number", "seconds", "table_of_texts", "texts", "whole"]

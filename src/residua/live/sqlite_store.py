@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import sqlite3
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import ClassVar
 
 from residua.files import check_output
-from residua.live.sql_store import TABLES, SqlStore
-from residua.live.store import StoreAwayError, StoreError
+from residua.live.store import Store, StoreAwayError, StoreError
 
 #: Seconds for which a writer waits for another one.
 _BUSY = 30.0
@@ -19,7 +18,7 @@ _BUSY = 30.0
 _LOG_PAGES = 4000
 
 
-class SqliteStore(SqlStore):
+class SqliteStore(Store):
     """A store in one file, with two more beside it while it is open.
 
     A commit is on the disk when it returns (``synchronous=FULL``). One run at a time has the file.
@@ -35,12 +34,12 @@ class SqliteStore(SqlStore):
         When it is opened: if the file is not a store, another run has it, or the folder does not exist.
     """
 
+    types: ClassVar = {"bytes": "BLOB", "real": "REAL", "without_rowid": " WITHOUT ROWID"}
+
     def __init__(self, path: str | Path) -> None:
+        super().__init__()
         self.path = Path(path)
-        self._local = threading.local()
-        self._all: list[sqlite3.Connection] = []
-        self._guard, self._writing = threading.Lock(), threading.Lock()
-        self._owner: sqlite3.Connection | None = None
+        self._writing = threading.Lock()
 
     def open(self, *, own: bool = True) -> None:
         """Open the file, or create it."""
@@ -48,16 +47,9 @@ class SqliteStore(SqlStore):
             check_output(self.path)
         except ValueError as error:
             raise StoreError(str(error)) from error
-        with self._errors():
-            if own:
-                self._owner = self._own()
-            connection = self._connection()
-            connection.execute("PRAGMA journal_mode = WAL")
-            for text in TABLES:
-                connection.execute(text.format(bytes="BLOB", real="REAL", without_rowid=" WITHOUT ROWID"))
-        self._check_schema()
+        super().open(own=own)
 
-    def _own(self) -> sqlite3.Connection:
+    def _owned(self) -> sqlite3.Connection:
         """Return the lock of the owner: on a separate file, released when the process is killed."""
         lock = sqlite3.connect(f"{self.path}.lock", timeout=0.0, isolation_level=None, check_same_thread=False)
         try:
@@ -67,26 +59,11 @@ class SqliteStore(SqlStore):
             raise StoreError(f"{self.path}: another run uses this store: stop it, or name another file") from error
         return lock
 
-    def close(self) -> None:
-        """Close all connections."""
-        with self._guard:
-            for connection in self._all:
-                connection.close()
-            self._all.clear()
-            self._local = threading.local()
-            if self._owner is not None:
-                self._owner.close()
-                self._owner = None
-
-    def _connection(self) -> sqlite3.Connection:
-        connection = getattr(self._local, "connection", None)
-        if connection is None:
-            connection = sqlite3.connect(self.path, timeout=_BUSY, isolation_level=None, check_same_thread=False)
-            connection.execute("PRAGMA synchronous = FULL")
-            connection.execute(f"PRAGMA wal_autocheckpoint = {_LOG_PAGES}")
-            self._local.connection = connection
-            with self._guard:
-                self._all.append(connection)
+    def _connect(self) -> sqlite3.Connection:
+        connection = sqlite3.connect(self.path, timeout=_BUSY, isolation_level=None, check_same_thread=False)
+        connection.execute("PRAGMA journal_mode = WAL")
+        connection.execute("PRAGMA synchronous = FULL")
+        connection.execute(f"PRAGMA wal_autocheckpoint = {_LOG_PAGES}")
         return connection
 
     @contextmanager
@@ -106,20 +83,8 @@ class SqliteStore(SqlStore):
 
     @contextmanager
     def _transaction(self) -> Iterator[sqlite3.Cursor]:
-        with self._errors(), self._writing:
-            connection = self._connection()
-            cursor = connection.execute("BEGIN IMMEDIATE")
-            try:
-                yield cursor
-                connection.execute("COMMIT")
-            except BaseException:
-                if connection.in_transaction:
-                    connection.execute("ROLLBACK")
-                raise
-
-    def _query(self, text: str, values: Sequence[Any] = ()) -> list[Any]:
-        with self._errors():
-            return self._connection().execute(text, values).fetchall()
+        with self._writing, self._connection() as connection:  # commits at the end, or rolls back
+            yield connection.execute("BEGIN IMMEDIATE")
 
 
 __all__ = ["SqliteStore"]

@@ -14,12 +14,10 @@ from numpy.typing import NDArray
 
 from residua.decide.explanation import FINAL, FIRST
 from residua.errors import DataError, FileFormatError
-from residua.live.alarm_events import News, news, those_since
-from residua.live.events import Event
-from residua.live.patience import Patience
+from residua.live.events import Event, News, news, those_since
+from residua.live.records import rows_from_bytes, rows_to_bytes, state_from_bytes, state_to_bytes
 from residua.live.sampling import Rows, SamplingState
-from residua.live.state_bytes import state_from_bytes, state_to_bytes
-from residua.live.store import Changes, PlantUpdate, Store, rows_from_bytes, rows_to_bytes
+from residua.live.store import Changes, PlantUpdate, Retry, Store
 from residua.live.watched_model import Judged, WatchedModel, clock_of
 from residua.live.watched_plant import WatchedPlant
 from residua.monitor.diagnosis import Diagnosis
@@ -38,6 +36,10 @@ LONGEST_ALARM = 10
 _MOST_JUDGED = 100_000
 #: In the order of events at one row.
 _RANKS = {"clock": 0, "back": 1, "raised": 2, "renamed": 2, "confirmed": 2, "ended": 2, "missing": 3, "standing": 4}
+
+
+def _lists() -> Any:
+    return defaultdict(list)
 
 
 @dataclass(slots=True)
@@ -60,10 +62,14 @@ class Work:
 class _Batch:
     """Result of a batch: changes of the store, events and unstored rows by plant, and moved anchors."""
 
-    changes: Changes
-    events: dict[int, list[tuple[int, int, float, str, dict[str, Any]]]]
-    fresh: dict[int, list[tuple[int, NDArray[np.float64], NDArray[np.float64]]]]
-    moved: set[int]
+    changes: Changes = field(default_factory=Changes)
+    events: dict[int, list[tuple[int, int, float, str, dict[str, Any]]]] = field(default_factory=_lists)
+    fresh: dict[int, list[tuple[int, NDArray[np.float64], NDArray[np.float64]]]] = field(default_factory=_lists)
+    moved: set[int] = field(default_factory=set)
+
+    def add(self, plant: WatchedPlant, row: int, time: float, kind: str, content: dict[str, Any]) -> None:
+        """Add an event of a plant at a row, to be numbered in the order of rows."""
+        self.events[plant.key].append((row, _RANKS[kind], time, kind, content))
 
 
 class Watch:
@@ -74,8 +80,8 @@ class Watch:
     models : mapping of str to WatchedModel
     store : Store
         Open. Its plants are taken over, and go on where they were.
-    patient : Patience
-        By which rows are read while a batch is worked at.
+    retry : Retry
+        By which rows are read in the course of a batch.
     now : float
         Seconds since 1970.
     heard : float, optional
@@ -91,11 +97,11 @@ class Watch:
         self,
         models: Mapping[str, WatchedModel],
         store: Store,
-        patient: Patience,
+        retry: Retry,
         now: float,
         heard: float | None = None,
     ) -> None:
-        self.models, self.store, self._patient = dict(models), store, patient
+        self.models, self.store, self._retry = dict(models), store, retry
         self.plants: dict[str, WatchedPlant] = {}
         self._blocks: dict[str, FleetBlock] = {}
         self._by_place: dict[str, list[WatchedPlant]] = {name: [] for name in models}
@@ -175,38 +181,33 @@ class Watch:
         Changes
             Changes for the store, events included.
         """
-        batch = _empty_batch()
+        batch = _Batch()
         waiting: list[tuple[WatchedPlant, NDArray[np.float64], NDArray[np.float64]]] = []
         for name, one in work.items():
             plant = self.plants[name]
             for rows, time in one.clocks:
-                said = (
+                text = (
                     "the clock has gone back: readings are refused until they are later than the last row, or a reset"
                 )
-                content = {"until": plant.sampling.last, "text": [said]}
-                batch.events[plant.key].append((plant.count + rows, _RANKS["clock"], time, "clock", content))
-            if len(one.rows) == 1:
-                waiting.append((plant, one.rows[0].times, one.rows[0].values))
-            elif one.rows:
-                times, values = (np.concatenate([getattr(r, n) for r in one.rows]) for n in ("times", "values"))
+                batch.add(plant, plant.count + rows, time, "clock", {"until": plant.sampling.last, "text": [text]})
+            if one.rows:
+                times, values = one.rows[0].times, one.rows[0].values
+                if len(one.rows) > 1:
+                    times, values = (np.concatenate([getattr(r, n) for r in one.rows]) for n in ("times", "values"))
                 waiting.append((plant, times, values))
-        while waiting:
-            now, waiting = self._cut(waiting)
-            self._advance(now, batch)
+        while waiting:  # in blocks that end where the anchor of a plant may move
+            block, later = [], []
+            for plant, times, values in waiting:
+                kept = self.models[plant.model].rows_kept
+                room = kept - plant.count % kept
+                block.append((plant, times[:room], values[:room]))
+                if len(times) > room:
+                    later.append((plant, times[room:], values[room:]))
+            self._advance(block, batch)
+            waiting = later
         for name in work:
             self._note(self.plants[name], batch)
         return batch.changes
-
-    def _cut(self, waiting: list[Any]) -> tuple[list[Any], list[Any]]:
-        """Return the rows of each plant up to the next one at which its anchor may move, and the later ones."""
-        now, later = [], []
-        for plant, times, values in waiting:
-            kept = self.models[plant.model].rows_kept
-            room = kept - plant.count % kept
-            now.append((plant, times[:room], values[:room]))
-            if len(times) > room:
-                later.append((plant, times[room:], values[room:]))
-        return now, later
 
     def _advance(self, work: list[Any], batch: _Batch) -> None:
         """Run rows of plants, grouped by equal numbers of them."""
@@ -216,10 +217,9 @@ class Watch:
         for (name, _), ones in groups.items():
             block, threshold = self._blocks[name], self.models[name].spec.test.threshold
             places = np.array([plant.place for plant, _, _ in ones], dtype=np.int64)
-            made = block.advance(places, np.stack([values for _, _, values in ones]), _ASKED)
-            alarm, missing, statistic = (made[asked] for asked in _ASKED)
-            some: Any = (alarm.any(axis=1), missing.any(axis=1))
-            alarmed, gaps = (one.tolist() for one in some)
+            outputs = block.advance(places, np.stack([values for _, _, values in ones]), _ASKED)
+            alarm, missing, statistic = (outputs[name] for name in _ASKED)
+            alarmed, gaps = (np.asarray(one.any(axis=1)).tolist() for one in (alarm, missing))
             self.judged += int(np.count_nonzero(np.isfinite(statistic)))
             ratios = (statistic[:, -1] / threshold).tolist()
             for k, (plant, times, values) in enumerate(ones):
@@ -258,20 +258,19 @@ class Watch:
                 words = (plant.open_row + count - 1 for count in (FIRST, FINAL))
                 plant.next_look = min([plant.next_look, *(at for at in words if at > row)])
             if over:
-                plant.open_row, plant.told = -1, []
+                plant.open_row, plant.reported = -1, []
                 self._judged.pop(plant.key, None)
 
     def _look(self, plant: WatchedPlant, row: int, time: float, over: bool, batch: _Batch) -> None:
         """Report the changes in the alarms of a plant up to a row."""
         judged = self._judged_to(plant, row + 1, batch)
         alarms = judged.alarms(plant.open_since)
-        after, told = news(plant.told, alarms, plant.open_since, over)
-        if told:  # only then it matters when they began
-            after, told = news(plant.told, judged.dated(alarms, plant.open_since), plant.open_since, over)
-        plant.told = after
-        for one in told:
-            content = self._content(plant, one)
-            batch.events[plant.key].append((row, _RANKS[one.kind], time, one.kind, content))
+        after, reported = news(plant.reported, alarms, plant.open_since, over)
+        if reported:  # only then it matters when they began
+            after, reported = news(plant.reported, judged.dated(alarms, plant.open_since), plant.open_since, over)
+        plant.reported = after
+        for one in reported:
+            batch.add(plant, row, time, one.kind, self._content(plant, one))
 
     def _content(self, plant: WatchedPlant, one: News) -> dict[str, Any]:
         model = self.models[plant.model]
@@ -306,7 +305,7 @@ class Watch:
         begin = fresh[0][0] if fresh else plant.count
         parts = [(number, times, values) for number, times, values in fresh if number + len(times) > first]
         if first < begin:
-            stored = [one for one in self._patient.rows(plant.key, first) if one[0] < begin]
+            stored = [one for one in self._retry(self.store.rows, plant.key, first) if one[0] < begin]
             parts.insert(0, (first, *rows_from_bytes(stored, len(self.models[plant.model].layout.channels), first)))
         begin = parts[0][0]
         times, values = (np.concatenate([part[k] for part in parts]) for k in (1, 2))
@@ -324,20 +323,17 @@ class Watch:
         batch: _Batch,
     ) -> None:
         """Report missing values once the filter has to restart because of them, and their return."""
-        longest = self.models[plant.model].longest_gap
+        model = self.models[plant.model]
+        longest = model.longest_gap
         for k, gone in enumerate(missing):
             plant.gap, plant.whole = (plant.gap + 1, 0) if gone else (0, plant.whole + 1)
             if plant.missing is None and plant.gap == longest:
                 plant.missing = tuple(np.flatnonzero(~np.isfinite(values[k])).tolist())
-                self._tell_missing(plant, first + k, float(times[k]), batch)
+                channels = [model.layout.channels[c] for c in plant.missing]
+                batch.add(plant, first + k, float(times[k]), "missing", {"channels": channels})
             elif plant.missing is not None and plant.whole == longest:
                 plant.missing = None
-                batch.events[plant.key].append((first + k, _RANKS["back"], float(times[k]), "back", {}))
-
-    def _tell_missing(self, plant: WatchedPlant, row: int, time: float, batch: _Batch) -> None:
-        names = self.models[plant.model].layout.channels
-        channels = [names[c] for c in plant.missing or ()]
-        batch.events[plant.key].append((row, _RANKS["missing"], time, "missing", {"channels": channels}))
+                batch.add(plant, first + k, float(times[k]), "back", {})
 
     # --------------------------------------------------------------------- anchors
 
@@ -350,7 +346,7 @@ class Watch:
         too_long = plant.open_row >= 0 and plant.count - plant.anchor_at >= LONGEST_ALARM * kept
         if plant.mark is not None and (plant.open_row < 0 or too_long):
             if too_long and plant.open_row < plant.mark_at:
-                plant.told = [replace(one, shortened=k == 0) for k, one in enumerate(plant.told)]
+                plant.reported = [replace(one, shortened=k == 0) for k, one in enumerate(plant.reported)]
             plant.anchor, plant.anchor_at = plant.mark, plant.mark_at
             batch.changes.forgotten[plant.key] = plant.anchor_at
         plant.mark, plant.mark_at = self._state(plant), plant.count
@@ -366,7 +362,7 @@ class Watch:
 
     def _number(self, plant: WatchedPlant, time: float, kind: str, content: dict[str, Any], changes: Changes) -> None:
         if kind in ("raised", "renamed", "confirmed"):
-            plant.said = (content["name"], content["sure"], content["raised"])
+            plant.attribution = (content["name"], content["sure"], content["raised"])
         plant.number += 1
         self.last_place += 1
         event = Event(self.last_place, plant.plant, plant.number, kind, time, _clock(plant, time), content)
@@ -403,26 +399,25 @@ class Watch:
             model = self.models[plant.model]
             quiet = max(after, 2 * model.longest_gap * model.layout.dt)
             if known and plant.missing is None and now - plant.heard > quiet:
-                plant.missing = tuple(range(len(self.models[plant.model].layout.channels)))
-                plant.whole = 0
-                channels = list(self.models[plant.model].layout.channels)
+                channels = list(model.layout.channels)
+                plant.missing, plant.whole = tuple(range(len(channels))), 0
                 self._number(plant, plant.sampling.last, "missing", {"channels": channels}, changes)
                 changes.plants[plant.key] = self._update(plant)
         return changes
 
     def standing(self) -> Changes:
         """Report the alarms standing at the end of the data."""
-        batch = _empty_batch()
+        batch = _Batch()
         for plant in self.plants.values():
-            if not plant.told or plant.standing_at == plant.count:
+            if not plant.reported or plant.standing_at == plant.count:
                 continue
             plant.standing_at = plant.count
             judged = self._judged_to(plant, plant.count, batch)
-            row = (plant.count, _RANKS["standing"], judged.last_time, "standing")
             alarms = judged.dated(judged.alarms(plant.open_since), plant.open_since)
-            for alarm in those_since(plant.told, alarms, plant.open_since):
+            for alarm in those_since(plant.reported, alarms, plant.open_since):
                 if alarm.ended is None:
-                    batch.events[plant.key].append((*row, self._content(plant, News("standing", alarm))))
+                    content = self._content(plant, News("standing", alarm))
+                    batch.add(plant, plant.count, judged.last_time, "standing", content)
             self._note(plant, batch)
         return batch.changes
 
@@ -431,13 +426,13 @@ class Watch:
 
         A standing alarm ends with its present attribution.
         """
-        one, batch = self.plants[plant], _empty_batch()
+        one, batch = self.plants[plant], _Batch()
         model, block = self.models[one.model], self._blocks[one.model]
-        if one.told:
+        if one.reported:
             self._look(one, one.count - 1, one.sampling.last, True, batch)
         block.replace_state(np.array([one.place]), model.start())
         self._judged.pop(one.key, None)
-        one.sampling, one.told, one.open_row, one.ratio = SamplingState(), [], -1, math.nan
+        one.sampling, one.reported, one.open_row, one.ratio = SamplingState(), [], -1, math.nan
         one.anchor = one.mark = state_to_bytes(model.start())
         one.anchor_at = one.mark_at = one.count
         batch.changes.forgotten[one.key] = one.count
@@ -464,15 +459,11 @@ class Watch:
         """Return the last stored rows of a plant: times and values."""
         first = max(plant.anchor_at, plant.count - most)
         channels = len(self.models[plant.model].layout.channels)
-        return rows_from_bytes(self._patient.rows(plant.key, first), channels, first)
+        return rows_from_bytes(self._retry(self.store.rows, plant.key, first), channels, first)
 
     def size(self, model: str) -> int:
         """Return the number of plants of a model."""
         return len(self._by_place[model])
-
-
-def _empty_batch() -> _Batch:
-    return _Batch(Changes(), defaultdict(list), defaultdict(list), set())
 
 
 def _clock(plant: WatchedPlant, time: float) -> str:

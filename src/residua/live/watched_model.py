@@ -13,7 +13,7 @@ from residua.decide.alarm import Alarm
 from residua.decide.isolation import Seen
 from residua.errors import NotFittedError, SettingError
 from residua.live.readings import Layout
-from residua.live.state_bytes import state_from_bytes
+from residua.live.records import state_from_bytes
 from residua.monitor.alarms import alarms_of, explainer_of, with_beginnings, with_words
 from residua.monitor.diagnosis import Diagnosis
 from residua.monitor.fleet_block import fingerprint_of

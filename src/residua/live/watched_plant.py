@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.live.alarm_events import ToldAlarm
+from residua.live.events import ReportedAlarm
 from residua.live.sampling import Rows, SamplingState
 
 #: Rows of a plant that are kept at hand at least.
@@ -68,7 +68,7 @@ class WatchedPlant:
     sampling : SamplingState
     number : int
         Of its last event.
-    told : list of ToldAlarm
+    reported : list of ReportedAlarm
         Alarms that are not over.
     open_row : int
         The row that raised the first of them; -1 without any.
@@ -79,16 +79,16 @@ class WatchedPlant:
     gap, whole : int
         Rows in a row with a value missing, and without.
     missing : tuple of int, or None
-        The channels that were told to be missing; ``None`` while none are.
+        The channels that were reported to be missing; ``None`` while none are.
     anchor, mark : bytes or None
         Running states at the rows ``anchor_at``, from which on rows are kept, and ``mark_at``, where the anchor goes
         next; ``None``: the start.
     standing_at : int
-        The row at which an alarm was told to stand where the data end.
+        The row at which an alarm was reported to stand where the data end.
     running_at : int
         The row at which the store has the running state.
-    said : tuple of (str, str, float), or None
-        Of the alarm that was told of last: the faults it is put down to, how sure that is, and when it was raised.
+    attribution : tuple of (str, str, float), or None
+        Of the alarm that was reported last: the faults it is put down to, how sure that is, and when it was raised.
     ratio : float
         Of the last row, statistic over threshold.
     heard : float
@@ -105,7 +105,7 @@ class WatchedPlant:
     count: int = 0
     sampling: SamplingState = field(default_factory=SamplingState)
     number: int = 0
-    told: list[ToldAlarm] = field(default_factory=list)
+    reported: list[ReportedAlarm] = field(default_factory=list)
     open_row: int = -1
     open_since: float = 0.0
     last_on: int = -1
@@ -119,7 +119,7 @@ class WatchedPlant:
     mark_at: int = 0
     standing_at: int = -1
     running_at: int = 0
-    said: tuple[str, str, float] | None = None
+    attribution: tuple[str, str, float] | None = None
     ratio: float = math.nan
     heard: float = 0.0
     steps: Steps = field(default_factory=Steps)
@@ -135,22 +135,21 @@ class WatchedPlant:
             self.recent_rows -= len(self.recent.popleft().times)
 
     def to_record(self) -> str:
-        """Return the values that change with every row, as JSON."""
+        """Return the values that change with every row, as JSON, with NaN as such."""
         content: list[Any] = [self.count, self.number, self.open_row, self.open_since, self.last_on, self.next_look]
         content += [self.gap, self.whole, None if self.missing is None else list(self.missing)]
-        content += [[one.to_record() for one in self.told], self.sampling.to_record()]
-        content.append(None if self.said is None else list(self.said))
-        content += [self.standing_at, self.ratio if math.isfinite(self.ratio) else None]
-        return json.dumps(content, allow_nan=False)
+        content += [[one.to_record() for one in self.reported], self.sampling.to_record()]
+        content.append(None if self.attribution is None else list(self.attribution))
+        content += [self.standing_at, self.ratio]
+        return json.dumps(content)
 
     def take_record(self, record: str, now: float) -> None:
         """Restore the values of :meth:`to_record`; pending readings count as having arrived at ``now``."""
         content = json.loads(record)
         self.count, self.number, self.open_row, self.open_since, self.last_on, self.next_look = content[:6]
-        self.gap, self.whole, missing, told, sampling, said, self.standing_at, ratio = content[6:]
-        self.ratio = math.nan if ratio is None else ratio
-        self.said = None if said is None else (str(said[0]), str(said[1]), float(said[2]))
+        self.gap, self.whole, missing, reported, sampling, attribution, self.standing_at, self.ratio = content[6:]
+        self.attribution = None if attribution is None else (attribution[0], attribution[1], attribution[2])
         self.missing = None if missing is None else tuple(missing)
-        self.told = [ToldAlarm.from_record(one) for one in told]
+        self.reported = [ReportedAlarm.from_record(one) for one in reported]
         self.sampling = SamplingState.from_record(sampling, now)
         self.heard = now

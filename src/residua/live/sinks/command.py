@@ -7,16 +7,14 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
 from residua.errors import SettingError
+from residua.live.delivery import DeliveryError, OneByOne, RefusedError
 from residua.live.events import Event
-from residua.live.setting_checks import check_seconds, check_types
-from residua.live.sink import LONGEST_CALL, DeliveryError, Sink
+from residua.live.setting_checks import check_types, seconds
 
 #: The exit status of a program that can make nothing of its input (EX_DATAERR of sysexits.h).
 REFUSED = 65
@@ -51,12 +49,12 @@ class Settings:
 
     def __post_init__(self) -> None:
         check_types(self)
-        check_seconds(self, "timeout")
+        seconds(self, "timeout")
         if not self.command or not self.command[0]:
             raise SettingError("command: the program and its arguments are expected, each one text; no shell reads it")
 
 
-class Command(Sink):
+class Command(OneByOne):
     """Sink that runs a program for each event, one line of JSON on its standard input; status 0 means delivered.
 
     The output of the program goes to the standard error of the run. The program and its children are ended when their
@@ -77,33 +75,26 @@ class Command(Sink):
     def __init__(self, settings: Settings) -> None:
         if shutil.which(settings.command[0]) is None:
             raise SettingError(f"command: there is no program {settings.command[0]!r}, or it must not be run")
-        self._settings = settings
+        self._settings, self.drop_refused = settings, settings.drop_refused
         self._program = Path(settings.command[0]).name
         self.name = settings.name or f"command {self._program}"
 
-    def deliver(self, events: Sequence[Event]) -> int:
-        """Run the program for each event, and return the number delivered.
+    def send(self, event: Event) -> None:
+        """Run the program for an event.
 
         Raises
         ------
         DeliveryError
-            If it did not take the first one: another status, no end in time, or it cannot be started.
+            If it did not take the event: another status, no end in time, or it cannot be started.
         """
-        over = time.monotonic() + LONGEST_CALL
-        for k, event in enumerate(events):
-            if k and time.monotonic() > over:
-                return k
-            try:
-                status = self._run(event)
-                if status == REFUSED and self._settings.drop_refused:
-                    self.dropped += 1
-                elif status:
-                    raise DeliveryError(self._words(status))
-            except DeliveryError:
-                if k:
-                    return k
-                raise
-        return len(events)
+        status = self._run(event)
+        if status == REFUSED:
+            raise RefusedError(
+                f"{self._program} refuses the event (status {REFUSED}); drop_refused = true goes on without it"
+            )
+        if status:
+            ended = f"was ended by signal {-status}" if status < 0 else f"ended with status {status}"
+            raise DeliveryError(f"{self._program} {ended}")
 
     def _run(self, event: Event) -> int:
         posix = sys.platform != "win32"
@@ -127,10 +118,3 @@ class Command(Sink):
                 if process.returncode is None:
                     os.killpg(process.pid, signal.SIGKILL) if posix else process.kill()
         return process.wait()
-
-    def _words(self, status: int) -> str:
-        if status < 0:
-            return f"{self._program} was ended by signal {-status}"
-        if status == REFUSED:
-            return f"{self._program} refuses the event (status {REFUSED}); drop_refused = true goes on without it"
-        return f"{self._program} ended with status {status}"

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import ClassVar
 
 from residua.errors import SettingError
+from residua.live.delivery import DeliveryError, Sink
 from residua.live.events import Event
 from residua.live.setting_checks import check_types
-from residua.live.sink import DeliveryError, Sink
 
 if sys.platform != "win32":
     import fcntl

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import ssl
 import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
+from urllib.parse import quote
 
 import paho.mqtt.client as mqtt
 from paho.mqtt.enums import CallbackAPIVersion
@@ -15,16 +15,16 @@ from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 
 from residua.errors import SettingError
+from residua.live.delivery import LONGEST_CALL, DeliveryError, Sink
 from residua.live.events import Event
-from residua.live.secrets import check_secret, secret
-from residua.live.setting_checks import check_seconds, check_types
-from residua.live.sink import LONGEST_CALL, DeliveryError, Sink
+from residua.live.secrets import check_secret, check_tls, secret, tls_context
+from residua.live.setting_checks import check_types, choice, needed, seconds, whole
 
 #: Events that are on their way at once.
 WINDOW = 100
 _VERSIONS = {"3.1.1": mqtt.MQTTv311, "5": mqtt.MQTTv5}
 #: Characters of a plant's id that mean something in a topic, and the percent sign that they are written with.
-_ACTING = {c: f"%{ord(c):02X}" for c in "%/+#"}
+_SPECIAL = "%/+#"
 #: Bytes of a topic, at most (a length of two bytes).
 _LONGEST_TOPIC = 65_535
 
@@ -72,17 +72,13 @@ class Settings:
 
     def __post_init__(self) -> None:
         check_types(self)
-        check_seconds(self, "timeout")
-        if not self.host:
-            raise SettingError("host: the broker must be named")
-        if not 0 <= self.port < 65536:
-            raise SettingError(f"port: from 1 to 65535, or 0 for the usual one, not {self.port}")
+        seconds(self, "timeout")
+        needed(self, "host", "the broker must be named")
+        whole(self, "port", 0, 65_535)
         if not self.topic or any(c in self.topic for c in "+#\0"):
             raise SettingError(f"topic: not empty, and without +, # and NUL, not {self.topic!r}")
-        if self.ca_file and not self.tls:
-            raise SettingError("ca_file: without tls = true nothing is encrypted")
-        if self.version not in _VERSIONS:
-            raise SettingError(f"version: one of {', '.join(_VERSIONS)}, not {self.version!r}")
+        check_tls(self)
+        choice(self, "version", tuple(_VERSIONS))
         check_secret(self, "password")
         if (self.password_file or self.password_env) and not self.username:
             raise SettingError("username: a password is sent with the name of a user")
@@ -96,12 +92,10 @@ def topic_of(pattern: str, plant: str) -> str:
     >>> topic_of("residua/{plant}/events", "hall 3/pump")
     'residua/hall 3%2Fpump/events'
     """
-    level = "".join(_ACTING.get(c) or (c if c.isprintable() else _encoded(c)) for c in plant)
+    level = "".join(
+        c if c.isprintable() and c not in _SPECIAL else quote(c, safe="", errors="surrogatepass") for c in plant
+    )
     return pattern.replace("{plant}", level)
-
-
-def _encoded(character: str) -> str:
-    return "".join(f"%{byte:02X}" for byte in character.encode("utf-8", "surrogatepass"))
 
 
 @dataclass(eq=False)
@@ -166,7 +160,7 @@ class Mqtt(Sink):
         self._where = f"the broker at {settings.host}:{self._port}"
         self.name = settings.name or f"mqtt {settings.host}:{self._port}"
         self._password = secret(settings, "password")
-        self._context = _context(settings.ca_file) if settings.tls else None
+        self._context = tls_context(settings) if settings.tls else None
         self._connection: _Connection | None = None
 
     def deliver(self, events: Sequence[Event]) -> int:
@@ -229,10 +223,3 @@ class Mqtt(Sink):
             client, self._connection = self._connection.client, None
             client.disconnect()
             client.loop_stop()
-
-
-def _context(ca_file: str) -> ssl.SSLContext:
-    try:
-        return ssl.create_default_context(cafile=ca_file or None)
-    except (OSError, ssl.SSLError) as error:
-        raise SettingError(f"ca_file: {ca_file} holds no certificates that can be read: {error}") from error

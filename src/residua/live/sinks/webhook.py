@@ -6,10 +6,8 @@ import asyncio
 import contextlib
 import hashlib
 import hmac
-import ssl
 import threading
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 from ipaddress import ip_address
 from typing import ClassVar
@@ -17,10 +15,10 @@ from typing import ClassVar
 import httpx
 
 from residua.errors import SettingError
+from residua.live.delivery import DeliveryError, OneByOne, RefusedError
 from residua.live.events import Event
-from residua.live.secrets import check_secret, secret
-from residua.live.setting_checks import check_seconds, check_types
-from residua.live.sink import LONGEST_CALL, DeliveryError, Sink
+from residua.live.secrets import check_secret, secret, tls_context
+from residua.live.setting_checks import check_types, seconds
 from residua.visible import echo
 
 #: The header with the signature.
@@ -81,7 +79,7 @@ class Settings:
 
     def __post_init__(self) -> None:
         check_types(self)
-        check_seconds(self, "timeout")
+        seconds(self, "timeout")
         for name in ("url", "key", "token"):
             check_secret(self, name)
         if sum(map(bool, (self.url, self.url_file, self.url_env))) != 1:
@@ -162,7 +160,7 @@ def signature(key: str, body: bytes, timestamp: int) -> str:
     return f"t={timestamp},v1={signed}"
 
 
-class Webhook(Sink):
+class Webhook(OneByOne):
     """Sink that sends each event as one POST of its JSON; any answer from 200 to 299 means delivered.
 
     Redirects are not followed, the environment (proxies, passwords in ``.netrc``) is not looked at, and of the answer
@@ -181,7 +179,7 @@ class Webhook(Sink):
     kind: ClassVar[str] = "webhook"
 
     def __init__(self, settings: Settings) -> None:
-        self._settings = settings
+        self._settings, self.drop_refused = settings, settings.drop_refused
         key = "url" if settings.url else "url_file" if settings.url_file else "url_env"
         self._url = checked_address(settings.url or secret(settings, "url") or "", key)
         self._where = f"{self._url.scheme}://{self._url.netloc.decode('ascii')}"
@@ -195,47 +193,42 @@ class Webhook(Sink):
             if not token.isascii() or " " in token:
                 raise SettingError("token: a token for a header has ASCII characters only, and no blanks")
             self._headers["Authorization"] = f"Bearer {token}"
-        self._runner, self._delivering = asyncio.Runner(), threading.Lock()
+        self._runner, self._sending = asyncio.Runner(), threading.Lock()
         self._task: asyncio.Task[int] | None = None
+        self._closed = False
         self._client = httpx.AsyncClient(
-            verify=_certificates(settings.ca_file),
+            verify=tls_context(settings) if settings.ca_file else True,
             proxy=settings.proxy or None,
             trust_env=False,
             follow_redirects=False,
             timeout=settings.timeout,
         )
 
-    def deliver(self, events: Sequence[Event]) -> int:
-        """Send events one after another, and return the number delivered.
+    def send(self, event: Event) -> None:
+        """Send an event.
 
         Raises
         ------
         DeliveryError
-            If the first one was not: no connection, no answer in time, or an answer from 300 on.
+            If there was no connection, no answer in time, or an answer from 300 on.
         """
-        with self._delivering:
+        with self._sending:
+            if self._closed:
+                raise DeliveryError("the run is ending")
             try:
-                return self._runner.run(self._deliver(events))
+                status = self._runner.run(self._post(event.to_json().encode()))
             except asyncio.CancelledError:
                 raise DeliveryError("the run is ending") from None
             finally:
                 self._task = None
+        if status in REFUSED:
+            raise RefusedError(f"{self._where} refuses the event ({status}); drop_refused = true goes on without it")
+        if not 200 <= status < 300:
+            raise DeliveryError(f"{self._where} {_meaning(status)}")
 
-    async def _deliver(self, events: Sequence[Event]) -> int:
+    async def _post(self, body: bytes) -> int:
+        """Send a body, and return the status of the answer."""
         self._task = asyncio.current_task()
-        over = time.monotonic() + LONGEST_CALL
-        for k, event in enumerate(events):
-            if k and time.monotonic() > over:
-                return k
-            try:
-                await self._send(event.to_json().encode())
-            except DeliveryError:
-                if k:
-                    return k
-                raise
-        return len(events)
-
-    async def _send(self, body: bytes) -> None:
         headers = dict(self._headers)
         if self._key is not None:
             headers[SIGNATURE] = signature(self._key, body, int(time.time()))
@@ -243,46 +236,31 @@ class Webhook(Sink):
             # All in all: a receiver that sends its answer byte by byte is away as well.
             async with asyncio.timeout(self._settings.timeout):
                 async with self._client.stream("POST", self._url, content=body, headers=headers) as answer:
-                    status = answer.status_code
+                    return answer.status_code
         except (TimeoutError, httpx.TimeoutException):
             raise DeliveryError(f"{self._where} gave no answer within {self._settings.timeout:g} s") from None
         except httpx.ConnectError as error:
             raise DeliveryError(f"{self._where} cannot be reached: {echo(str(error))}") from None
         except httpx.HTTPError as error:  # its text may have headers in it
             raise DeliveryError(f"{self._where}: the connection failed ({type(error).__name__})") from None
-        if 200 <= status < 300:
-            return
-        if status in REFUSED and self._settings.drop_refused:
-            self.dropped += 1
-            return
-        raise DeliveryError(self._words(status))
-
-    def _words(self, status: int) -> str:
-        if status < 400:
-            return f"{self._where} answers with a redirect ({status}), which is not followed: set its address"
-        if status in REFUSED:
-            return f"{self._where} refuses the event ({status}); drop_refused = true goes on without it"
-        if status in (401, 403):
-            return f"{self._where} does not let this sink in ({status}): look at its key and token"
-        if status in AWAY or status >= 500:
-            return f"{self._where} cannot take the event now ({status})"
-        return f"{self._where} answers with {status}: look at the address"
 
     def close(self) -> None:
         """Close the connections, and abandon the current delivery."""
-        task = self._task
+        self._closed, task = True, self._task
         if task is not None:
             with contextlib.suppress(RuntimeError):  # it has just ended
                 task.get_loop().call_soon_threadsafe(task.cancel)
-        with self._delivering:
+        with self._sending:
             self._runner.run(self._client.aclose())
             self._runner.close()
 
 
-def _certificates(ca_file: str) -> ssl.SSLContext | bool:
-    if not ca_file:
-        return True
-    try:
-        return ssl.create_default_context(cafile=ca_file)
-    except (OSError, ssl.SSLError) as error:
-        raise SettingError(f"ca_file: {ca_file} holds no certificates that can be read: {error}") from error
+def _meaning(status: int) -> str:
+    """Return the meaning of the status of an answer, with a remedy."""
+    if status < 400:
+        return f"answers with a redirect ({status}), which is not followed: set its address"
+    if status in (401, 403):
+        return f"does not let this sink in ({status}): look at its key and token"
+    if status in AWAY or status >= 500:
+        return f"cannot take the event now ({status})"
+    return f"answers with {status}: look at the address"

@@ -10,11 +10,10 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from residua.errors import SettingError, missing_extra
-from residua.live.messages import LARGEST, Message
-from residua.live.secrets import check_secret, secret
-from residua.live.setting_checks import choice, file, flag, text, texts, whole
-from residua.live.source import Pauses
-from residua.live.sources.threaded import HandOver, ThreadedSource
+from residua.live.secrets import check_secret, check_tls, secret
+from residua.live.setting_checks import check_types, choice, needed, texts, whole
+from residua.live.source import LARGEST, Message
+from residua.live.sources.adapter import BrokerSource, reason_of
 from residua.live.sources.topics import Topics
 
 try:
@@ -26,12 +25,10 @@ except ImportError as error:
 _BURST, _MOST, _MOST_BYTES = 1000, 10_000, 64_000_000
 #: Kilobytes that librdkafka fetches ahead of the reading.
 _AHEAD = 16_384
-#: Seconds between looks whether there is something to commit, and between commits.
-_LOOK, _COMMIT_EVERY = 0.1, 0.2
-#: Seconds between looks whether a cluster that was away is back.
+#: Seconds that a poll for messages takes, and between commits.
+_POLL, _COMMIT_EVERY = 0.1, 0.2
+#: Seconds between requests to a cluster that was away.
 _ASK_EVERY = 2.0
-#: Seconds that the last commit may take.
-_LEAVING = 3.0
 
 #: A topic and a partition of it.
 _Part = tuple[str, int]
@@ -99,12 +96,9 @@ class Settings:
         texts(self, "servers", needed="name at least one broker, host:port")
         if any("," in one or "@" in one or not one.rpartition(":")[2].isdigit() for one in self.servers):
             raise SettingError("servers: a list of host:port is expected")
-        text(self, "group", needed="the name under which the cluster keeps the progress of this run")
+        needed(self, "group", "the name under which the cluster keeps the progress of this run")
         texts(self, "topics", needed="name at least one topic")
-        for key in ("plant", "instance", "username", "password_file", "password_env", "name"):
-            text(self, key)
         Topics(self.topics, self.plant, dotted=True)
-        flag(self, "key_is_plant")
         bare = [one for one in self.topics if "{channel}" in one and "{plant}" not in one]
         if bare and not self.plant and not self.key_is_plant:
             raise SettingError(
@@ -113,13 +107,10 @@ class Settings:
             )
         choice(self, "start", ("earliest", "latest"))
         whole(self, "session_timeout", 6, 300)
-        flag(self, "tls")
-        for key in ("ca_file", "cert_file", "key_file"):
-            file(self, key)
-            if getattr(self, key) and not self.tls:
-                raise SettingError(f"{key}: it is for TLS: set tls = true")
+        check_tls(self)
         choice(self, "mechanism", ("", "PLAIN", "SCRAM-SHA-256", "SCRAM-SHA-512"))
         check_secret(self, "password")
+        check_types(self)
         if bool(self.mechanism) != bool(self.username) or bool(self.mechanism) != bool(
             self.password_file or self.password_env
         ):
@@ -152,7 +143,7 @@ class Settings:
         return out
 
 
-class Kafka(ThreadedSource):
+class Kafka(BrokerSource):
     """Source that reads topics as the only member of a consumer group.
 
     An offset is committed when the message before it is safe, for each partition by itself. Of a partition that was
@@ -172,11 +163,11 @@ class Kafka(ThreadedSource):
     kind: ClassVar[str] = "kafka"
 
     def __init__(self, settings: Settings) -> None:
-        super().__init__(settings.name or f"kafka {settings.servers[0]}")
+        address = settings.servers[0]
+        super().__init__(settings.name or f"kafka {address}", address, _MOST, _MOST_BYTES)
         self._settings = settings
         self._password = secret(settings, "password")
         self._topics = Topics(settings.topics, settings.plant, dotted=True)
-        self._pauses = Pauses()
         self._lock = threading.Lock()
         #: By partition: since which assignment it is ours, and the offset that is to be committed.
         self._ours: dict[_Part, int] = {}
@@ -194,48 +185,38 @@ class Kafka(ThreadedSource):
                 if assignment is not None and self._ours.get(part) == assignment:
                     self._safe[part] = offset + 1
 
-    def work(self) -> None:
-        """Read until the run ends; if librdkafka gives up, start again."""
-        with self.handing_over(_MOST, _MOST_BYTES, lambda: None) as hand:
-            while not (self.stopping.is_set() or hand.ended):
-                try:
-                    self._serve(hand)
-                except (KafkaException, RuntimeError, ValueError) as error:
-                    self.say(False, f"{self._where}: {_words(error)}; tries again")
-                if not hand.ended:
-                    self._pauses.wait(self.stopping)
+    def comes_again(self, message: Message) -> bool:
+        """Tell whether a message comes again with the next consumer: all that are not safe."""
+        return True
 
-    @property
-    def _where(self) -> str:
-        return self._settings.servers[0]
-
-    # ------------------------------------------------------------------ one consumer
-
-    def _serve(self, hand: HandOver) -> None:
+    def serve(self) -> None:
+        """Read as one consumer until the run ends, or librdkafka gives up."""
         self._away, self._paused = "no answer yet", False
-        configuration = self._settings.consumer(self._password) | {"error_cb": self._noted}
+        configuration = self._settings.consumer(self._password) | {"error_cb": self._note}
         consumer = Consumer(configuration, logger=logging.getLogger("residua.live.kafka"))
         try:
             consumer.subscribe(
                 list(self._topics.filters), on_assign=self._assigned, on_revoke=self._revoked, on_lost=self._lost
             )
             committed = 0.0
-            while not (self.stopping.is_set() or hand.ended):
-                self._hold(consumer, hand.full)
-                came = consumer.consume(_BURST, _LOOK)
-                if came:
-                    self._take(came, hand)
+            while not self.leaving:
+                self._hold(consumer, self.queue.full)
+                polled = consumer.consume(_BURST, _POLL)
+                if polled:
+                    self._take(polled)
                 if self._safe and time.monotonic() - committed > _COMMIT_EVERY:
                     committed = time.monotonic()
                     self._commit(consumer, asynchronous=True)
                 if self._away:
                     self._ask(consumer)
             self._commit(consumer, asynchronous=False)
+        except KafkaException as error:
+            raise ConnectionError(_reason_of(error)) from error
         finally:
             with self._lock:
                 self._ours.clear()
                 self._safe.clear()
-            hand.forget(lambda _: True)
+            self.queue.drop(self.comes_again)  # before a rebalance
             consumer.close()
 
     def _hold(self, consumer: Consumer, full: bool) -> None:
@@ -248,11 +229,11 @@ class Kafka(ThreadedSource):
                 consumer.resume(parts)
             self._paused = full
 
-    def _take(self, came: list[Any], hand: HandOver) -> None:
+    def _take(self, polled: list[Any]) -> None:
         burst, now, key_is_plant = [], time.time(), self._settings.key_is_plant
-        for one in came:
+        for one in polled:
             if one.error() is not None:
-                self._noted(one.error())
+                self._note(one.error())
                 continue
             part = (one.topic(), one.partition())
             place = self._topics.place(part[0])
@@ -275,7 +256,7 @@ class Kafka(ThreadedSource):
             burst.append(Message(self, b"" if refused else payload or b"", now, plant, channel, moment, token, refused))
         if burst:
             self._here()
-            hand.give(burst)
+            self.queue.give(burst)
 
     def _commit(self, consumer: Consumer, asynchronous: bool, only: set[_Part] | None = None) -> None:
         with self._lock:
@@ -286,7 +267,7 @@ class Kafka(ThreadedSource):
         try:
             consumer.commit(offsets=offsets, asynchronous=asynchronous)
         except KafkaException as error:  # they come again, and the run drops repeats
-            self.say(False, f"{self._where}: offsets could not be committed: {_words(error)}")
+            self.say(False, f"{self.address}: offsets could not be committed: {_reason_of(error)}")
 
     # ------------------------------------------------------------------ callbacks of librdkafka, while reading
 
@@ -295,7 +276,7 @@ class Kafka(ThreadedSource):
         with self._lock:
             self._ours |= {(one.topic, one.partition): self._assignments for one in parts}
         self._paused = False  # those that are new are not: all are paused again if there is no room
-        self._pauses.reset()
+        self.backoff.reset()
         self._here()
 
     def _revoked(self, consumer: Consumer, parts: list[TopicPartition]) -> None:
@@ -308,18 +289,17 @@ class Kafka(ThreadedSource):
             for part in gone:
                 self._ours.pop(part, None)
                 self._safe.pop(part, None)
-        if self._hand is not None:
-            self._hand.forget(lambda message: message.token[0] in gone)
+        self.queue.drop(lambda message: message.token[0] in gone)
 
-    def _noted(self, error: KafkaError) -> None:
+    def _note(self, error: KafkaError) -> None:
         if error.code() == KafkaError._PARTITION_EOF:
             return
         self._away = error.str()
-        self.say(False, f"{self._where}: {error.str()}; tries again")
+        self.say(False, f"{self.address}: {error.str()}; tries again")
 
     def _here(self) -> None:
         self._away = ""
-        self.say(True, f"connected to {self._where}, {len(self._ours):,} partitions")
+        self.say(True, f"connected to {self.address}, {len(self._ours):,} partitions")
 
     def _ask(self, consumer: Consumer) -> None:
         """Check whether a cluster is back: without messages there is no other sign of it."""
@@ -332,7 +312,7 @@ class Kafka(ThreadedSource):
             plain = [topic for topic in self._topics.filters if not topic.startswith("^")]
             absent = [topic for topic in plain if topic not in known or known[topic].error is not None]
             if absent:
-                self.say(False, f"{self._where}: there is no topic {', '.join(absent)}; waits for it")
+                self.say(False, f"{self.address}: there is no topic {', '.join(absent)}; waits for it")
             elif self._ours:
                 self._here()
 
@@ -345,9 +325,9 @@ def _key(key: bytes | str | None) -> str:
         return ""
 
 
-def _words(error: Exception) -> str:
+def _reason_of(error: KafkaException) -> str:
     inner = error.args[0] if error.args else None
-    return inner.str() if isinstance(inner, KafkaError) else str(error) or type(error).__name__
+    return inner.str() if isinstance(inner, KafkaError) else reason_of(error)
 
 
 __all__ = ["Kafka", "Settings"]

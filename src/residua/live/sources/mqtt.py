@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import selectors
-import ssl
 import time
 from collections import deque
 from collections.abc import Sequence
@@ -11,13 +10,11 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from residua.errors import SettingError, missing_extra
-from residua.live.messages import LARGEST, Message
-from residua.live.secrets import check_secret, secret
-from residua.live.setting_checks import choice, file, flag, number, text, texts, whole
-from residua.live.source import Pauses
-from residua.live.sources.threaded import HandOver, ThreadedSource
+from residua.live.secrets import check_secret, check_tls, secret, tls_context
+from residua.live.setting_checks import check_types, choice, needed, texts, whole
+from residua.live.source import LARGEST, Message
+from residua.live.sources.adapter import BrokerSource
 from residua.live.sources.topics import Topics
-from residua.live.sources.waking import Waker
 
 try:
     from paho.mqtt import client as paho
@@ -113,36 +110,27 @@ class Settings:
     name: str = ""
 
     def __post_init__(self) -> None:
-        text(self, "client_id", needed="a name for this run, under which the broker keeps messages while it is away")
-        text(self, "host", needed="the broker's host name or address")
-        for key in ("plant", "username", "password_file", "password_env", "name"):
-            text(self, key)
+        needed(self, "client_id", "a name for this run, under which the broker keeps messages while it is away")
+        needed(self, "host", "the broker's host name or address")
         texts(self, "topics", needed="name at least one topic, such as 'plants/{plant}/data'")
         Topics(self.topics, self.plant)
         whole(self, "port", 0, 65_535)
         choice(self, "version", tuple(_VERSIONS))
-        if self.qos == 2 and type(self.qos) is int:
+        if self.qos == 2:
             raise SettingError(
                 "qos: 2 takes a message over before it is saved, so that a kill loses it; 1 loses none, and the run "
                 "drops what comes twice. What is published with 2 arrives with 1"
             )
         choice(self, "qos", (1, 0))
-        for key in ("tls", "retained"):
-            flag(self, key)
-        for key in ("ca_file", "cert_file", "key_file"):
-            file(self, key)
-            if getattr(self, key) and not self.tls:
-                raise SettingError(f"{key}: it is for TLS: set tls = true")
-        if bool(self.cert_file) != bool(self.key_file):
-            raise SettingError("cert_file: a certificate and its key go together: cert_file and key_file")
+        check_tls(self)
         whole(self, "keepalive", 5, 65_535)
         whole(self, "session_expiry", 0, 2**32 - 1)
         whole(self, "receive_maximum", 1, 65_535)
-        number(self, "keepalive", 5)
         check_secret(self, "password")
+        check_types(self)
 
 
-class Mqtt(ThreadedSource):
+class Mqtt(BrokerSource):
     """Source that subscribes to topics of a broker.
 
     One thread reads, acknowledges and keeps the connection alive, whatever the run is doing; another puts. With QoS 1
@@ -170,18 +158,16 @@ class Mqtt(ThreadedSource):
 
     def __init__(self, settings: Settings) -> None:
         self._port = settings.port or (8883 if settings.tls else 1883)
-        super().__init__(settings.name or f"mqtt {settings.host}:{self._port}")
+        address = f"{settings.host}:{self._port}"
+        super().__init__(
+            settings.name or f"mqtt {address}", address, max(settings.receive_maximum, 2 * _BURST), _MOST_BYTES
+        )
         self._settings = settings
         self._topics = Topics(settings.topics, settings.plant)
         self._password = secret(settings, "password")
-        self._tls = _tls_context(settings) if settings.tls else None
-        self._waker = Waker()
+        self._tls = tls_context(settings) if settings.tls else None
         self._safe: deque[Sequence[Message]] = deque()
-        self._pauses = Pauses()
-        self._generation = 0
-        self._burst: list[Message] = []
-        self.burst_bytes = 0
-        self._now = 0.0
+        self._connections = 0
         self._dropping = False
         self._dropped = 0
 
@@ -189,94 +175,37 @@ class Mqtt(ThreadedSource):
         """Acknowledge messages, in the thread of the connection."""
         if self._settings.qos:
             self._safe.append(messages)
-            self._waker.wake()
+            self.wake()
 
-    def wake(self) -> None:
-        """Wake the thread, to check for changes."""
-        self._waker.wake()
-
-    def stop(self) -> None:
-        """Send the acknowledgements, disconnect, end the threads; the broker keeps later messages."""
-        super().stop()
-        self._waker.close()
-
-    def work(self) -> None:
-        """Connect, read until the connection is lost, and so on."""
-        most = max(self._settings.receive_maximum, 2 * _BURST)
-        with self.handing_over(most, _MOST_BYTES, self._waker.wake) as hand:
-            while not (self.stopping.is_set() or hand.ended):
-                self._generation += 1
-                connection = _Connection(self, hand)
-                try:
-                    connection.open()
-                    connection.serve()
-                except Exception as error:  # of the system, of TLS, and what answers that are none make paho raise
-                    connection.abandon()
-                    if not self.stopping.is_set():
-                        self.say(False, f"{self._where}: {_reason(error)}; tries again")
-                hand.forget(self._comes_again)
-                if not hand.ended:
-                    self._pauses.wait(self.stopping)
-
-    @property
-    def _where(self) -> str:
-        return f"{self._settings.host}:{self._port}"
-
-    def _comes_again(self, message: Message) -> bool:
+    def comes_again(self, message: Message) -> bool:
+        """Tell whether the broker repeats a message: all but those of QoS 0."""
         return message.token is not None
 
-    # Callbacks of a connection.
+    def serve(self) -> None:
+        """Connect, read, acknowledge and answer until the connection is lost, or the run ends."""
+        self._connections += 1
+        connection = _Connection(self)
+        try:
+            connection.open()
+            connection.serve()
+        except Exception:
+            connection.abandon()
+            raise
 
     def connected(self, resumed: bool, granted: str) -> None:
         """Report the subscriptions."""
-        self._pauses.reset()
-        kept = "" if resumed or self._generation == 1 else "; the broker has not kept the session, messages may be lost"
+        self.backoff.reset()
+        first = self._connections == 1
+        kept = "" if resumed or first else "; the broker has not kept the session, messages may be lost"
         lost = f"; {self._dropped:,} messages of QoS 0 dropped: the queue was full" if self._dropped else ""
-        self.say(True, f"connected to {self._where}{granted}{kept}{lost}")
+        self.say(True, f"connected to {self.address}{granted}{kept}{lost}")
 
-    def take(self, message: paho.MQTTMessage) -> None:
-        """Add a message to the burst in progress."""
-        token = (self._generation, message.mid) if message.qos else None
-        if self._dropping and token is None:
-            self._dropped += 1
-            return
-        try:
-            place = self._topics.place(message.topic)
-        except UnicodeDecodeError:
-            place = None
-        payload, refused = bytes(message.payload), ""
-        if place is None:
-            payload, refused, place = b"", "topic", ("", "")
-        elif message.retain and not self._settings.retained:
-            payload, refused = b"", "retained"
-        elif len(payload) > LARGEST:
-            payload, refused = b"", "size"
-        self._burst.append(Message(self, payload, self._now, place[0], place[1], None, token, refused))
-        self.burst_bytes += len(payload)
-
-    def taken(self, now: float) -> list[Message]:
-        """Return the messages of a burst; those of the next one arrive at ``now``."""
-        burst, self._burst, self._now, self.burst_bytes = self._burst, [], now, 0
-        return burst
-
-    def drop(self, whether: bool) -> None:
-        """Report whether messages of QoS 0 are dropped."""
-        if whether != self._dropping:
-            self._dropping = whether
-            if not whether:
+    def drop(self, dropping: bool) -> None:
+        """Begin or end to drop messages of QoS 0, and report how many were."""
+        if dropping != self._dropping:
+            self._dropping = dropping
+            if not dropping:
                 self.connected(True, "")
-
-    def safe(self) -> list[int]:
-        """Return the numbers of messages to acknowledge on this connection, in order."""
-        out: list[int] = []
-        while self._safe:
-            messages = self._safe.popleft()
-            out += [one.token[1] for one in messages if one.token is not None and one.token[0] == self._generation]
-        return out
-
-
-class _LostError(Exception):
-    """The connection is lost, or was refused; the text gives the reason."""
 
 
 class _Client(paho.Client):
@@ -340,18 +269,20 @@ class _Client(paho.Client):
 class _Connection:
     """One connection: from CONNECT until it is lost, or the run ends."""
 
-    def __init__(self, source: Mqtt, hand: HandOver) -> None:
-        self._source, self._hand = source, hand
-        self._settings, self._stopping, self._waker = source._settings, source.stopping, source._waker
-        self._client = self._made()
+    def __init__(self, source: Mqtt) -> None:
+        self._source, self._settings = source, source._settings
+        self._client = self._new_client()
         self._refusal = ""
         self._resumed = False
         self._ready = False
         self._events = 0
+        self._burst: list[Message] = []
+        self._burst_bytes = 0
+        self._burst_time = time.time()
 
-    def _made(self) -> _Client:
-        settings, five = self._settings, self._settings.version == "5"
-        more = {} if five else {"clean_session": False}
+    def _new_client(self) -> _Client:
+        settings = self._settings
+        more = {} if settings.version == "5" else {"clean_session": False}
         client = _Client(
             CallbackAPIVersion.VERSION2,
             client_id=settings.client_id,
@@ -367,7 +298,7 @@ class _Connection:
             client.tls_set_context(self._source._tls)
         client.on_connect, client.on_subscribe = self._on_connect, self._on_subscribe
         client.on_disconnect = self._on_disconnect
-        client.on_message = lambda _, __, message: self._source.take(message)
+        client.on_message = lambda _, __, message: self._take(message)
         client.on_socket_register_write = lambda *_: None  # else acknowledging writes at once, one by one
         return client
 
@@ -380,25 +311,23 @@ class _Connection:
             properties.ReceiveMaximum = settings.receive_maximum
             properties.MaximumPacketSize = _LARGEST_PACKET
             more = {"clean_start": False, "properties": properties}
-        self._source.taken(time.time())
         self._client.connect(settings.host, self._source._port, settings.keepalive, **more)
 
     def serve(self) -> None:
         """Read, acknowledge and answer until the connection is lost, or the run ends."""
-        patience, full_since = self._settings.keepalive / 3, 0.0
-        opened, client = time.monotonic(), self._client
+        longest, full_since = self._settings.keepalive / 3, 0.0
+        opened, client, source = time.monotonic(), self._client, self._source
         with selectors.DefaultSelector() as selector:
-            selector.register(self._waker, selectors.EVENT_READ)
-            while not (self._stopping.is_set() or self._hand.ended):
-                full, now = self._hand.full, time.monotonic()
+            selector.register(source.waker, selectors.EVENT_READ)
+            while not source.leaving:
+                full, now = source.queue.full, time.monotonic()
                 full_since = (full_since or now) if full else 0.0
-                late = full and now - full_since > patience
-                self._source.drop(late)
-                reads = not full or (late and not (self._settings.qos and self._hand.heavy))
+                late = full and now - full_since > longest
+                source.drop(late)
+                reads = not full or (late and not (self._settings.qos and source.queue.heavy))
                 self._wait(selector, reads)
-                self._waker.clear()
-                for mid in self._source.safe():
-                    client.ack(mid, 1)
+                source.waker.clear()
+                self._acknowledge()
                 if reads:
                     self._read()
                 if client.want_write():
@@ -406,7 +335,7 @@ class _Connection:
                     client.flush()
                 self._check(client.loop_misc())
                 if not self._ready and time.monotonic() - opened > 2 * _CONNECTING:
-                    raise _LostError("no answer")
+                    raise ConnectionError("no answer")
         self._leave()
 
     def _wait(self, selector: selectors.BaseSelector, reads: bool) -> None:
@@ -414,7 +343,7 @@ class _Connection:
         client = self._client
         socket = client.socket()
         if socket is None:
-            raise _LostError(self._refusal or "the connection was lost")
+            raise ConnectionError(self._refusal or "the connection was lost")
         events = selectors.EVENT_READ * reads | selectors.EVENT_WRITE * client.want_write()
         if events != self._events:
             if self._events:
@@ -426,26 +355,55 @@ class _Connection:
 
     def _read(self) -> None:
         """Read a burst of packets."""
-        client, source = self._client, self._source
+        self._burst_time = time.time()
         try:
             for _ in range(_BURST):
-                self._check(client.loop_read())
-                if client.dry or source.burst_bytes > _BURST_BYTES:
+                self._check(self._client.loop_read())
+                if self._client.dry or self._burst_bytes > _BURST_BYTES:
                     break
         finally:
-            burst = source.taken(time.time())
-            if burst:
-                self._hand.give(burst)
+            if self._burst:
+                self._source.queue.give(self._burst)
+            self._burst, self._burst_bytes = [], 0
+
+    def _take(self, message: paho.MQTTMessage) -> None:
+        """Add a message to the burst in progress."""
+        source = self._source
+        token = (self, message.mid) if message.qos else None
+        if source._dropping and token is None:
+            source._dropped += 1
+            return
+        try:
+            place = source._topics.place(message.topic)
+        except UnicodeDecodeError:
+            place = None
+        payload, refused = bytes(message.payload), ""
+        if place is None:
+            refused, place = "topic", ("", "")
+        elif message.retain and not self._settings.retained:
+            refused = "retained"
+        elif len(payload) > LARGEST:
+            refused = "size"
+        payload = b"" if refused else payload
+        self._burst.append(Message(source, payload, self._burst_time, *place, None, token, refused))
+        self._burst_bytes += len(payload)
+
+    def _acknowledge(self) -> None:
+        """Acknowledge the safe messages of this connection, in order."""
+        safe = self._source._safe
+        while safe:
+            for message in safe.popleft():
+                if message.token is not None and message.token[0] is self:
+                    self._client.ack(message.token[1], 1)
 
     def _check(self, result: MQTTErrorCode) -> None:
         if result != paho.MQTT_ERR_SUCCESS or self._refusal:
-            raise _LostError(self._refusal or paho.error_string(result).rstrip("."))
+            raise ConnectionError(self._refusal or paho.error_string(result).rstrip("."))
 
     def _leave(self) -> None:
         """Send the acknowledgements, and disconnect."""
         client, until = self._client, time.monotonic() + _LEAVING
-        for mid in self._source.safe():
-            client.ack(mid, 1)
+        self._acknowledge()
         client.disconnect()
         while client.socket() is not None and time.monotonic() < until:
             if client.loop_write() != paho.MQTT_ERR_SUCCESS:
@@ -490,20 +448,6 @@ class _Connection:
     def _on_disconnect(self, _: paho.Client, __: Any, flags: Any, reason: Any, ___: Any) -> None:
         if flags.is_disconnect_packet_from_server:
             self._refusal = f"the broker has ended the connection: {reason}"
-
-
-def _tls_context(settings: Settings) -> ssl.SSLContext:
-    try:
-        context = ssl.create_default_context(cafile=settings.ca_file or None)
-        if settings.cert_file:
-            context.load_cert_chain(settings.cert_file, settings.key_file)
-    except (OSError, ssl.SSLError) as error:
-        raise SettingError(f"ca_file, cert_file: the certificates cannot be read: {error}") from error
-    return context
-
-
-def _reason(error: Exception) -> str:
-    return getattr(error, "strerror", None) or str(error) or type(error).__name__
 
 
 __all__ = ["Mqtt", "Settings"]

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any, ClassVar
 from urllib.parse import urlsplit
 
 from residua.errors import SettingError, missing_extra
-from residua.live.messages import Message
 from residua.live.secrets import check_secret, secret
-from residua.live.setting_checks import choice, file, number, table_of_texts, text, texts, whole
-from residua.live.source import Pauses
-from residua.live.sources.threaded import HandOver, ThreadedSource
+from residua.live.setting_checks import check_types, choice, file, number, table_of_texts, texts, whole
+from residua.live.source import Message
+from residua.live.sources.adapter import BrokerSource, reason_of
 from residua.visible import echo
 
 try:
@@ -30,12 +30,12 @@ try:
 except ImportError as error:
     raise missing_extra("asyncua", "opcua") from error
 
-#: Values that may wait for the run, beside those of one message of the server.
-_MOST = 20_000
+#: Values that may wait for the run, beside those of one message of the server, and bytes of them.
+_MOST, _MOST_BYTES = 20_000, 64_000_000
 #: Nodes that are subscribed to in one request.
 _AT_ONCE = 1000
 #: Seconds that a request may take, and that leaving may take.
-_PATIENCE, _LEAVING = 10.0, 3.0
+_TIMEOUT, _LEAVING = 10.0, 3.0
 _POLICIES = ("", "Basic256Sha256", "Aes128Sha256RsaOaep", "Aes256Sha256RsaPss")
 
 
@@ -98,8 +98,7 @@ class Settings:
     name: str = ""
 
     def __post_init__(self) -> None:
-        for key in ("url", "username", "password_file", "password_env", "application_uri", "name"):
-            text(self, key)
+        check_types(self)
         try:
             address = urlsplit(self.url)
             fits = address.scheme == "opc.tcp" and bool(address.hostname) and address.port is not None
@@ -148,7 +147,7 @@ class Settings:
         return out
 
 
-class OpcUa(ThreadedSource):
+class OpcUa(BrokerSource):
     """Source that subscribes to nodes of a server, and to every change of value, status or source time of them.
 
     The time of a value is its source time, or else the server's; values without both have that of their arrival.
@@ -171,80 +170,57 @@ class OpcUa(ThreadedSource):
     kind: ClassVar[str] = "opcua"
 
     def __init__(self, settings: Settings) -> None:
-        super().__init__(settings.name or f"opcua {urlsplit(settings.url).netloc}")
+        super().__init__(settings.name or f"opcua {urlsplit(settings.url).netloc}", settings.url, _MOST, _MOST_BYTES)
         self._settings = settings
         self._password = secret(settings, "password")
         self._places = settings.table()
-        self._pauses = Pauses()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._awake: asyncio.Event | None = None
+        self._lost = ""
 
     def wake(self) -> None:
-        """Wake the thread, to check for changes."""
+        """Wake the event loop, to check for changes."""
         loop, awake = self._loop, self._awake
-        if loop is not None and awake is not None and not loop.is_closed():
-            loop.call_soon_threadsafe(awake.set)
+        if loop is not None and awake is not None:
+            with contextlib.suppress(RuntimeError):  # it has just ended
+                loop.call_soon_threadsafe(awake.set)
 
-    def work(self) -> None:
-        """Connect, listen until the connection is lost, and so on."""
-        with self.handing_over(_MOST, 2**62, self.wake) as hand:
-            try:
-                asyncio.run(self._work(hand))
-            finally:
-                self._loop = None
+    def serve(self) -> None:
+        """Connect, and listen until the connection is lost."""
+        asyncio.run(self._serve())
 
-    async def _work(self, hand: HandOver) -> None:
-        self._awake, self._loop = asyncio.Event(), asyncio.get_running_loop()
-        while not (self.stopping.is_set() or hand.ended):
-            try:
-                await self._serve(hand)
-            except Exception as error:  # whatever a server's answer makes asyncua raise
-                if not self.stopping.is_set():
-                    self.say(False, f"{self._settings.url}: {_reason(error)}; tries again")
-            if not hand.ended:
-                await self._pause(self._pauses.next())
-
-    async def _pause(self, seconds: float) -> None:
-        assert self._awake is not None
-        until = time.monotonic() + seconds
-        while not self.stopping.is_set() and (left := until - time.monotonic()) > 0:
-            await _within(self._awake, left)
-
-    # ------------------------------------------------------------------ one connection
-
-    async def _serve(self, hand: HandOver) -> None:
-        assert self._awake is not None
-        lost: list[str] = []
-        client = await self._connected(lost)
+    async def _serve(self) -> None:
+        self._loop, self._awake, self._lost = asyncio.get_running_loop(), asyncio.Event(), ""
+        client = await self._connected()
         try:
-            subscription, places, said = await self._subscribed(client)
-            self._pauses.reset()
-            self.say(True, f"connected to {self._settings.url}, {len(places):,} nodes{said}")
-            reader = asyncio.create_task(_read(subscription, self._taker(places, hand), lost, self._awake))
+            subscription, places, remark = await self._subscribed(client)
+            self.backoff.reset()
+            self.say(True, f"connected to {self.address}, {len(places):,} nodes{remark}")
+            reader = asyncio.create_task(self._read(subscription, places))
             sends = True
             try:
-                while not (self.stopping.is_set() or hand.ended or lost):
-                    if hand.full == sends:
+                while not (self.leaving or self._lost):
+                    if self.queue.full == sends:
                         sends = not sends
                         await subscription.set_publishing_mode(sends)
-                    await _within(self._awake, 0.5)
+                    with contextlib.suppress(TimeoutError):
+                        await asyncio.wait_for(self._awake.wait(), 0.5)
+                        self._awake.clear()
                     if reader.done():
-                        raise ConnectionError(
-                            _reason(reader.exception() or ConnectionError("the subscription has ended"))
-                        )
+                        self._lost = reason_of(reader.exception() or ConnectionError("the subscription has ended"))
             finally:
                 reader.cancel()
-            if lost:
-                raise ConnectionError(lost[0])
+            if self._lost:
+                raise ConnectionError(self._lost)
         finally:
             try:
                 await asyncio.wait_for(client.disconnect(), _LEAVING)
-            except Exception as error:  # it is left in any case
+            except Exception as error:  # the connection is given up in any case
                 logging.getLogger(__name__).debug("leaving: %s", error)
 
-    async def _connected(self, lost: list[str]) -> Client:
+    async def _connected(self) -> Client:
         settings = self._settings
-        client = Client(settings.url, timeout=_PATIENCE, watchdog_intervall=2.0)
+        client = Client(settings.url, timeout=_TIMEOUT, watchdog_intervall=2.0)
         client.name = client.description = "residua live"
         client.application_uri = settings.application_uri
         if settings.policy:
@@ -261,48 +237,44 @@ class OpcUa(ThreadedSource):
             client.set_password(self._password)
 
         async def note(error: Exception) -> None:
-            lost.append(_reason(error))
+            self._lost = reason_of(error)
             self.wake()
 
         client.connection_lost_callback = note
-        await asyncio.wait_for(client.connect(), 2 * _PATIENCE)
+        await asyncio.wait_for(client.connect(), 2 * _TIMEOUT)
         return client
 
     async def _subscribed(self, client: Client) -> tuple[Subscription, dict[int, list[tuple[str, str]]], str]:
         """Subscribe to all nodes; return the channels of each handle, and the requests that the server refused."""
-        settings = self._settings
         subscription = await client.create_subscription(
-            1000.0 * settings.interval,
+            1000.0 * self._settings.interval,
             queue_maxsize=0,  # it is emptied after every message of the server
         )
         namespaces = await client.get_namespace_array()
-        places: dict[int, list[tuple[str, str]]] = {}
-        refused: list[str] = []
-        plain, nodes = False, list(self._places)
-        for first in range(0, len(nodes), _AT_ONCE):
-            part = list(enumerate(nodes[first : first + _AT_ONCE], first + 1))
-            ids = {handle: _resolved(node, namespaces) for handle, node in part}
-            known = [(handle, node) for handle, node in part if ids[handle] is not None]
-            refused += [f"{node}: its namespace does not exist" for handle, node in part if ids[handle] is None]
-            requests = [self._request(handle, ids[handle], not plain) for handle, _ in known]
-            answers = await subscription.create_monitored_items(requests)
-            if not plain and any(_is_about_filters(one) for one in answers):
-                plain = True
-                again = [k for k, one in enumerate(answers) if _is_about_filters(one)]
-                more = await subscription.create_monitored_items(
-                    [self._request(known[k][0], ids[known[k][0]], False) for k in again]
-                )
-                for k, one in zip(again, more, strict=True):
-                    answers[k] = one
-            for (handle, node), answer in zip(known, answers, strict=True):
-                if isinstance(answer, ua.StatusCode):
-                    refused.append(f"{node}: {answer.name}")
-                else:
-                    places[handle] = self._places[node]
+        nodes = dict(enumerate(self._places, 1))
+        ids = {handle: _resolved(node, namespaces) for handle, node in nodes.items()}
+        refused = [f"{nodes[handle]}: its namespace does not exist" for handle, one in ids.items() if one is None]
+        ids = {handle: one for handle, one in ids.items() if one is not None}
+        answers = await self._monitored(subscription, ids, by_time=True)
+        plain = {handle: ids[handle] for handle, answer in answers.items() if _is_about_filters(answer)}
+        answers |= await self._monitored(subscription, plain, by_time=False)
+        failed = {handle for handle, answer in answers.items() if isinstance(answer, ua.StatusCode)}
+        refused += [f"{nodes[handle]}: {answers[handle].name}" for handle in sorted(failed)]
+        places = {handle: self._places[nodes[handle]] for handle in answers.keys() - failed}
         if not places:
             raise ConnectionError(f"the server has none of the nodes: {'; '.join(refused[:3])}")
-        said = f"; {len(refused):,} are not there: {'; '.join(refused[:3])}" if refused else ""
-        return subscription, places, said + ("; values that do not change are not sent" if plain else "")
+        remark = f"; {len(refused):,} are not there: {'; '.join(refused[:3])}" if refused else ""
+        return subscription, places, remark + ("; values that do not change are not sent" if plain else "")
+
+    async def _monitored(self, subscription: Subscription, ids: dict[int, Any], *, by_time: bool) -> dict[int, Any]:
+        """Request values of nodes, many at once, and return the answers by handle."""
+        answers: dict[int, Any] = {}
+        handles = list(ids)
+        for first in range(0, len(handles), _AT_ONCE):
+            part = handles[first : first + _AT_ONCE]
+            requests = [self._request(handle, ids[handle], by_time) for handle in part]
+            answers |= zip(part, await subscription.create_monitored_items(requests), strict=True)
+        return answers
 
     def _request(self, handle: int, node: Any, by_time: bool) -> ua.MonitoredItemCreateRequest:
         """Return the request for a node; ``by_time``: report equal values at later times too."""
@@ -319,46 +291,27 @@ class OpcUa(ThreadedSource):
         request.RequestedParameters = parameters
         return request
 
-    def _taker(self, places: Mapping[int, list[tuple[str, str]]], hand: HandOver) -> Callable[[Any, int], None]:
-        """Return a callback for values; those that arrive together are handed over together, in order of time."""
+    async def _read(self, subscription: Subscription, places: Mapping[int, list[tuple[str, str]]]) -> None:
+        """Read values; those that arrive together are given to the run together, in order of time."""
         burst: list[Message] = []
 
         def flush() -> None:
-            together = burst[:]
+            burst.sort(key=lambda one: one.arrived if one.time is None else one.time)
+            self.queue.give(burst)
             burst.clear()
-            together.sort(key=lambda one: one.arrived if one.time is None else one.time)
-            hand.give(together)
 
-        def take(value: ua.DataValue, handle: int) -> None:
-            if not burst:
-                asyncio.get_running_loop().call_soon(flush)
-            moment, arrived = _time_of(value), time.time()
-            content, refused = _number_of(value)
-            for plant, channel in places.get(handle, ()):
-                burst.append(Message(self, content, arrived, plant, channel, moment, None, refused))
-
-        return take
-
-
-async def _read(
-    subscription: Subscription, take: Callable[[Any, int], None], lost: list[str], awake: asyncio.Event
-) -> None:
-    async for event in subscription:
-        if isinstance(event, DataChangeEvent):
-            item = event.data.monitored_item
-            take(item.Value, item.ClientHandle)
-        elif isinstance(event, StatusChangeEvent):
-            lost.append(f"the server has ended the subscription: {event.notification.Status}")
-            awake.set()
-
-
-async def _within(event: asyncio.Event, seconds: float) -> None:
-    """Wait for an event for a limited time, and clear it."""
-    try:
-        await asyncio.wait_for(event.wait(), seconds)
-    except TimeoutError:
-        return
-    event.clear()
+        async for event in subscription:
+            if isinstance(event, StatusChangeEvent):
+                self._lost = f"the server has ended the subscription: {event.notification.Status}"
+                self.wake()
+            elif isinstance(event, DataChangeEvent):
+                if not burst:
+                    asyncio.get_running_loop().call_soon(flush)
+                item = event.data.monitored_item
+                content, refused = _number_of(item.Value)
+                moment, arrived = _time_of(item.Value), time.time()
+                for plant, channel in places.get(item.ClientHandle, ()):
+                    burst.append(Message(self, content, arrived, plant, channel, moment, None, refused))
 
 
 # ------------------------------------------------------------------ values
@@ -395,19 +348,19 @@ def _parsed(node: str) -> tuple[str, ua.NodeId]:
     if node.startswith("nsu="):
         address, _, rest = node.removeprefix("nsu=").rpartition(";")
     try:
-        made = ua.NodeId.from_string(rest)
+        node_id = ua.NodeId.from_string(rest)
     except Exception as error:  # asyncua raises several kinds
         raise SettingError(f"nodes: {echo(node)} is not a node; 'ns=2;s=name' and 'ns=2;i=number' are") from error
-    return address, made
+    return address, node_id
 
 
 def _resolved(node: str, namespaces: list[str]) -> ua.NodeId | None:
-    address, made = _parsed(node)
+    address, node_id = _parsed(node)
     if not address:
-        return made
+        return node_id
     if address not in namespaces:
         return None
-    return ua.NodeId(made.Identifier, ua.Int16(namespaces.index(address)), made.NodeIdType)
+    return ua.NodeId(node_id.Identifier, ua.Int16(namespaces.index(address)), node_id.NodeIdType)
 
 
 def _is_about_filters(answer: Any) -> bool:
@@ -416,10 +369,6 @@ def _is_about_filters(answer: Any) -> bool:
         StatusCodes.BadMonitoredItemFilterUnsupported,
         StatusCodes.BadMonitoredItemFilterInvalid,
     )
-
-
-def _reason(error: BaseException) -> str:
-    return getattr(error, "strerror", None) or str(error) or type(error).__name__
 
 
 __all__ = ["OpcUa", "Settings"]

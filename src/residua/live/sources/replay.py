@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import heapq
-import json
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
+import orjson
 from numpy.typing import NDArray
 
 from residua.errors import ResiduaError, SettingError
-from residua.live.messages import Message
-from residua.live.setting_checks import choice, file, flag, number, table_of_texts, text, texts, whole
-from residua.live.sources.threaded import ThreadedSource
+from residua.live.setting_checks import check_types, choice, file, number, table_of_texts, texts, whole
+from residua.live.source import Message
+from residua.live.sources.adapter import ThreadedSource
 from residua.plant import Plant
 from residua.recording.columns import ReadOptions
 from residua.recording.recording import read_recording
@@ -80,14 +80,12 @@ class Settings:
         for key in ("files", "columns"):
             object.__setattr__(self, key, table_of_texts(getattr(self, key), key))
         texts(self, "plants")
-        for key in ("column", "name"):
-            text(self, key)
         number(self, "speed", 0.0)
         number(self, "dt", 0.0)
         whole(self, "rows", 1, _MOST_ROWS)
         whole(self, "repeat", 0, 10**9)
         choice(self, "times", ("own", "now"))
-        flag(self, "fill_gaps")
+        check_types(self)
         if not self.file and not self.files:
             raise SettingError("file: name the recording that is replayed, or one for each plant in files")
         for plant, path in self.files.items():
@@ -150,44 +148,36 @@ class Replay(ThreadedSource):
         self._reached = dict(times)
 
     def work(self) -> None:
-        """Put all rows, each when it is due."""
+        """Put all rows, each when it is due: the first at once, the others at a multiple of the recorded speed."""
         settings = self._settings
-        self.say(True, f"replays {self._what()}")
-        messages, pace = 0, _Pace(settings.speed)
-        begins = datetime.now(UTC)
+        names = ", ".join(dict.fromkeys(track.path.name for track in self._tracks))
+        self.say(True, f"replays {names}")
+        messages, begin = 0, None
+        origin = datetime.now(UTC)
         if settings.times == "now" and self._reached:
             latest = datetime.fromtimestamp(max(self._reached.values()), UTC)
-            begins = max(begins, latest + timedelta(seconds=max(track.model.dt for track in self._tracks)))
+            origin = max(origin, latest + timedelta(seconds=max(track.model.dt for track in self._tracks)))
         try:
             for elapsed, track, rows in heapq.merge(*map(self._due, self._tracks), key=lambda one: one[0]):
-                moved = rows
                 if settings.times == "now":
-                    moved = _Rows(elapsed - (rows.times[-1] - rows.times), rows.u, rows.y, begins)
-                plants = self._waiting(track, moved)
+                    rows = _Rows(elapsed - (rows.times[-1] - rows.times), rows.u, rows.y, origin)
+                last = float(rows.times[-1]) + (rows.origin.timestamp() if rows.origin else 0.0)
+                plants = [plant for plant in track.plants if not last <= self._reached.get(plant, -np.inf)]
                 if not plants:
                     continue
-                if pace.wait_until(elapsed, self.stopping):
-                    return
-                body = _body(moved)
-                for plant in plants:
-                    payload = b'{"plant": ' + json.dumps(plant).encode() + b", " + body
-                    self.put(Message(self, payload, time.time()))
-                    messages += 1
+                if settings.speed:
+                    due, now = elapsed / settings.speed, time.monotonic()
+                    begin = now - due if begin is None else begin
+                    self.stopping.wait(max(0.0, begin + due - now))
                 if self.stopping.is_set():
                     return
-            self.say(True, f"has ended, after {messages:,} messages of {self._what()}")
+                body = _body(rows)
+                for plant in plants:
+                    self.put(Message(self, b'{"plant":' + orjson.dumps(plant) + b"," + body, time.time()))
+                    messages += 1
+            self.say(True, f"has ended, after {messages:,} messages of {names}")
         except (ResiduaError, NotServedError, OSError) as error:
             self.say(False, f"cannot go on: {error}")
-
-    def _what(self) -> str:
-        return ", ".join(dict.fromkeys(track.path.name for track in self._tracks))
-
-    def _waiting(self, track: _Track, rows: _Rows) -> list[str]:
-        """Return the plants for which the store does not have all these rows."""
-        if not self._reached:
-            return list(track.plants)
-        last = float(rows.times[-1]) + (rows.origin.timestamp() if rows.origin else 0.0)
-        return [plant for plant in track.plants if not last <= self._reached.get(plant, -np.inf)]
 
     def _due(self, track: _Track) -> Iterator[tuple[float, _Track, _Rows]]:
         """Return blocks of rows, each with the time since the beginning at which its last row is due."""
@@ -219,23 +209,6 @@ def _tracks(settings: Settings, models: Mapping[str, Plant]) -> list[_Track]:
             raise SettingError(f"files: there is no recording of {plant}")
         groups.setdefault((path, id(models[plant])), []).append(plant)
     return [_Track(Path(path), models[ids[0]], tuple(ids)) for (path, _), ids in groups.items()]
-
-
-class _Pace:
-    """Waiting until rows are due: the first at once, the others at a multiple of the recorded speed."""
-
-    def __init__(self, speed: float) -> None:
-        self._speed = speed
-        self._begin: float | None = None
-
-    def wait_until(self, elapsed: float, stopping: Any) -> bool:
-        """Wait, unless the run is ending; return whether it is."""
-        if not self._speed:
-            return stopping.is_set()
-        due, now = elapsed / self._speed, time.monotonic()
-        if self._begin is None:
-            self._begin = now - due
-        return stopping.wait(max(0.0, self._begin + due - now))
 
 
 # ------------------------------------------------------------------ reading
@@ -293,31 +266,15 @@ def _moment(origin: str) -> datetime | None:
     return moment if moment.tzinfo else moment.replace(tzinfo=UTC)
 
 
-# ------------------------------------------------------------------ messages
-
-
 def _body(rows: _Rows) -> bytes:
     """Return the message of rows as JSON, without the plant and the bracket before it; floats to their last bit."""
-    packed = len(rows.times) > 1
-    content = _times(rows) | {"u": _values(rows.u), "y": _values(rows.y)}
-    if not packed:
-        content |= {"u": content["u"][0], "y": content["y"][0]}
-    return json.dumps(content, allow_nan=False).encode()[1:]
-
-
-def _times(rows: _Rows) -> dict[str, Any]:
     times = rows.times.tolist()
     if rows.origin is not None:
         times = [(rows.origin + timedelta(seconds=one)).isoformat() for one in times]
-    return {"t": times if len(times) > 1 else times[0]}
-
-
-def _values(values: NDArray[np.float64]) -> list[list[float | None]]:
-    known = np.isfinite(values)
-    out = values.tolist()
-    for row, column in zip(*np.nonzero(~known), strict=True):
-        out[row][column] = None
-    return out
+    content = {"t": times, "u": rows.u, "y": rows.y}
+    if len(times) == 1:
+        content = {name: values[0] for name, values in content.items()}
+    return orjson.dumps(content, option=orjson.OPT_SERIALIZE_NUMPY, default=np.ndarray.tolist)[1:]
 
 
 __all__ = ["Replay", "Settings"]

@@ -8,16 +8,14 @@ import stat
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
 from residua.errors import SettingError
-from residua.live.messages import LARGEST, Message
-from residua.live.setting_checks import flag, text
-from residua.live.sources.threaded import ThreadedSource
-from residua.live.sources.waking import Waker
+from residua.live.setting_checks import check_types
+from residua.live.source import LARGEST, Message
+from residua.live.sources.adapter import ThreadedSource
 
 #: Bytes that are read at once.
 _PIECE = 1 << 16
@@ -50,9 +48,7 @@ class Settings:
     name: str = ""
 
     def __post_init__(self) -> None:
-        for key in ("path", "plant", "name"):
-            text(self, key)
-        flag(self, "follow")
+        check_types(self)
         if self.path and not (Path(self.path).exists() and not Path(self.path).is_dir()):
             raise SettingError(f"path: {self.path} is neither a file nor a named pipe")
 
@@ -60,7 +56,7 @@ class Settings:
 class JsonLines(ThreadedSource):
     """Source with one message a line. It ends with its input, unless it follows it.
 
-    A line of more than :data:`residua.live.messages.LARGEST` bytes is refused, and never held whole; empty lines are
+    A line of more than :data:`residua.live.source.LARGEST` bytes is refused, and never held whole; empty lines are
     ignored. Nothing is acknowledged: lines read but not saved when a run ends are lost with a pipe; a file is read from
     its beginning again, and rows that the store has are dropped by the run.
 
@@ -74,18 +70,8 @@ class JsonLines(ThreadedSource):
     def __init__(self, settings: Settings) -> None:
         super().__init__(settings.name or settings.path or "stdin")
         self._settings = settings
-        self._waker = Waker()
         self.finite = not settings.follow
         self.rereads = _is_file(settings.path)
-
-    def wake(self) -> None:
-        """Wake the thread, to check whether the run is ending."""
-        self._waker.wake()
-
-    def stop(self) -> None:
-        """End the thread."""
-        super().stop()
-        self._waker.close()
 
     def work(self) -> None:
         """Put every line as a message."""
@@ -110,27 +96,28 @@ class JsonLines(ThreadedSource):
         file = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0)) if path else os.dup(sys.stdin.fileno())
         try:
             waits = not stat.S_ISREG(os.fstat(file).st_mode) and os.name == "posix"
-            with closing(selectors.PollSelector() if waits else _Ready()) as ready:
-                ready.register(file, selectors.EVENT_READ)
-                ready.register(self._waker, selectors.EVENT_READ)
-                yield from self._read(file, ready)
+            while not self.stopping.is_set():
+                if waits and not self._can_read(file):
+                    continue
+                try:
+                    piece = os.read(file, _PIECE)
+                except BlockingIOError:
+                    continue
+                if piece:
+                    yield piece
+                elif not self._settings.follow:
+                    return
+                else:
+                    self.stopping.wait(0.2)  # at the end of a file a system only reports that it is readable
         finally:
             os.close(file)
 
-    def _read(self, file: int, ready: selectors.BaseSelector | _Ready) -> Iterator[bytes]:
-        while not self.stopping.is_set():
-            if all(key.fd != file for key, _ in ready.select()):
-                continue
-            try:
-                piece = os.read(file, _PIECE)
-            except BlockingIOError:
-                continue
-            if piece:
-                yield piece
-            elif not self._settings.follow:
-                return
-            else:
-                self.stopping.wait(0.2)  # at the end of a file a system only reports that it is readable
+    def _can_read(self, pipe: int) -> bool:
+        """Wait for data in a pipe, its end, or the end of the run; return whether the pipe can be read."""
+        with selectors.PollSelector() as selector:
+            selector.register(pipe, selectors.EVENT_READ)
+            selector.register(self.waker, selectors.EVENT_READ)
+            return any(key.fd == pipe for key, _ in selector.select())
 
 
 def _is_file(path: str) -> bool:
@@ -167,23 +154,6 @@ def split(pieces: Iterator[bytes], most: int = LARGEST) -> Iterator[bytes | None
             held, too_long = bytearray(), True
     if too_long or held:
         yield None if too_long else bytes(held)
-
-
-class _Ready:
-    """Substitute for a selector if a file never waits, or the system cannot tell."""
-
-    def __init__(self) -> None:
-        self._keys: list[selectors.SelectorKey] = []
-
-    def register(self, file: int | Waker, events: int) -> None:
-        if isinstance(file, int):
-            self._keys.append(selectors.SelectorKey(file, file, events, None))
-
-    def select(self) -> list[tuple[selectors.SelectorKey, int]]:
-        return [(key, key.events) for key in self._keys]
-
-    def close(self) -> None:
-        pass
 
 
 __all__ = ["JsonLines", "Settings", "split"]

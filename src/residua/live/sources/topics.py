@@ -46,9 +46,9 @@ class Topics:
     """
 
     def __init__(self, patterns: Sequence[str], plant: str = "", dotted: bool = False) -> None:
-        made = [_dotted(pattern) if dotted else _pattern(pattern) for pattern in patterns]
-        self.filters = tuple(dict.fromkeys(one for one, _ in made))
-        self._expressions = [one for _, one in made]
+        parsed = [_dotted(pattern) if dotted else _pattern(pattern) for pattern in patterns]
+        self.filters = tuple(dict.fromkeys(one for one, _ in parsed))
+        self._expressions = [one for _, one in parsed]
         self._plant = plant
         self._known: dict[str, tuple[str, str] | None] = {}
         for pattern, expression in zip(patterns, self._expressions, strict=True):

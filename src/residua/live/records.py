@@ -1,7 +1,8 @@
-"""The running state of one plant as bytes, and back, for the store."""
+"""Binary records of the store: rows of a plant, and the running state of its monitor."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import fields, is_dataclass
 from typing import Any
 
@@ -13,14 +14,30 @@ from residua.monitor.plant_records import SELDOM, takes_no_memory
 from residua.monitor.running import State, initial_state
 from residua.monitor.specification import Specification
 
-#: The first byte, which changes with the layout.
+#: The first byte of a state, which changes with the layout.
 VERSION = 3
+
+
+def rows_to_bytes(times: NDArray[np.float64], values: NDArray[np.float64]) -> bytes:
+    """Return rows as bytes: the time and the channels of each, little-endian."""
+    table = np.empty((len(times), 1 + values.shape[1]), dtype="<f8")
+    table[:, 0], table[:, 1:] = times, values
+    return table.tobytes()
+
+
+def rows_from_bytes(
+    blocks: Sequence[tuple[int, bytes]], channels: int, first: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return times and values of the rows from a number on, from blocks that each begin at a row number."""
+    table = np.frombuffer(b"".join(content for _, content in blocks), dtype="<f8").reshape(-1, channels + 1)
+    table = table[first - blocks[0][0] :] if blocks else table
+    return np.ascontiguousarray(table[:, 0]), np.ascontiguousarray(table[:, 1:])
 
 
 def state_to_bytes(state: State) -> bytes:
     """Return the state of one plant: its arrays one after the other, little-endian; the monitor knows their shapes.
 
-    Before each stands whether it is there; one that is not is zero throughout.
+    A byte before each tells whether it follows; an array that does not is zero throughout.
     """
     parts = [bytes([VERSION])]
     for seldom, array in _arrays(state):
@@ -75,4 +92,4 @@ def _filled(like: Any, content: bytes, start: int) -> tuple[Any, int]:
     return type(like)(**values), start  # pyright: ignore[reportCallIssue]
 
 
-__all__ = ["VERSION", "state_from_bytes", "state_to_bytes"]
+__all__ = ["VERSION", "rows_from_bytes", "rows_to_bytes", "state_from_bytes", "state_to_bytes"]

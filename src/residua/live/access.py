@@ -5,11 +5,11 @@ from __future__ import annotations
 import hashlib
 import hmac
 from collections.abc import Iterable
-from http.cookies import CookieError, SimpleCookie
 from ipaddress import ip_address
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import urlsplit
 
-from starlette.datastructures import Headers, MutableHeaders
+from starlette.datastructures import MutableHeaders
+from starlette.requests import Request
 from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -29,8 +29,8 @@ HEADERS = {
 _FOREIGN = ("cross-site", "same-site")
 
 
-class Gate:
-    """Gate that only lets allowed requests through; it stands in front of everything, unknown paths included.
+class AccessControl:
+    """Middleware that passes allowed requests on only; it stands in front of everything, unknown paths included.
 
     In this order: 405 for other methods than GET and HEAD; 421 where ``Host`` is not a name of this server (a name of
     another's that leads here is how pages elsewhere would read what is here); 403 for requests that pages of other
@@ -58,12 +58,12 @@ class Gate:
         """Answer a request, or pass it on; every answer has :data:`HEADERS`."""
         if scope["type"] != "http":
             return
-        headers = Headers(scope=scope)
-        from_address = scope["path"] == "/" and parse_qs(scope["query_string"].decode("latin-1")).get("token", [])
-        refused = self._refused(scope, headers, from_address or [])
-        fresh = bool(from_address) and not refused
+        request = Request(scope)
+        tokens = [one for one in request.query_params.getlist("token") if one] if scope["path"] == "/" else []
+        refused = self._refused(request, tokens)
+        fresh = bool(tokens) and not refused
         if scope["path"] == "/":
-            scope = {**scope, "query_string": b""}  # nothing behind the gate sees the token
+            scope = {**scope, "query_string": b""}  # nothing behind it sees the token
 
         async def sent(message: Message) -> None:
             if message["type"] == "http.response.start":
@@ -76,13 +76,13 @@ class Gate:
 
         await (PlainTextResponse(refused[1], refused[0], refused[2]) if refused else self._app)(scope, receive, sent)
 
-    def _refused(
-        self, scope: Scope, headers: Headers, from_address: list[str]
-    ) -> tuple[int, str, dict[str, str]] | None:
-        if scope["method"] not in ("GET", "HEAD"):
+    def _refused(self, request: Request, tokens: list[str]) -> tuple[int, str, dict[str, str]] | None:
+        """Return the answer to a request that is not allowed; ``tokens`` are those of its address."""
+        headers = request.headers
+        if request.method not in ("GET", "HEAD"):
             return 405, "Only GET and HEAD.", {"Allow": "GET, HEAD"}
         hosts = headers.getlist("host")
-        if len(hosts) != 1 or not self._own(hosts[0].lower(), scope.get("server")):
+        if len(hosts) != 1 or not self._own(hosts[0].lower(), request.scope.get("server")):
             return (
                 421,
                 "This server has another name: open the address that it printed, or name this one in 'hosts'.",
@@ -94,7 +94,7 @@ class Gate:
         visit = headers.get("sec-fetch-mode") == "navigate" and headers.get("sec-fetch-dest") == "document"
         if headers.get("sec-fetch-site") in _FOREIGN and not visit:
             return 403, "Pages of other origins may not read this.", {}
-        if not self._known(headers, from_address):
+        if not self._known(request, tokens):
             text = "The token is missing or wrong: open the address that residua live printed when it started."
             return 401, text, {"WWW-Authenticate": 'Bearer realm="residua"'}
         return None
@@ -117,18 +117,14 @@ class Gate:
         except ValueError:
             return False
 
-    def _known(self, headers: Headers, from_address: list[str]) -> bool:
-        if from_address:
-            return len(from_address) == 1 and _equal(from_address[0], self._token)
-        scheme, _, given = headers.get("authorization", "").partition(" ")
+    def _known(self, request: Request, tokens: list[str]) -> bool:
+        """Tell whether a request has the token in its address, or else in a header, or else the cookie."""
+        if tokens:
+            return len(tokens) == 1 and _equal(tokens[0], self._token)
+        scheme, _, given = request.headers.get("authorization", "").partition(" ")
         if scheme.lower() == "bearer":
             return _equal(given.strip(), self._token)
-        try:
-            cookies = SimpleCookie("; ".join(headers.getlist("cookie")))
-        except CookieError:
-            return False
-        cookie = cookies.get(self._cookie)
-        return cookie is not None and _equal(cookie.value, self._value)
+        return _equal(request.cookies.get(self._cookie, ""), self._value)
 
     def _set_cookie(self) -> str:
         secure = "; Secure" if self._https else ""

@@ -6,10 +6,11 @@ from functools import lru_cache
 
 from residua.errors import NotFittedError, SettingError
 from residua.json_files import check_checksum, dumps, loads
-from residua.monitor.fleet_block import FleetBlock
 from residua.monitor.monitor import Monitor
 from residua.monitor.saving import monitor_from, monitor_out
 from residua.visible import echo
+
+_NAME = "the monitor that came"
 
 
 def text_of_monitor(monitor: Monitor) -> str:
@@ -44,17 +45,12 @@ def text_of_monitor(monitor: Monitor) -> str:
 @lru_cache(maxsize=16)
 def monitor_of_text(text: str) -> Monitor:
     """Return the monitor of a text, built once in a process; its own state is not to be used."""
-    content = loads(text.encode(), "the monitor that came")
-    check_checksum(content, "the monitor that came")
-    monitor = monitor_from(content, "the monitor that came")
+    content = loads(text.encode(), _NAME)
+    check_checksum(content, _NAME)
+    monitor = monitor_from(content, _NAME)
     if not monitor.is_fitted:
         raise NotFittedError("the monitor that came has no threshold")
     return monitor
 
 
-def mark_of(monitor: Monitor) -> str:
-    """Return the SHA-256 of all that determines a monitor's answers, which identifies the states of its plants."""
-    return FleetBlock(monitor, []).fingerprint
-
-
-__all__ = ["mark_of", "monitor_of_text", "text_of_monitor"]
+__all__ = ["monitor_of_text", "text_of_monitor"]
