@@ -121,13 +121,13 @@ class BalancedFilter:
         if sampled:  # rates per sample; poles at zero have none
             plant, own = (np.log(poles[np.abs(poles) > _NO_RATE]) for poles in (plant, own))
         plant, own = np.abs(plant), np.abs(own)
-        plant = plant[plant > _INTEGRATES]
-        every = np.concatenate([plant, own])
+        integrates = plant <= _INTEGRATES  # at the rate of the other terms of the plant, which is one
+        every = np.concatenate([np.where(integrates, 1.0, plant), own])
         every = every[np.isfinite(every) & (every > 0)]
         every = every if len(every) else np.ones(1)
         ends = every.min() / _BEYOND, every.max() * _BEYOND
         if sampled:
-            ends = min(ends[0], 1e-2), np.pi
+            ends = ends[0], np.pi
         w = np.unique(np.concatenate([np.geomspace(*ends, _POINTS), 1.001 * every]))
         w = w[w <= np.pi] if sampled else w
         return np.asarray(np.exp(1j * w) if sampled else 1j * w, dtype=complex)

@@ -92,7 +92,7 @@ def leak_of(f: BalancedFilter, Bd: Matrix, Dd: Matrix, of_estimate: bool = False
     dC = extended_sum((f.L, f.T, f.E), (f.Jy, f.C), (f.V, f.A), (-f.estimate,))
     dD = extended_sum((Ju,), (f.Jy, D), (f.V, B))
     s, shape = f.points, (len(f.L), B.shape[1])
-    peak, terms, taken, read = np.zeros(shape), np.zeros(shape), np.zeros(len(f.L)), np.zeros(shape[1])
+    peak, terms, largest = np.zeros(shape), np.zeros(shape), np.zeros(shape)
     for some in np.array_split(s, 1 + len(s) * max(len(f.A), len(f.F)) * (shape[1] + f.Gy.shape[1]) // _AT_ONCE):
         x = f.of_plant(B, some)
         missed = f.of_filter(dA @ x + dB, some)
@@ -103,9 +103,10 @@ def leak_of(f: BalancedFilter, Bd: Matrix, Dd: Matrix, of_estimate: bool = False
         Q = f.read(some)
         P = np.maximum(np.abs(f.C @ x + D), _NO_TERM * (np.abs(f.C) @ np.abs(x) + np.abs(D)))
         terms = np.maximum(terms, (np.abs(Ju) + Q @ P).max(axis=0, initial=0.0))
-        taken = np.maximum(taken, Q.max(axis=(0, 2), initial=0.0))
-        read = np.maximum(read, P.max(axis=(0, 1), initial=0.0))
-    largest = np.full(shape, max(1.0, terms.max(initial=0.0))) if of_estimate else np.outer(taken, read)
+        together = Q.max(axis=2, initial=0.0)[:, :, None] * P.max(axis=1, initial=0.0)[:, None, :]
+        largest = np.maximum(largest, together.max(axis=0, initial=0.0))
+    if of_estimate:
+        largest = np.full(shape, max(1.0, terms.max(initial=0.0)))
     terms = np.maximum(terms, _LEAST_TERM * np.maximum(largest, terms.max(axis=0, keepdims=True, initial=0.0)))
     # an input that reaches no output has terms of rounding alone
     terms = np.maximum(terms, _NO_TERM * largest.max(axis=1, keepdims=True, initial=0.0))

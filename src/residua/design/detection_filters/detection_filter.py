@@ -31,8 +31,7 @@ from residua.design.observers.observer_gain import balanced_options, require_det
 from residua.design.observers.unknown_input_observer import REFERENCE, ErrorPair, error_pair
 from residua.errors import AccuracyError, DesignError
 from residua.linear.poles.observer_gain import ObserverGain
-from residua.linear.poles.placement import default_margin
-from residua.linear.poles.spectrum import describe_modes
+from residua.linear.poles.spectrum import balanced_rate, describe_modes
 from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.quotient import observable_split
 from residua.linear.systems.state_space import stack_systems
@@ -286,7 +285,7 @@ def _scalar_gain(pair: ErrorPair, poles: Poles, margin: float | None) -> Observe
         return None
     wanted = np.asarray([] if poles is None else poles, dtype=complex)
     if poles is None:
-        distance = default_margin(pair.A, float(sampled)) if margin is None else margin
+        distance = balanced_rate(pair.A, sampled) if margin is None else margin
         pole = float(np.exp(-distance)) if sampled else -float(distance)
     elif len(wanted) != n or np.any(wanted != wanted[0]) or np.any(np.imag(wanted)):
         return None

@@ -28,9 +28,8 @@ from residua.design.observers.unknown_input_observer import ErrorPair, error_pai
 from residua.errors import AccuracyError, DesignError, SettingError
 from residua.linear.norms.system_norms import hinf_norm
 from residua.linear.poles.observer_gain import ObserverGain
-from residua.linear.poles.placement import default_margin
 from residua.linear.poles.pole_assignment import real_block_diagonal
-from residua.linear.poles.spectrum import describe_modes
+from residua.linear.poles.spectrum import balanced_rate, describe_modes
 from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.detection_space import are_independent, complement, confined_space, split_blocks
 from residua.linear.subspaces.quotient import observable_split, quotient, without_rounding
@@ -82,14 +81,13 @@ class _IgnoredColumns:
         Each has an output of its own and length one, the first entry positive.
         """
         even, pivots = S @ self.pair.outputs @ self.pair.W, []
-        for i in range(len(S)):
-            size = np.linalg.norm(even[i:], axis=0)
-            pivots.append(j := int(np.argmax(size > 0.9 * size.max())))
-            k = i + int(np.argmax(np.abs(even[i:, j])))
-            even[[i, k]] = even[[k, i]]
-            own = np.where(np.arange(len(S)) == i, 0.0, even[:, j] / even[i, j])[:, None]
-            even = above_rounding(even - own * even[i], np.abs(even) + np.abs(own * even[i]))
-        whole = even[np.argsort(pivots, kind="stable")] * self.pair.model.units.outputs
+        basis = np.linalg.qr(even.T)[0].T  # what is left of it has columns of the same length whatever the rows
+        while len(basis):
+            size = np.linalg.norm(basis, axis=0)
+            pivots.append(int(np.argmax(size > 0.9 * size.max())))
+            basis = complement(basis[:, pivots[-1:]]).T @ basis
+        inverse = np.linalg.inv(even[:, sorted(pivots)])
+        whole = above_rounding(inverse @ even, np.abs(inverse) @ np.abs(even)) * self.pair.model.units.outputs
         lead = np.argmax(whole != 0, axis=1)
         return whole * (np.sign(whole[np.arange(len(S)), lead]) / np.linalg.norm(whole, axis=1))[:, None]
 
@@ -234,7 +232,7 @@ def eigenstructure_assignment(
     pair, sampled = parts.pair, parts.pair.model.plant.is_discrete
     poles, margin = balanced_options(pair.model.plant, poles, margin)
     # of assigned eigenvectors when the user names no eigenvalue: as the paper, 0 in sampled time
-    first = 0.0 if sampled else -(default_margin(pair.A) if margin is None else margin)
+    first = 0.0 if sampled else -(balanced_rate(pair.A, sampled) if margin is None else margin)
     if side == "left":
         return _generator(parts, "left", *_left_design(parts, poles, margin, first, approximate))
     S, seen, ways = _confinements(parts, combine)

@@ -249,8 +249,10 @@ def fault_estimator(
     Notes
     -----
     Assumes: the model is exact, linear and time-invariant, and no other fault happens. Exists exactly when
-    an unknown input observer for disturbances and faults does, and
-    :math:`\operatorname{rank} [B_d\ B_f; D_d\ D_f] = \operatorname{rank} [B_d; D_d] + \text{number of faults}`.
+    an unknown input observer for disturbances and faults does,
+    :math:`\operatorname{rank} [B_d\ B_f; D_d\ D_f] = \operatorname{rank} [B_d; D_d] + \text{number of faults}`, and
+    disturbances and faults leave fewer invariant zeros, which are the fixed poles, than the plant has poles: faults of
+    all sensors would leave the state to be simulated beside the plant without any correction.
     Sueur's own form, :func:`inverse_form_observer`, asks for an invertible ``A`` besides, and his sensor faults for
     a filter on every faulty output; neither is needed here.
 
@@ -333,7 +335,8 @@ def _observer_ignoring(
             f"no observer of the state ignores {', '.join(names)} as unknown inputs: {error}; "
             "to estimate fewer faults at once may help"
         ) from error
-    if observer.order and len(observer.evidence.fixed_poles) == observer.order:
+    fixed = len(observer.evidence.fixed_poles)
+    if fixed and fixed == len(plant.balanced.dynamics):
         raise DesignError(
             f"no pole of an estimate that ignores {', '.join(names)} is free: nothing that these faults leave corrects "
             "the state, and errors of the model would look like faults; estimate fewer faults at once, or add a sensor"

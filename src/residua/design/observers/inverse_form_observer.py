@@ -27,7 +27,7 @@ from residua.linear.subspaces.quotient import without_rounding
 from residua.linear.subspaces.rank import decide_rank, equilibrated
 from residua.plant import Plant
 from residua.plant.balanced import BalancedPlant
-from residua.tolerances import BALANCED_RANK, RANK, ROUNDING, above_rounding
+from residua.tolerances import BALANCED_RANK, RANK, ROUNDING, TINY, above_rounding
 
 #: No pole of a sampled observer is chosen nearer to zero: its inverse would be far from all others.
 _LEAST = 0.01
@@ -281,7 +281,7 @@ def _observer(
         requested_poles=requested,
         conditions={
             "|T F| / |F|": float(np.abs(T @ E).max()),
-            "T A - K C = F T": float(np.abs(off).max() / (terms + np.abs(F) @ np.abs(T)).max()),
+            "T A - K C = F T": float(np.abs(off).max() / max((terms + np.abs(F) @ np.abs(T)).max(), TINY)),
             "pole error": error,
             "condition of N_BF": condition,
         },

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua import arrays
+from residua.design.core.balanced_filter import Resolvent
 from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
@@ -26,9 +27,9 @@ from residua.design.observers.perfect_gain import (
     least_order_gain,
 )
 from residua.errors import AccuracyError, DesignError, SettingError
-from residua.linear import StateSpace, decide_rank, default_margin, invariant_zeros
+from residua.linear import StateSpace, decide_rank, invariant_zeros
 from residua.linear.norms.system_norms import h2_norm, hinf_norm
-from residua.linear.poles.spectrum import describe_modes
+from residua.linear.poles.spectrum import balanced_rate, describe_modes
 from residua.linear.subspaces.rank import left_null_basis, without_noise
 from residua.plant import Plant
 from residua.tolerances import BALANCED_RANK, DESIGN_ROUNDING, LEAK, SAME, above_rounding
@@ -361,7 +362,7 @@ def perfect_observer(
     rows = arrays.different_positions(outputs, plant.outputs, "output")
     n, q, model = plant.n_states, len(plant.disturbances), plant.balanced
     if bandwidth is None:
-        bandwidth = 5.0 * model.units.rate * default_margin(model.dynamics)
+        bandwidth = 5.0 * model.units.rate * balanced_rate(model.dynamics, plant.is_discrete)
     elif plant.dt:
         raise SettingError("bandwidth is for continuous plants; a sampled perfect observer is a finite sum of samples")
     elif not np.isfinite(bandwidth) or bandwidth <= 0:
@@ -493,7 +494,7 @@ def _estimate_off(o: PerfectObserver, system: StateSpace) -> float:
     D = units.outputs[:, None] * np.hstack([p.D, p.Dd]) * U
     beta = o.bandwidth / units.rate
     s = np.exp(1j * np.array([0.2, 0.9, 2.3])) if p.dt else 1j * beta * np.array([0.043, 0.21, 0.93])
-    X = np.linalg.solve(s[:, None, None] * E - A, B.astype(complex))
+    X = Resolvent.of(A, None if p.E is None else E)(B, s)
     Q = system.evaluate(s if p.dt else s * units.rate) / units.states[:, None] * signals
     late = (1 / s if p.dt else 1 / (s / beta + 1)) ** o.derivatives
     missed = Q[..., n_u:] @ (C @ X + D) - late[:, None, None] * X

@@ -19,7 +19,7 @@ from residua.linear.subspaces.quotient import Quotient, quotient, without_roundi
 from residua.linear.subspaces.rank import RankDecision
 from residua.plant import Plant
 from residua.plant.balanced import BalancedPlant, is_inside, is_singular
-from residua.tolerances import BALANCED_RANK
+from residua.tolerances import BALANCED_RANK, above_rounding
 
 REFERENCE = "Twardy and Kaczorek, part I, eqs. (18) to (29)"
 
@@ -210,8 +210,10 @@ def _designed(
     L = gain.K
     own, down = A22 - L @ A12, V2.T - L @ V1.T
     K = without_rounding((own @ L + A21 - L @ A11) @ reading + down @ q.J)
-    out = without_rounding(q.P - q.R @ q.known[0] @ q.C)
-    H = without_rounding(out @ (V1 + V2 @ L) @ reading + q.R @ q.known[0])
+    known, whole = q.known[0], V1 + V2 @ L
+    out = without_rounding(q.P - q.R @ known @ q.C)
+    H = out @ whole @ reading + q.R @ known
+    H = above_rounding(H, np.abs(out) @ np.abs(whole) @ np.abs(reading) + np.abs(q.R) @ np.abs(known))
     # the residual: combinations of outputs that are left out and that no disturbance enters; all when none is left out
     rest = [i for i in range(p) if i not in used] or list(range(p))
     U, d, _ = np.linalg.svd(model.disturbances[1][rest])

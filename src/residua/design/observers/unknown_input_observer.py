@@ -275,7 +275,7 @@ def error_pair(
     q = E.shape[1]
     P = np.linalg.pinv(C @ E)
     P = cleared(P + (np.eye(q) - P @ C @ E) @ P)
-    H, N = E @ P, without_rounding(np.linalg.svd(P @ C)[2][q:].T) if q else np.eye(n)
+    H, N = _summed(np.zeros((n, len(C))), E, P), without_rounding(np.linalg.svd(P @ C)[2][q:].T) if q else np.eye(n)
     plain = H0 is None or not np.any(H0)
     if H0 is not None and not plain:
         given = matrix(H0, "H0", (n, model.plant.n_outputs), what="states x outputs")
