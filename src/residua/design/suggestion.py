@@ -12,9 +12,8 @@ from residua.analysis.diagnosability import Diagnosability, diagnosability
 from residua.design.banks.bank import Bank
 from residua.design.banks.matched_filters import MatchedFilters
 from residua.design.catalogue import methods
-from residua.design.core.brought import PartialDesign, as_generator, for_monitor
-from residua.design.core.generator import ResidualGenerator
-from residua.design.core.leak import reached_inputs
+from residua.design.core.decoupling import reached_inputs
+from residua.design.core.generator import PartialDesign, ResidualGenerator, as_generator, for_monitor
 from residua.design.core.method import Chosen, Method, check_design
 from residua.design.estimation.fault_estimator import FaultEstimator
 from residua.design.lasting_faults import LastingFaults, lasting_faults

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from residua.arrays import frozen
 from residua.design import Evidence, Member, Observer, ResidualGenerator
-from residua.design.core.decoupling import IGNORED
-from residua.design.core.leak import reached
+from residua.design.core.decoupling import IGNORED, reached
 from residua.errors import FileFormatError
 from residua.linear import RankDecision, StateSpace
 from residua.number_kinds import ANY as REPORT, COMPLEX, ENTRY, NOT_NEGATIVE, STEP

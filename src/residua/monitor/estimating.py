@@ -6,10 +6,9 @@ import numpy as np
 
 from residua.design import ResidualGenerator
 from residua.design.banks.bank import maps_of
-from residua.design.core.decoupling import Approximate, Decoupled, Promise
+from residua.design.core.decoupling import Approximate, Decoupled, Promise, reached
 from residua.design.core.evidence import of_sampling
 from residua.design.core.generator import make_generator
-from residua.design.core.leak import reached
 from residua.errors import ModelError
 from residua.linear import StateSpace
 from residua.linear.systems.state_space import stack_systems

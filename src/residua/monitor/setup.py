@@ -16,7 +16,7 @@ from residua.decide.norm_threshold import NormTest
 from residua.decide.peak_threshold import PeakThreshold
 from residua.decide.test import ResidualTest, TestSettings, Watched
 from residua.design import ResidualGenerator
-from residua.design.core.brought import BoundedDesign, CertifiedDesign, DesignWithTest
+from residua.design.core.generator import BoundedDesign, CertifiedDesign, DesignWithTest
 from residua.errors import ModelError, SettingError
 from residua.monitor.inputs import settling_samples
 from residua.monitor.partial_update import partial_update

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.design.core.generator import ResidualGenerator
-from residua.design.core.method import method
-from residua.design.core.needs import FAULTS, NOISE, SAMPLED
-from residua.design.core.responses import steady_responses
+from residua.design.core.method import FAULTS, NOISE, SAMPLED, method
+from residua.design.core.signatures import steady_responses
 from residua.design.observers.kalman_filter import kalman_filter
 from residua.errors import DesignError
 from residua.plant import Plant

@@ -1,15 +1,15 @@
-"""Which residuals answer to which fault, and the directions that each fault moves the residual in."""
+"""Responses of residuals to faults: the marks of a structure, the directions of faults, and steady responses."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
 
 from residua.design.core.balanced_filter import BalancedFilter, Resolvent, extended_sum
 from residua.design.core.internal_form import frequency_grid
-from residua.design.core.responses import with_even_states
 from residua.linear import StateSpace
 from residua.linear.systems.scaling import power_near
 from residua.tolerances import DESIGN_ROUNDING, LEAKAGE, TINY, above_rounding
@@ -221,3 +221,29 @@ def first_response(responses: FaultResponses, fault: int) -> Matrix:
         slowest = np.flatnonzero(responses.values[:, :, fault].any(axis=1))
         first = responses.values[slowest[0], :, fault].real if slowest.size else first
     return first / responses.residuals
+
+
+def steady_responses(form: StateSpace) -> NDArray[np.float64]:
+    """Return what a system settles to for constant inputs of size one, exactly zero where that is rounding.
+
+    Rounding is judged by the terms of the same response: each residual and each fault has its own units.
+    """
+    A, B, C = with_even_states(form)
+    D = form.D
+    M = (np.eye(len(A)) if form.is_discrete else 0.0) - A
+    inverse = np.linalg.inv(M)
+    X = inverse @ B
+    gain, terms = C @ X + D, np.abs(C) @ np.abs(X) + np.abs(D)
+    rounding = np.abs(C) @ (np.abs(inverse) @ (np.abs(M) @ (np.abs(inverse) @ np.abs(B))))  # of the inverse itself
+    sizes = np.maximum(np.abs(B).max(axis=0, initial=0.0), np.abs(D).max(axis=0, initial=0.0))
+    own = np.abs(gain) / np.where(sizes > 0, sizes, 1.0)
+    left = own > 1e-15 * own.max(axis=1, keepdims=True, initial=0.0)  # a direct term may be rounding of its row
+    return np.where(left & (np.abs(gain) > 1e-10 * terms + 1e-13 * rounding), gain, 0.0)
+
+
+def with_even_states(form: StateSpace) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return ``A``, ``B``, ``C`` with states in units in which rows and columns of ``A`` are as large."""
+    if not form.n_states:
+        return form.A, form.B, form.C
+    A, (T, _) = scipy.linalg.matrix_balance(form.A, permute=False, separate=True)
+    return A, form.B / T[:, None], form.C * T

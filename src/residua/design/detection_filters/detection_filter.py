@@ -15,8 +15,7 @@ from residua.design.banks.bank import largest_leaks, maps_of
 from residua.design.core.decoupling import Approximate
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import Member, ResidualGenerator, make_generator
-from residua.design.core.method import method
-from residua.design.core.needs import FAULTS, disturbances
+from residua.design.core.method import FAULTS, disturbances, method
 from residua.design.detection_filters.directional_gain import (
     FaultEvent,
     Poles,

@@ -13,8 +13,7 @@ from residua import arrays
 from residua.design.core.decoupling import IGNORED, Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
-from residua.design.core.method import method
-from residua.design.core.needs import disturbances
+from residua.design.core.method import disturbances, method
 from residua.design.detection_filters.directional_gain import (
     FaultEvent,
     block_gain,

@@ -15,8 +15,7 @@ from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.design.core.internal_form import frequency_grid, internal_form
-from residua.design.core.method import method
-from residua.design.core.needs import FAULTS, groups_of_faults
+from residua.design.core.method import FAULTS, groups_of_faults, method
 from residua.design.core.signals import sampled_filter, stack_signals
 from residua.design.observers.observer import Observer, plant_filter
 from residua.design.observers.unknown_input_observer import unknown_input_observer

@@ -10,13 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.arrays import matrix
-from residua.design.core.decoupling import Decoupled
+from residua.design.core.balanced_filter import state_map_of, static_map
+from residua.design.core.decoupling import Decoupled, leak
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
-from residua.design.core.leak import leak
 from residua.design.core.method import method
 from residua.design.core.signals import signal_names
-from residua.design.core.state_map import state_map_of, static_map
 from residua.design.observers.observer import Observer
 from residua.errors import DesignError, SettingError
 from residua.linear import StateSpace

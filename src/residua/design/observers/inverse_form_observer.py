@@ -15,8 +15,7 @@ from residua import arrays
 from residua.analysis.existence import unknown_input_observer_existence
 from residua.arrays import matrix
 from residua.design.core.evidence import Evidence, format_pole
-from residua.design.core.method import method
-from residua.design.core.needs import FAULTS
+from residua.design.core.method import FAULTS, method
 from residua.design.observers.observer import Observer, plant_observer, with_checked_estimate
 from residua.design.observers.unknown_input_observer import unknown_input_observer
 from residua.errors import AccuracyError, DesignError

@@ -8,8 +8,7 @@ import numpy as np
 
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator
-from residua.design.core.method import method
-from residua.design.core.needs import NOISE
+from residua.design.core.method import NOISE, method
 from residua.design.observers.observer import balanced_observer
 from residua.design.observers.observer_gain import gain_evidence, require_detectable
 from residua.errors import AccuracyError, DesignError

@@ -8,10 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residua.design.core.decoupling import Decoupled
+from residua.design.core.decoupling import Decoupled, answers, leak
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
-from residua.design.core.leak import answers, leak
 from residua.design.core.signals import sampled_filter, signal_names, stack_signals
 from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace

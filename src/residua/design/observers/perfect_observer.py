@@ -11,14 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua import arrays
-from residua.design.core.balanced_filter import Resolvent
+from residua.design.core.balanced_filter import Resolvent, state_map_of
 from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
-from residua.design.core.method import method
-from residua.design.core.needs import least_order_unless_singular
+from residua.design.core.method import least_order_unless_singular, method
 from residua.design.core.signals import sampled_filter, signal_names, stack_signals
-from residua.design.core.state_map import state_map_of
 from residua.design.observers.perfect_gain import (
     PerfectGain,
     PlantPencil,
