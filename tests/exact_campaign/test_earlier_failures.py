@@ -262,6 +262,8 @@ EARLIER = [
     # and of estimates of as many faults as outputs, whose fixed poles are stable, that a residual stands beside them
     ("hidden modes", 51006, designs._estimators),
     ("oscillators", 52009, designs._estimators),
+    # states of an estimator that cancel left of a fault that no output sees what rounding made of them
+    ("hidden modes", 52008, designs._estimators),
     # a chain of integrators was looked at, and its filter given poles, at what rounding leaves of its poles at zero
     ("repeated poles", 52008, designs._filters),
     # a leak was judged by the largest response of an output at one frequency times that of the filter at another

@@ -12,7 +12,7 @@ from residua.design.core.balanced_filter import BalancedFilter, Resolvent, exten
 from residua.design.core.internal_form import frequency_grid
 from residua.linear import StateSpace
 from residua.linear.systems.scaling import power_near
-from residua.tolerances import DESIGN_ROUNDING, LEAKAGE, TINY, above_rounding
+from residua.tolerances import DESIGN_ROUNDING, LEAKAGE, RESIDUE, RESPONSE_ROUNDING, TINY, above_rounding
 
 Matrix = NDArray[np.float64]
 #: Of the largest terms of a row and of a column, wherever they stand: they leave rounding, and gains known to it only.
@@ -75,6 +75,12 @@ def responses_of_filter(f: BalancedFilter, points: NDArray[np.complex128] | None
     # far above all rates a response falls by powers of frequency, and what rounding leaves of another by fewer
     level = _LEAST_ANSWER * np.median(terms, axis=0)
     reached = np.any(np.abs(values) > DESIGN_ROUNDING * np.maximum(terms, level), axis=0)
+    # nor is what states that cancel leave of their own rounding an answer
+    small = np.abs(values).max(axis=(0, 1), initial=0.0) < RESPONSE_ROUNDING * np.abs(x).max(axis=(0, 1), initial=0.0)
+    if (doubtful := reached.any(axis=0) & small).any():
+        sizes, gains = np.abs(x[..., doubtful]), np.abs(Resolvent.of(f.F.T, None)(f.L.T, points)).transpose(0, 2, 1)
+        made_of = np.abs(f.F) @ sizes + np.abs(points)[:, None, None] * sizes + np.abs(B[:, doubtful])
+        reached[:, doubtful] &= np.any(np.abs(values[..., doubtful]) > RESIDUE * (gains @ made_of), axis=0)
     return FaultResponses((f.F, B, -L, D), np.where(reached, values, 0.0), driven, f.heights)
 
 
