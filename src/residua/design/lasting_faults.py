@@ -1,4 +1,4 @@
-"""How large a fault must be to be seen for as long as it lasts: predicted from the noise, without simulation."""
+"""Sizes of constant faults that are seen as long as they last: predicted from the noise, without simulation."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _SETTLED, _FOLLOWED = 0.01, 1500
 
 @dataclass(frozen=True, eq=False)
 class LastingFaults:
-    r"""What a test on sums of a residual sees of constant faults.
+    r"""Detection of constant faults by a test on sums of a residual.
 
     With :math:`S` the covariance of a sum of ``N`` samples over :math:`\sqrt N`, from the noise of the plant, and
     :math:`Z_n` the same sum of the response to a step of size one, a fault of size :math:`s` puts the whitened norm
@@ -107,7 +107,7 @@ class LastingFaults:
 
     @cached_property
     def _settled(self) -> list[NDArray[np.float64]]:
-        """For each part what faults of size one make of its whitened sum in the end, (directions, faults)."""
+        """Steady whitened sums of each part for faults of size one, (directions, faults)."""
         steady = self.generator.steady_directions
         gain = np.array([steady[name] for name in self.generator.faults]).reshape(len(steady), -1).T
         return [np.sqrt(WINDOW) * whiten @ gain[list(residuals)] for residuals, whiten in self.whitening]
@@ -132,7 +132,7 @@ class LastingFaults:
 
 
 def lasting_faults(generator: ResidualGenerator, dt: float) -> LastingFaults:
-    """Return what a test on sums of 127 samples sees of constant faults, in the noise of the plant.
+    """Predict the detection of constant faults by a test on sums of 127 samples, in the noise of the plant.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The choice of a design function for a plant: by what each design sees in the noise of the plant."""
+"""The choice of a design function for a plant: by the faults that each design sees in the noise of the plant."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _CHOICE_TIME = 5.0
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Suggestion(Shown):
-    """What to call for a plant, the best first. Prints as a table.
+    """Design functions for a plant, the best first. Prints as a table.
 
     Attributes
     ----------
@@ -136,7 +136,7 @@ _LISTED = 8
 
 
 def suggest(plant: Plant, *, want: str | None = None, seconds: float = 30.0) -> Suggestion:
-    r"""Tell which design function to call for a plant, by the faults that each design sees in the noise of the plant.
+    r"""Suggest a design function for a plant, by the faults that each design sees in the noise of the plant.
 
     Guaranteed: what is said to work has been designed and has passed its own checks (``entry.made``); what is said to
     be refused has been refused, for the reason that stands beside it.
@@ -255,7 +255,7 @@ def _suggested(plant: Plant, want: str | None, seconds: float, *, everything: bo
 
 
 def _no_plant(value: object) -> str:
-    """Return what to do with what is no plant."""
+    """Return the advice for a value that is no plant."""
     if isinstance(value, InputOutputModel):
         return "suggest looks at a plant: suggest(model.to_plant())"
     if not isinstance(value, UncertainPlant):
@@ -278,7 +278,7 @@ def _no_plant(value: object) -> str:
 
 
 def _with_noise(plant: Plant) -> tuple[Plant, str]:
-    """Return a plant with noise, and what was assumed where it has none."""
+    """Return a plant with noise, and the assumption behind the noise of one without."""
     if plant.noises:
         return plant, ""
     try:
@@ -344,7 +344,7 @@ def _too_much(record: Method, plant: Plant) -> str:
 
 
 def _told(entry: Entry, made: Any, plant: Plant, want: str) -> Entry:
-    """Return the entry of a design that works: its names and sizes of faults, and what of disturbances is in it."""
+    """Return the entry of a design that works: its names and sizes of faults, and the disturbances in it."""
     record = entry.method
     entry = replace(entry, works=True, made=made)
     if isinstance(made, Mapping):
@@ -384,7 +384,7 @@ def _told(entry: Entry, made: Any, plant: Plant, want: str) -> Entry:
 
 
 def _names(made: Any, foretold: LastingFaults | None) -> tuple[tuple[str, ...], tuple[str, ...], list[str]]:
-    """Return the faults that a design names, those whose size it estimates, and what is to be said of it."""
+    """Return the faults that a design names, those whose size it estimates, and remarks."""
     if isinstance(made, FaultEstimator):
         late = ", ".join(f"{name} {lag:.3g} s late" for name, lag in made.lag.items() if lag)
         return made.faults, made.faults, [f"estimates {few(made.faults)}", late]
@@ -400,7 +400,7 @@ def _names(made: Any, foretold: LastingFaults | None) -> tuple[tuple[str, ...], 
 
 
 def _order(made: Any) -> int:
-    """Return the number of states of what was made, or of the observer in it."""
+    """Return the number of states of a design, or of the observer in it."""
     return (made if hasattr(made, "system") else made.observer).system.n_states
 
 
@@ -408,7 +408,7 @@ def _order(made: Any) -> int:
 
 
 def _rank_of_trial(record: Method, want: str) -> tuple[bool, ...]:
-    """Return what to sort trials by: what cannot come first last, and what takes long after that."""
+    """Return the key for the order of trials: candidates for the first place first, then the fast ones."""
     if want == "state":
         return not record.state, record.many
     if want == "size":
@@ -443,7 +443,7 @@ def _notes(plant: Plant, known: Diagnosability | None, entries: list[Entry]) -> 
 
 
 def _about_identification(plant: Plant, made: Identification) -> Iterator[str]:
-    """Yield what a plant from recordings leaves open, and what to do where its errors show that it is wrong."""
+    """Yield the open questions of a plant from recordings, and remedies for errors of the model."""
     yield f"the plant was {made}, not given: fit the monitor on recordings, which shows what its errors let through"
     if made.coloured:
         order = max(2, -(-plant.n_states // plant.n_outputs))

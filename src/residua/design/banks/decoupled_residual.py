@@ -209,7 +209,7 @@ def _gain(
 
 
 def _noise(model: BalancedPlant) -> tuple[Matrix, Matrix]:
-    """Return how white noise enters the states and the outputs of the balanced plant, the algebraic ones too."""
+    """Return the directions of white noise in states and outputs of the balanced plant, the algebraic ones too."""
     plant, units = model.plant, model.units
     root = np.sqrt(units.rate)
     w = units.equations[:, None] * plant.Bw / root

@@ -1,4 +1,4 @@
-"""Matched filters: what every fault does to the innovations of a Kalman filter, as a step that just arrived."""
+"""Matched filters: signatures of faults, as steps that just arrived, in the innovations of a Kalman filter."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ class MatchedFilters(Shown):
         return {n: float(1 / np.sqrt(e)) if e > 0 else float("inf") for n, e in zip(self.faults, at, strict=True)}
 
     def similarity(self, age: int | None = None) -> NDArray[np.float64]:
-        """Return how alike the faults look if they arrived together: 1 means that nothing tells them apart.
+        """Return the similarity of faults that arrive together: 1 means that nothing tells them apart.
 
         Parameters
         ----------
@@ -292,7 +292,7 @@ def matched_filters(plant: Plant, *, window: int = 40, steady: bool = False, ali
 
 
 def step_responses(generator: ResidualGenerator, window: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the residual of each fault as a step of size one, at 0 to ``window`` samples, and what it settles to.
+    """Return the residual of each fault as a step of size one, at 0 to ``window`` samples, and its steady value.
 
     Returns
     -------
@@ -382,7 +382,7 @@ def _notes(made: MatchedFilters) -> tuple[str, ...]:
 
 
 def _window_notes(made: MatchedFilters) -> tuple[str, ...]:
-    """Warn of a window that is shorter than the responses take to settle, and say how long one should be."""
+    """Warn of a window that is shorter than the responses take to settle, with a length that suffices."""
     if not made.under_way:
         return ()
     slowest = float(np.abs(made.generator.system.poles()).max(initial=0.0))

@@ -102,7 +102,7 @@ def sensor_fault_bank(
 
 
 def _sensors(plant: Plant) -> dict[str, str]:
-    """Return for each sensor fault the output that it is in, or say which is not in one output alone."""
+    """Return the output of each sensor fault, or raise for one that is not in one output alone."""
     out = {}
     for i, fault in enumerate(plant.fault_list):
         if fault.kind != "sensor":

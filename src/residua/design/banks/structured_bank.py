@@ -1,4 +1,4 @@
-"""A bank for any attainable structure: who fires when what fails."""
+"""A bank for any attainable structure."""
 
 from __future__ import annotations
 

@@ -181,7 +181,7 @@ class Resolvent:
 
 @dataclass(frozen=True, eq=False)
 class SchurForm:
-    """A matrix or a pencil of which no part stands alone: ``A = Q upper Z'``, ``E = Q lower Z'``."""
+    """A matrix or a pencil in one connected part: ``A = Q upper Z'``, ``E = Q lower Z'``."""
 
     upper: NDArray[np.complex128]
     lower: NDArray[np.complex128]
@@ -309,7 +309,7 @@ def state_map(system: StateSpace, plant: Plant) -> Matrix:
 
 
 def static_map(system: StateSpace, plant: Plant, T: Matrix) -> Matrix | None:
-    """Return the ``V`` of `state_map_of`: how a filter reads the algebraic equations of its plant, if it has any."""
+    """Return the ``V`` of `state_map_of`: the algebraic equations in the residuals, if the plant has any."""
     model, n_u = plant.balanced, len(plant.inputs)
     if not len(model.algebra):
         return None
@@ -321,7 +321,7 @@ def static_map(system: StateSpace, plant: Plant, T: Matrix) -> Matrix | None:
 
 
 def _sizes(system: StateSpace, plant: Plant) -> tuple[Matrix, Matrix]:
-    """Return how large balanced signals make the states of a filter, and factors that make its outputs near one.
+    """Return the sizes of the states of a filter for balanced signals, and factors that make its outputs near one.
 
     Powers of two; one for states that no signal reaches.
     """

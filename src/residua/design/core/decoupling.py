@@ -58,7 +58,7 @@ class Decoupled:
     apart: bool = False
 
     def leaks(self, f: BalancedFilter | None) -> Leaks:
-        """Return the leaks of a filter with a state map, and how far its identities are missed; or raise."""
+        """Return the leaks of a filter with a state map, and the error of its identities; or raise."""
         assert f is not None
         plant = f.plant
         ignored = [plant.faults.index(name) for name in self.faults]
@@ -100,12 +100,12 @@ class Approximate:
     entry: str
 
     def leaks(self, f: BalancedFilter | None) -> Leaks:
-        """Return nothing but how far the identities of a filter with a state map are missed; or raise."""
+        """Return no leaks, and the error of the identities of a filter with a state map; or raise."""
         return {}, {} if f is None else {"identities": _accept(largest_defect(f))}
 
 
 def _accept(defects: float) -> float:
-    """Return how far the identities of a filter are missed, or raise where that is too far."""
+    """Return the error of the identities of a filter, or raise for a large one."""
     if not defects <= LEAK:
         raise AccuracyError(
             "the states of the filter are no function of those of the plant: its equations miss by "
@@ -147,7 +147,7 @@ def leak(
     unknown: tuple[Matrix, Matrix] | None = None,
     estimate: Matrix | None = None,
 ) -> Leak:
-    """Return how far the controls and other inputs of a plant reach the outputs of a filter.
+    """Return the leaks of controls and other inputs of a plant into the outputs of a filter.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ def leak(
 
 
 def leak_of(f: BalancedFilter, Bd: Matrix, Dd: Matrix, of_estimate: bool = False) -> Leak:
-    """Return how far controls and further inputs, given by ``B`` and ``D``, reach the outputs of a filter."""
+    """Return the leaks of controls and further inputs, given by ``B`` and ``D``, into the outputs of a filter."""
     plant = f.plant
     B, D, U = f.entering(np.hstack([plant.B, Bd]), np.hstack([plant.D, Dd]))
     U, none = U[: len(plant.inputs)], (len(U) - len(plant.inputs), 0)
@@ -201,7 +201,7 @@ def leak_of(f: BalancedFilter, Bd: Matrix, Dd: Matrix, of_estimate: bool = False
 
 
 def largest_defect(f: BalancedFilter) -> float:
-    """Return the largest entry of the defects of what is read, in double precision."""
+    """Return the largest entry of the defects that the residual reads, in double precision."""
     return _largest_read(f, f.F @ f.T @ f.E + f.Gy @ f.C - f.T @ f.A, f.L @ f.T @ f.E + f.Jy @ f.C + f.V @ f.A)
 
 
@@ -214,7 +214,7 @@ def _largest_read(f: BalancedFilter, dA: Matrix, dC: Matrix) -> float:
 def reached(
     system: StateSpace, plant: Plant, state_map: Matrix | None, static_map: Matrix | None = None
 ) -> dict[str, float]:
-    """Return how far ``"control"`` and ``"disturbance"``, as far as the plant has any, reach a filter at most.
+    """Return the largest gains from ``"control"`` and ``"disturbance"``, if the plant has any, to a filter.
 
     From its defects where it has a state map, else from its response.
     """
@@ -227,7 +227,7 @@ def reached(
 def reached_inputs(
     system: StateSpace, plant: Plant, state_map: Matrix | None, static_map: Matrix | None = None
 ) -> Matrix:
-    """Return how far each control, then each disturbance, reaches a filter: of its residuals the one that most do.
+    """Return the largest gain from each control, then each disturbance, to any residual of a filter.
 
     Without a state map, as of a sampled filter, it is the peak of the response over the peak of the sum of the sizes of
     its terms. The response is the sum of what goes through the filter directly and through the plant: rounding of these
@@ -247,7 +247,7 @@ def reached_inputs(
 
 
 def answers(system: StateSpace, plant: Plant, terms: Matrix) -> NDArray[np.bool_]:
-    """Tell which residuals answer to the measurements by more than rounding, at some frequency.
+    """Tell the residuals that answer to the measurements by more than rounding, at some frequency.
 
     Parameters
     ----------

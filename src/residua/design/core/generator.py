@@ -1,4 +1,4 @@
-"""The residual generator: what every design method returns and everything after design works on."""
+"""The residual generator, the result of every design, and the protocols of designs that have or make one."""
 
 from __future__ import annotations
 
@@ -168,7 +168,7 @@ class ResidualGenerator:
 
     @cached_property
     def structure(self) -> NDArray[np.bool_]:
-        """Who fires when what fails: boolean, shape (residuals, faults)."""
+        """Marks of the residuals that answer to each fault: boolean, shape (residuals, faults)."""
         rows = [np.any(self.subspaces[name], axis=1) for name in self.faults]
         return np.array(rows, dtype=bool).reshape(len(self.faults), self.n_residuals).T
 
@@ -207,7 +207,7 @@ class ResidualGenerator:
     # ----------------------------------------------------------------- results
 
     def internal_form(self, plant: Plant | None = None, *, controls: bool = False) -> StateSpace:
-        """Return what faults, disturbances and noise do to the residual.
+        """Return the system from faults, disturbances and noise to the residual.
 
         Parameters
         ----------
@@ -388,7 +388,7 @@ class ResidualGenerator:
         return replace(made, method=self.method, evidence=evidence, codes=self.codes, members=self.members)
 
     def equivalent_to(self, other: ResidualGenerator) -> Equivalence:
-        """Tell whether another generator is the same up to poles and scale, or another transformation, and which.
+        """Compare with another generator: the same up to poles and scale, or another transformation.
 
         Parameters
         ----------
@@ -501,7 +501,7 @@ class Design(Protocol):
 
     @property
     def generator(self) -> ResidualGenerator:
-        """What runs."""
+        """The generator that runs."""
         ...
 
 
@@ -511,13 +511,13 @@ class CertifiedDesign(Protocol):
 
     @property
     def thresholds(self) -> Mapping[str, SupportsFloat]:
-        """By name of the member."""
+        """Thresholds by name of the member."""
         ...
 
 
 @runtime_checkable
 class BoundedDesign(Protocol):
-    """A design that is certain of what each member answers to, over a whole uncertainty set."""
+    """A design with guaranteed responses of each member, over a whole uncertainty set."""
 
     @property
     def member_bounds(self) -> Mapping[str, tuple[float, float, Mapping[str, float]]]:
@@ -552,12 +552,12 @@ class PartialDesign(Protocol):
 
     @property
     def failures(self) -> Mapping[str, str]:
-        """By name of the member that could not be designed, why."""
+        """Reasons by name of the member that could not be designed."""
         ...
 
 
 def brings_a_generator(cls: Any) -> bool:
-    """Whether what a design function returns is something that a monitor can take: by its class, before any design."""
+    """Tell from the return class of a design function, before any design, that a monitor can take its result."""
     if not isinstance(cls, type):
         return False
     declared = {name for base in cls.__mro__ for name in vars(base).get("__annotations__", {})} | set(dir(cls))
@@ -581,7 +581,7 @@ def as_generator(design: Any) -> ResidualGenerator:
 
 
 def for_monitor(made: Any) -> Any:
-    """Return what a monitor takes of what a design function returned.
+    """Return the part of a design that a monitor takes.
 
     What makes a generator makes it, and its evidence says which members do not exist; what has one, such as matched
     filters, stays as it is.

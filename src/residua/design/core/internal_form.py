@@ -118,7 +118,7 @@ def _driven(generator: StateSpace, plant: Plant) -> StateSpace:
 
 
 def refuse_growth(plant: Plant) -> None:
-    """Refuse a sampled plant that grows so far in one step that what rounding leaves beside it hides the residual."""
+    """Refuse a sampled plant whose growth in one step hides the residual in rounding."""
     growth, most = np.log(max(float(spectral_radius(plant.A)), 1.0)), np.log(_MOST_GROWTH)
     if growth > most:
         raise AccuracyError(
@@ -130,7 +130,7 @@ def refuse_growth(plant: Plant) -> None:
 def sampled_form(
     system: StateSpace, T: NDArray[np.float64], plant: Plant, sampled: StateSpace, sampled_plant: Plant, hold: str
 ) -> StateSpace:
-    r"""Return what faults, disturbances and noise do to the residual of a sampled filter of a continuous design.
+    r"""Return the system from faults, disturbances and noise to the residual of a sampled continuous design.
 
     The continuous filter sees nothing of a plant that moves without faults: its state is :math:`\xi = T x`. The
     sampled one takes an output to run straight from sample to sample, and sees how far it does not:
@@ -197,7 +197,7 @@ def _between(
     order: int,
     dt: float,
 ) -> NDArray[np.float64]:
-    """Return what a state of the plant puts into the filter over a step, by how its outputs leave what is held.
+    """Return the effect of a state of the plant on the filter over a step, by the error of the hold of its outputs.
 
     ``bend`` is their derivative of that order. In time from sample to sample, and with derivatives of size one, one
     exponential has it to the last digits however short the step is.
@@ -263,7 +263,7 @@ def state_covariance(A: NDArray, Q: NDArray) -> NDArray[np.float64]:
 
 
 def _slowest(A: NDArray) -> str:
-    """Return where the pole is that is nearest to the circle, and what can be done about it."""
+    """Return the place of the pole that is nearest to the circle, with a remedy."""
     inside = 1 - float(np.abs(np.linalg.eigvals(A)).max())
     return (
         f"of a pole {abs(inside):.2g} {'inside' if inside > 0 else 'outside'} the unit circle: ask for faster poles or "

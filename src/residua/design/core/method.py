@@ -1,4 +1,4 @@
-"""The registry of methods: what a design function needs and promises is declared where the function is.
+"""The registry of methods: needs and promises of a design function are declared beside the function.
 
 A design is what maps measurements to residuals or estimates. A function is one, and declares itself, when what it
 returns does so (``run``, ``estimate``), or has or makes what does (``generator``, ``residual_generator()``,
@@ -82,7 +82,7 @@ def one_call(plant: Plant, known: Diagnosability | None) -> Iterable[Mapping[str
 
 @dataclass(frozen=True, eq=False)
 class Method:
-    """A design function, with what it needs and promises.
+    """A design function, with its needs and promises.
 
     Attributes
     ----------
@@ -158,24 +158,24 @@ class Method:
 
     @property
     def needs(self) -> str:
-        """What the plant must have, in words."""
+        """The needs of the plant, in words."""
         listed = ", ".join(one if isinstance(one, str) else one.text for one in self.requirements)
         return listed or "nothing more"
 
     @property
     def returns(self) -> str:
-        """The name of the class of what it returns."""
+        """The name of the class of its result."""
         annotation = self.function.__annotations__.get("return", "")
         return annotation if isinstance(annotation, str) else getattr(annotation, "__name__", str(annotation))
 
     @cached_property
     def signature(self) -> inspect.Signature:
-        """Its parameters and what it returns, as types."""
+        """Its parameters and its result, as types."""
         return signature_of(self.function)
 
     @property
     def result(self) -> Any:
-        """The class of what it returns."""
+        """The class of its result."""
         return self.signature.return_annotation
 
     @cached_property
@@ -185,19 +185,19 @@ class Method:
 
     @cached_property
     def takes_a_plant(self) -> bool:
-        """Whether a plant is all that it is designed for."""
+        """True if a plant is all that it is designed for."""
         first = next(iter(self.signature.parameters.values()))
         return self.designs_for == "plant" and Plant in kinds_of(first.annotation)
 
     @property
     def called(self) -> str:
-        """How it is called in a line of code."""
+        """Its call in a line of code."""
         own = self.function.__module__.split(".")[0] == __name__.split(".")[0]
         return f"rs.design.{self.name}" if own else self.name
 
     @property
     def place(self) -> tuple[Any, ...]:
-        """Where it stands among others: observers, plain residuals, names, sizes; then the least noise first."""
+        """Its place among others: observers, plain residuals, names, sizes; then the least noise first."""
         gives = 3 if self.size else 2 if self.faults else 0 if self.state else 1
         noise = get_args(Noise).index(self.noise)
         return self.designs_for != "plant", gives, noise, self.singular, self.name
@@ -216,7 +216,7 @@ METHODS: dict[str, Method] = {}
 
 
 def check_design(record: Method, made: object) -> None:
-    """Raise where what a method returned cannot be a design: it is, has and makes nothing that runs."""
+    """Raise for a result of a method that cannot be a design: it is, has and makes nothing that runs."""
     if isinstance(made, Mapping) or any(hasattr(made, one) for one in _RUNS):
         return
     raise ModelError(
@@ -229,7 +229,7 @@ _RUNS = ("system", "observer", "generator", "residual_generator")
 
 
 def defect(record: Method, error: Exception) -> str:
-    """Return what is said of a method that raised what is no answer about a plant."""
+    """Return the message on a method that raised an error that is no answer about a plant."""
     return f"{record.name} raised {type(error).__name__}: {error} (a defect of the method)"
 
 
@@ -345,7 +345,7 @@ def method(
 
 
 def _check(record: Method) -> None:
-    """Raise where a function cannot be a method of this name, or does not say what it returns or what it is for."""
+    """Raise for a function that cannot be a method of this name, or has no annotation of its plant or its result."""
     name, parameters, other = record.name, tuple(record.signature.parameters.values()), METHODS.get(record.name)
     if not parameters:
         raise SettingError(f"{name} takes nothing: a design function takes a plant, or what it is designed for, first")
@@ -396,7 +396,7 @@ class Option:
 
     @property
     def required(self) -> bool:
-        """Whether it has no default."""
+        """True if it has no default."""
         return self.default is inspect.Parameter.empty
 
     @property
@@ -444,7 +444,7 @@ def kinds_of(annotation: Any) -> tuple[Any, ...]:
 
 
 def parameters_in(docstring: str) -> Mapping[str, tuple[str, str]]:
-    """Return what a docstring says under ``Parameters``: by name, the kind and the description."""
+    """Return the ``Parameters`` of a docstring: by name, the kind and the description."""
     lines = docstring.splitlines()
     title = next(
         (k for k in range(len(lines) - 1) if lines[k] == "Parameters" and lines[k + 1].startswith("---")), None
@@ -488,7 +488,7 @@ FAULTS_APART = Need("faults", _not_two_groups)
 
 
 def disturbances(text: str, instead: str) -> Need:
-    """Return the need of disturbances: its name, and what serves a plant without."""
+    """Return the need of disturbances: its name, and the alternative for a plant without."""
     return _has(text, lambda plant: plant.disturbances, f"the plant has no disturbances: {instead}")
 
 

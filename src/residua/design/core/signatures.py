@@ -50,7 +50,7 @@ class FaultResponses:
 
     @property
     def reached(self) -> NDArray[np.bool_]:
-        """Which residuals a fault reaches, shape (residuals, faults)."""
+        """Residuals that each fault reaches, shape (residuals, faults)."""
         return np.any(self.values != 0, axis=0)
 
 
@@ -99,7 +99,7 @@ def responses_of_form(form: StateSpace, faults: int) -> FaultResponses:
 
 
 def _product(*products: tuple[Matrix, Matrix]) -> Matrix:
-    """Return a sum of products without what is rounding of its terms."""
+    """Return a sum of products without rounding of its terms."""
     terms = sum(
         np.abs(M) @ np.abs(N)
         + _ELSEWHERE * np.abs(M).max(axis=1, keepdims=True, initial=0.0) * np.abs(N).max(axis=0, initial=0.0)
@@ -158,7 +158,7 @@ def signatures_of(
 
 
 def _dimension(s: Matrix, rtol: float) -> int:
-    """Return how many of the directions with these singular values, the largest first, a response takes.
+    """Return the number of directions, with these singular values in descending order, that a response takes.
 
     Those beyond ``rtol``; and fainter ones where the gap to what is rounding comes only after them. A design misses a
     direction that it aims at by what lies beyond a gap; faint directions before it are in other units of the residuals
@@ -174,7 +174,7 @@ def _dimension(s: Matrix, rtol: float) -> int:
 
 
 def residual_units(responses: FaultResponses) -> Matrix:
-    """Return the size of each residual: of its answers, where these are more than a little of what they are made of.
+    """Return the size of each residual: of its answers, if they are more than a little of its terms.
 
     Else of what it is made of, so that residuals that ignore every fault have one as well. Where a plant integrates,
     that grows without end towards low frequencies, and no answer would be a direction beside those of another residual.
@@ -230,7 +230,7 @@ def first_response(responses: FaultResponses, fault: int) -> Matrix:
 
 
 def steady_responses(form: StateSpace) -> NDArray[np.float64]:
-    """Return what a system settles to for constant inputs of size one, exactly zero where that is rounding.
+    """Return the steady response to constant inputs of size one, exactly zero for rounding.
 
     Rounding is judged by the terms of the same response: each residual and each fault has its own units.
     """

@@ -236,7 +236,7 @@ def robust_detection_filter(
 def _directional_filters(
     pair: ErrorPair, poles: Poles, margin: float | None, faults: Iterable[str] | None, base: Evidence
 ) -> ResidualGenerator:
-    """Design directional filters for an error pair: that of the plant, or of what no disturbance reaches."""
+    """Design directional filters for an error pair: of the plant, or of the plant without its disturbances."""
     plant = pair.model.plant
     poles, margin = balanced_options(plant, poles, margin)
     wanted = plant.faults if faults is None else (faults,) if isinstance(faults, str) else tuple(faults)

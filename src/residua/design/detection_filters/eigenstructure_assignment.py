@@ -75,7 +75,7 @@ class _IgnoredColumns:
         return np.hstack([np.zeros((len(self.pair.A), 0)), *self.columns.values()])
 
     def rows(self, S: Matrix) -> Matrix:
-        """Return rows on the outputs of the plant that span what rows on those of the pair do.
+        """Return a basis, on the outputs of the plant, of the rows on those of the pair.
 
         Each has an output of its own and length one, the first entry positive.
         """
@@ -92,7 +92,7 @@ class _IgnoredColumns:
 
 
 def _ignored_columns(plant: Plant, insensitive_to: Iterable[str | int] | str) -> _IgnoredColumns:
-    """Return what an observer of a plant has to ignore: all disturbances and the named faults.
+    """Return the inputs that an observer of a plant has to ignore: all disturbances and the named faults.
 
     Raises
     ------
@@ -268,7 +268,7 @@ def _stable(parts: _IgnoredColumns, margin: float | None) -> str:
 
 
 def _confinements(parts: _IgnoredColumns, combine: bool) -> tuple[Matrix, Matrix, list[tuple[list[FaultEvent], str]]]:
-    r"""Return the rows that do not see the ignored columns, what they see, and the ways to keep the columns from them.
+    r"""Return the rows that do not see the ignored columns, the states they see, and the ways to confine the columns.
 
     The smallest space ``V`` that a gain can make invariant and that holds the columns is :math:`f, A f, \dots,
     A^\mu f` for each, with :math:`C A^\mu f` the first that is not zero. Where the vectors :math:`C A^\mu f` are
@@ -351,7 +351,7 @@ def _right_gain(
 def _left_design(
     parts: _IgnoredColumns, poles: Any, margin: float | None, first: float, approximate: bool
 ) -> tuple[Matrix, Matrix | None, ObserverGain, str, dict[str, RankDecision]]:
-    r"""Return residual rows, what they see if they are exact, a gain that makes them eigenvectors, a note, and ranks.
+    r"""Return residual rows, the states they see if they are exact, their gain, a note, and ranks.
 
     All rows ``s`` with :math:`s C F_Z = 0` for which ``s C A`` is a row of ``C``, or the nearest one. Both conditions
     are linear in ``s``: :math:`s\,[C F_Z,\ C A N] = 0` with ``N`` a basis of the null space of ``C``. As ``h = s C``
@@ -427,7 +427,7 @@ def _generator(
     note: str,
     ranks: dict[str, RankDecision],
 ) -> ResidualGenerator:
-    """Return the generator of a gain, with what it promises checked.
+    """Return the generator of a gain, with its promises checked.
 
     Its states are those of the estimate that the residual sees, along orthonormal columns; the others, and with them
     what is ignored, are left out, so that rounding does not bring them back. Without such columns the gain is an

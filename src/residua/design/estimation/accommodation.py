@@ -1,4 +1,4 @@
-"""Living with a fault: an input that compensates it, and a closed loop on what healthy sensors would read."""
+"""Fault accommodation: an input that compensates faults, and a closed loop on virtual sensors."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from residua.tolerances import RESPONSE_ROUNDING, TINY
 
 @dataclass(frozen=True, eq=False)
 class Compensation:
-    r"""How control inputs undo faults: :math:`u = -\Gamma \hat f`.
+    r"""Compensation of faults by control inputs: :math:`u = -\Gamma \hat f`.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Observers that estimate the fault itself, and what a faulty sensor should read."""
+"""Observers that estimate faults, and the outputs of healthy sensors."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ class FaultEstimator:
         return self.observer.estimate(u, y, dt=dt)
 
     def virtual_outputs(self, u: ArrayLike | None, y: ArrayLike, *, dt: float | None = None) -> NDArray[np.float64]:
-        r"""Return what healthy sensors would read, :math:`C \hat x + D u`, shape (time, outputs).
+        r"""Return the outputs of healthy sensors, :math:`C \hat x + D u`, shape (time, outputs).
 
         Without what disturbances add to the outputs, where the plant has such.
         """
@@ -344,7 +344,7 @@ def _observer_ignoring(
 
 
 def _read_faults(plant: Plant, faults: tuple[str, ...]) -> _FaultReading:
-    r"""Return how to read faults off a plant in which they are the last disturbances.
+    r"""Return the reading of faults of a plant in which they are the last disturbances.
 
     What the faults and disturbances ``v`` do at once, :math:`D v = y - D u - C x` and :math:`N B v = -N (A x + B u)`
     with :math:`N E = 0`, is used first; only what that leaves open is taken from derivatives of outputs that ``v``
@@ -405,12 +405,12 @@ def _read_faults(plant: Plant, faults: tuple[str, ...]) -> _FaultReading:
 
 
 def _without_residue(M: Matrix) -> Matrix:
-    """Return a matrix without the entries that are what rounding leaves beside the largest of their row."""
+    """Return a matrix without the entries that are rounding beside the largest of their row."""
     return above_rounding(M, np.abs(M).max(axis=1, keepdims=True, initial=0.0), RESIDUE)
 
 
 def _inverse(M: Matrix) -> Matrix:
-    """Return the pseudoinverse of a balanced matrix, which may be nothing but rounding."""
+    """Return the pseudoinverse of a balanced matrix, zero for one of rounding alone."""
     return np.asarray(scipy.linalg.pinv(M, atol=BALANCED_RANK, rtol=0.0)) if M.size else M.T
 
 
@@ -464,7 +464,7 @@ def _realised(
 
 
 def _summed(*products: tuple[NDArray, NDArray]) -> NDArray[np.float64]:
-    """Return a sum of products without what rounding leaves of sums that cancel."""
+    """Return a sum of products without the rounding of terms that cancel."""
     total = np.add.reduce([left @ right for left, right in products])
     return above_rounding(total, np.add.reduce([np.abs(left) @ np.abs(right) for left, right in products]))
 
@@ -472,7 +472,7 @@ def _summed(*products: tuple[NDArray, NDArray]) -> NDArray[np.float64]:
 def _with_noise(
     evidence: Evidence, plant: Plant, s: StateSpace, form: StateSpace, lag: Mapping[str, float]
 ) -> Evidence:
-    """Return evidence with the lags of the estimates, and what measurements and noise do to them."""
+    """Return evidence with the lags of the estimates, and their gains from measurements and noise."""
     conditions: dict[str, float] = {}
     notes: list[str] = []
     n_u, noise = len(plant.inputs), slice(form.n_inputs - len(plant.noises), None)

@@ -92,17 +92,17 @@ class GeneralForm(Shown):
 
     @property
     def is_residual_generator(self) -> bool:
-        """Whether the conditions (4-18) hold: zero for the fault-free plant without disturbances."""
+        """True if the conditions (4-18) hold: zero for the fault-free plant without disturbances."""
         return all(error <= IDENTITY for name, error in self.conditions.items() if name in CONDITIONS[:4])
 
     @property
     def decouples(self) -> bool:
-        """Whether also the condition (4-19) holds."""
+        """True if the condition (4-19) holds too."""
         return self.is_residual_generator and all(error <= IDENTITY for error in self.conditions.values())
 
     @property
     def keeps_faults_apart(self) -> bool:
-        """Whether condition (4-20) holds, rank(T F) = rank(F)."""
+        """True if condition (4-20) holds, rank(T F) = rank(F)."""
         return self.rank_TF.rank == self.rank_F.rank
 
     def __str__(self) -> str:

@@ -147,7 +147,7 @@ def _gain(plant: Plant, model: BalancedPlant) -> ObserverGain:
 
 
 def _moves_by_itself(plant: Plant, model: BalancedPlant) -> bool:
-    """Tell whether a mode on the boundary of stability gets no process noise but what the measurements show."""
+    """Tell of a mode on the boundary of stability that no process noise reaches beside that of the measurements."""
     X = model.units.states[:, None]
     through = plant.cross_noise @ np.linalg.pinv(plant.measurement_noise)
     A = model.A - through @ plant.C / X * model.units.states / model.units.rate

@@ -79,7 +79,7 @@ class PlantPencil:
 
 @dataclass(frozen=True, eq=False)
 class PerfectGain:
-    """``G R = I`` with ``N = G S`` nilpotent, in balanced units, and how well.
+    """``G R = I`` with ``N = G S`` nilpotent, in balanced units, and its accuracy.
 
     Attributes
     ----------
@@ -233,7 +233,7 @@ def _random_gains(p: PlantPencil, reading: Matrix, chains: int, rng: np.random.G
 
 
 def given_gain(p: PlantPencil, K: Matrix) -> PerfectGain:
-    """Return what ``K`` of ``E xh' = A xh + B u + K (C xh - y)`` achieves, or raise when it is not perfect."""
+    """Return the inverse of ``K`` of ``E xh' = A xh + B u + K (C xh - y)``, or raise for one that is not perfect."""
     whole = np.hstack([np.eye(p.n), p.rows[: p.n, None] * K / p.rows[p.n :]])
     Ab = whole @ p.R
     condition = float(np.linalg.cond(Ab))

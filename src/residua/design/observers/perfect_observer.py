@@ -124,12 +124,12 @@ class PerfectObserver:
 
     @property
     def derivatives(self) -> int:
-        """How many derivatives of the inputs and outputs the state estimate takes (sampled: steps)."""
+        """Number of derivatives of the inputs and outputs that the state estimate takes (sampled: steps)."""
         return len(self._estimate(slice(0, self.plant.n_states))) - 1
 
     @property
     def delay(self) -> float:
-        """By how many seconds the state estimate lags: steps times ``dt``, or the sum of the lags of the filter."""
+        """Lag of the state estimate in seconds: steps times ``dt``, or the sum of the lags of the filter."""
         return self.derivatives * (self.plant.dt or 1.0 / self.bandwidth)
 
     @property
@@ -160,13 +160,13 @@ class PerfectObserver:
     def estimate_disturbances(
         self, u: ArrayLike | None, y: ArrayLike, *, dt: float | None = None
     ) -> NDArray[np.float64]:
-        """Return the estimate of the disturbances, shape (time, disturbances); takes what :meth:`estimate` takes."""
+        """Return the estimate of the disturbances, shape (time, disturbances); arguments of :meth:`estimate`."""
         return sampled_filter(self.disturbance_system, self.plant, dt).simulate(stack_signals(self.plant, u, y))
 
     # ---------------------------------------------------------------- residuals
 
     def polynomial(self) -> dict[str, NDArray[np.float64]]:
-        """Return what the unfiltered residual is made of: for each fault the coefficients of ``f, f', f'', ...``.
+        """Return the coefficients of ``f, f', f'', ...`` of each fault in the unfiltered residual.
 
         Each is an array of shape (order + 1, residuals); in sampled time of ``f`` now, one step later, and so on.
         """
@@ -206,7 +206,7 @@ class PerfectObserver:
 
     @property
     def _known(self) -> NDArray[np.float64]:
-        """``F``: how control inputs and outputs enter the equations ``S X' = R X - F v``."""
+        """``F``: the entry of control inputs and outputs into the equations ``S X' = R X - F v``."""
         p, rows = self.plant, self.rows
         spread = np.eye(p.n_outputs)[rows]
         return np.block([[-p.B, np.zeros((p.n_states, p.n_outputs))], [-p.D[rows], spread]])
@@ -480,7 +480,7 @@ def _evidence(o: PerfectObserver) -> Evidence:
 
 
 def _estimate_off(o: PerfectObserver, system: StateSpace) -> float:
-    """Return how far the filter driven by the plant is from the filtered state within the bandwidth, or raise.
+    """Return the distance of the filter driven by the plant from the filtered state, within the bandwidth, or raise.
 
     State by state, relative to the largest response of that state to a control input or disturbance.
     """

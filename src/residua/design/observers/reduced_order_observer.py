@@ -39,7 +39,7 @@ def reduced_order_observer(
     margin: float | None = None,
     outputs: Iterable[str | int] | str | None = None,
 ) -> Observer:
-    r"""Design an observer of order n - p: what the measurements say is not estimated again.
+    r"""Design an observer of order n - p, which takes the measured part of the state from the measurements.
 
     .. math:: \dot z = F z + T B u + K y, \qquad \hat x = M z + H y, \qquad
               \begin{bmatrix} M & H \end{bmatrix} = \begin{bmatrix} T \\ C \end{bmatrix}^{-1}
