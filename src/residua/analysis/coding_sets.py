@@ -174,8 +174,8 @@ class CodingSet(Shown):
 
     def _verdict(self) -> str:
         words = {"none": "not isolating", "weak": "weakly isolating", "strong": "strongly isolating"}
-        own, possible = self.quality, self.quality_of_groups
-        return words[own] if own == possible else f"{words[possible]} what can be told apart"
+        quality, possible = self.quality, self.quality_of_groups
+        return words[quality] if quality == possible else f"{words[possible]} what can be told apart"
 
     def _defects(self) -> list[str]:
         """Return the obstacles to strong isolation, in words."""

@@ -170,8 +170,8 @@ def _cuts(cover: Cover) -> tuple[NDArray, NDArray]:
     if cover.strong:
         for k in range(R.shape[1]):
             others = [j for pair in cover.pairs if k in pair for j in pair if j != k]
-            for own in (R, ~R):
-                cut = own[:, [k]] & ~own[:, others]
+            for rows in (R, ~R):
+                cut = rows[:, [k]] & ~rows[:, others]
                 cut = cut[:, cut.any(axis=0)]
                 if cut.shape[1] > 1:
                     sides.append(2.0)

@@ -65,8 +65,8 @@ class LastingFaults:
         if g.codes is not None:
             codes = [tuple(column) for column in g.codes.T.tolist()]
             fired = np.where(g.codes, self._of_parts, 0.0).max(axis=0, initial=0.0)
-            told = [any(code) and codes.count(code) == 1 for code in codes]
-            return {name: float(size) if one else np.inf for name, size, one in zip(faults, fired, told, strict=True)}
+            unique = [any(code) and codes.count(code) == 1 for code in codes]
+            return {name: float(size) if one else np.inf for name, size, one in zip(faults, fired, unique, strict=True)}
         whiten, away = self.whitening[0][1], self._settled[0]
         signatures = {}
         for name, steady in zip(faults, away.T, strict=True):  # as an isolation by direction reads them
@@ -167,9 +167,9 @@ def lasting_faults(generator: ResidualGenerator, dt: float) -> LastingFaults:
         parts = [member.residuals for member in sampled.members]
     whitening = []
     for part in parts:  # S^(-1/2) over the directions that noise moves
-        own = S[np.ix_(part, part)]
-        units = np.sqrt(np.where(np.diag(own) > 0, np.diag(own), 1.0))
-        values, vectors = np.linalg.eigh(own / np.outer(units, units))
+        covariance = S[np.ix_(part, part)]
+        units = np.sqrt(np.where(np.diag(covariance) > 0, np.diag(covariance), 1.0))
+        values, vectors = np.linalg.eigh(covariance / np.outer(units, units))
         kept = values > RANK * values.max(initial=0.0)
         whitening.append((part, (vectors[:, kept] / np.sqrt(values[kept])).T / units))
     return LastingFaults(sampled, tuple(whitening))

@@ -133,8 +133,8 @@ def by_faults(entries: list[Entry], deviations: Mapping[str, float], want: str) 
         """Return the sizes of all faults in deviations, :data:`UNSEEN` for those that are not seen."""
         found = {} if entry.foretold is None else entry.foretold.named if named else entry.foretold.sizes
         scaled = [found.get(name, np.inf) / one for name, one in deviations.items()]
-        own = [want != "size" or name in entry.estimates for name in deviations]
-        return np.array([size if size < UNSEEN and mine else UNSEEN for size, mine in zip(scaled, own, strict=True)])
+        asked = [want != "size" or name in entry.estimates for name in deviations]
+        return np.array([size if size < UNSEEN and yes else UNSEEN for size, yes in zip(scaled, asked, strict=True)])
 
     def score(entry: Entry, *, named: bool = False) -> float:
         return float(np.exp(np.log(sizes(entry, named=named)).mean()))
@@ -151,8 +151,8 @@ def by_faults(entries: list[Entry], deviations: Mapping[str, float], want: str) 
         return "settles as the plant does: none of its poles can be chosen" if fixed else ""
 
     def blind(entry: Entry) -> str:
-        mine = zip(deviations, sizes(entry) >= UNSEEN, seen < UNSEEN, strict=True)
-        missed = tuple(name for name, here, elsewhere in mine if here and elsewhere)
+        visibility = zip(deviations, sizes(entry) >= UNSEEN, seen < UNSEEN, strict=True)
+        missed = tuple(name for name, here, elsewhere in visibility if here and elsewhere)
         return f"{'no size of' if want == 'size' else 'does not see'} {few(missed)}" if missed else ""
 
     working = [replace(one, sizes=one.foretold.sizes if one.foretold else {}) for one in entries if one.works]

@@ -274,8 +274,8 @@ def matched_filters(plant: Plant, *, window: int = 40, steady: bool = False, ali
     if covariance is None:
         raise DesignError("the innovations have no stationary covariance: give every measurement noise")
     whitening = np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)).T, dtype=float)
-    made = MatchedFilters(kalman, int(window), bool(steady), float(alike), responses, settled, whitening)
-    if not made.groups:
+    matched = MatchedFilters(kalman, int(window), bool(steady), float(alike), responses, settled, whitening)
+    if not matched.groups:
         when = "once they are constant" if steady else f"within {window} samples"
         raise DesignError(
             f"the innovations answer to none of the faults {when} ({', '.join(plant.faults)}): add a sensor that sees "
@@ -285,10 +285,10 @@ def matched_filters(plant: Plant, *, window: int = 40, steady: bool = False, ali
         kalman,
         method="matched filters on Kalman innovations",
         evidence=kalman.evidence.extended(
-            notes=_notes(made), references=("Gertler (1991), section 5.3, eqs. (5-19) to (5-21)",)
+            notes=_notes(matched), references=("Gertler (1991), section 5.3, eqs. (5-19) to (5-21)",)
         ),
     )
-    return replace(made, generator=generator)
+    return replace(matched, generator=generator)
 
 
 def step_responses(generator: ResidualGenerator, window: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -368,28 +368,28 @@ def _unit(columns: NDArray) -> NDArray[np.float64]:
     return columns / np.where(size > 0, size, 1.0)
 
 
-def _notes(made: MatchedFilters) -> tuple[str, ...]:
+def _notes(matched: MatchedFilters) -> tuple[str, ...]:
     """Return notes for the reader: faults that are alike, that vanish, and whether the window is long enough."""
-    notes = [f"not told apart within the window: {', '.join(group)}" for group in made.groups if len(group) > 1]
-    if made.unseen:
-        notes.append(f"not seen: {', '.join(made.unseen)}")
-    if made.vanishing:
-        notes.append(f"seen only for a while, and not once constant: {', '.join(made.vanishing)}")
-    if made.steady:
+    notes = [f"not told apart within the window: {', '.join(group)}" for group in matched.groups if len(group) > 1]
+    if matched.unseen:
+        notes.append(f"not seen: {', '.join(matched.unseen)}")
+    if matched.vanishing:
+        notes.append(f"seen only for a while, and not once constant: {', '.join(matched.vanishing)}")
+    if matched.steady:
         notes.append("settled responses only: the name may be wrong until the residual has settled")
         return tuple(notes)
-    return (*notes, *_window_notes(made))
+    return (*notes, *_window_notes(matched))
 
 
-def _window_notes(made: MatchedFilters) -> tuple[str, ...]:
+def _window_notes(matched: MatchedFilters) -> tuple[str, ...]:
     """Warn of a window that is shorter than the responses take to settle, with a length that suffices."""
-    if not made.under_way:
+    if not matched.under_way:
         return ()
-    slowest = float(np.abs(made.generator.system.poles()).max(initial=0.0))
+    slowest = float(np.abs(matched.generator.system.poles()).max(initial=0.0))
     enough = int(np.ceil(np.log(_SETTLED) / np.log(min(max(slowest, 1e-3), 1 - 1e-9))))
-    longer = f", of about {enough} samples," if enough > made.window else ""
+    longer = f", of about {enough} samples," if enough > matched.window else ""
     return (
-        f"still under way at the end of the window: {', '.join(made.under_way)}; a longer window{longer} sees them "
+        f"still under way at the end of the window: {', '.join(matched.under_way)}; a longer window{longer} sees them "
         "settle (until then, once its arrival has left the window, a fault resembles none that is expected)",
     )
 

@@ -80,21 +80,21 @@ class BalancedFilter:
         units, n_u = plant.balanced.units, len(plant.inputs)
         R, X, Y, rate = units.equations, units.states, units.outputs, units.rate
         T, Gy = T / R, system.B[:, n_u:] / Y / rate
-        own = 1 / power_near(np.abs(np.hstack([T, Gy])).max(axis=1, initial=0.0))[:, None]  # T alone may be rounding
-        L, Jy, Ju = system.C / own[:, 0], system.D[:, n_u:] / Y, system.D[:, :n_u]
+        states = 1 / power_near(np.abs(np.hstack([T, Gy])).max(axis=1, initial=0.0))[:, None]  # T alone may be rounding
+        L, Jy, Ju = system.C / states[:, 0], system.D[:, n_u:] / Y, system.D[:, :n_u]
         M = np.zeros((len(L), len(R))) if estimate is None else estimate * X
         whole = np.hstack([L, Jy, Ju * units.inputs[:n_u]]) if estimate is None else M
         height = 1 / power_near(np.abs(whole).max(axis=1, initial=0.0))[:, None]
         return cls(
             plant,
             *plant.balanced.written,
-            own * system.A / own[:, 0] / rate,
-            own * system.B[:, :n_u] / rate,
-            own * Gy,
+            states * system.A / states[:, 0] / rate,
+            states * system.B[:, :n_u] / rate,
+            states * Gy,
             height * L,
             height * Ju,
             height * Jy,
-            own * T,
+            states * T,
             np.zeros((len(L), len(R))) if V is None else height * V / R * rate,
             height[:, 0],
             height * M,
@@ -121,17 +121,15 @@ class BalancedFilter:
     def points(self) -> NDArray[np.complex128]:
         """Points on the boundary of stability, from far below the slowest rate to far above the fastest."""
         sampled = self.plant.is_discrete
-        plant, own = self.of_plant.poles, self.of_filter.poles
-        if sampled:  # rates per sample; poles at zero have none
-            plant, own = (np.log(poles[np.abs(poles) > _NO_RATE]) for poles in (plant, own))
-        plant, own = np.abs(plant), np.abs(own)
-        integrates = plant <= _INTEGRATES  # at the rate of the other terms of the plant, which is one
-        every = np.concatenate([np.where(integrates, 1.0, plant), own])
+        plant, rates = (
+            np.abs(np.log(poles[np.abs(poles) > _NO_RATE]) if sampled else poles)  # per sample, poles at zero have none
+            for poles in (self.of_plant.poles, self.of_filter.poles)
+        )
+        # an integrator counts at the rate of the other terms of the plant, which is one
+        every = np.concatenate([np.where(plant > _INTEGRATES, plant, 1.0), rates])
         every = every[np.isfinite(every) & (every > 0)]
         every = every if len(every) else np.ones(1)
-        ends = every.min() / _BEYOND, every.max() * _BEYOND
-        if sampled:
-            ends = ends[0], np.pi
+        ends = every.min() / _BEYOND, np.pi if sampled else every.max() * _BEYOND
         w = np.unique(np.concatenate([np.geomspace(*ends, _POINTS), 1.001 * every]))
         w = w[w <= np.pi] if sampled else w
         return np.asarray(np.exp(1j * w) if sampled else 1j * w, dtype=complex)

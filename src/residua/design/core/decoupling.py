@@ -259,11 +259,11 @@ def answers(system: StateSpace, plant: Plant, terms: Matrix) -> NDArray[np.bool_
     """
     units, n_u = plant.balanced.units, len(plant.inputs)
     G = system.B[:, n_u:] / units.outputs / units.rate
-    own = 1 / power_near(np.abs(G).max(axis=1, initial=0.0))[:, None]
-    L = system.C / own[:, 0]
+    scales = 1 / power_near(np.abs(G).max(axis=1, initial=0.0))[:, None]
+    L = system.C / scales[:, 0]
     w = np.geomspace(1e-3, 3.0, 7) if plant.is_discrete else np.geomspace(1e-3, 1e2, 7)
-    resolvent = Resolvent.of(own * system.A / own[:, 0] / units.rate, None)
-    states = resolvent(own * G, np.asarray(np.exp(1j * w) if plant.is_discrete else 1j * w, dtype=complex))
+    resolvent = Resolvent.of(scales * system.A / scales[:, 0] / units.rate, None)
+    states = resolvent(scales * G, np.asarray(np.exp(1j * w) if plant.is_discrete else 1j * w, dtype=complex))
     response = np.abs(L @ states + system.D[:, n_u:] / units.outputs)
     made_of = np.abs(L) @ np.abs(states) + terms / units.outputs
     return np.any(response > _NO_TERM * made_of.max(axis=2, keepdims=True, initial=0.0), axis=(0, 2))

@@ -224,14 +224,14 @@ class ResidualGenerator:
             Inputs are the faults, disturbances and noise of the plant. The states that the residual does
             not see are removed, so that an unstable plant is no obstacle.
         """
-        own = plant is None or plant is self.plant
-        if own and not controls:
+        same = plant is None or plant is self.plant
+        if same and not controls:
             return self._internal_form
         plant = self.plant if plant is None else plant
         leaks = [self.evidence.decoupling.get(name, 0.0) for name in ("control", *of_sampling({"control": 0.0}))]
-        if own and self.known_form is not None and max(leaks) < LEAK:
+        if same and self.known_form is not None and max(leaks) < LEAK:
             return with_silent_inputs(self.known_form, plant.inputs)
-        maps = (self.state_map, self.static_map) if own else (None, None)
+        maps = (self.state_map, self.static_map) if same else (None, None)
         return internal_form(self.system, plant, *maps, with_controls=controls)
 
     @cached_property
@@ -378,14 +378,14 @@ class ResidualGenerator:
         ----------
         Gertler (1991), section 3.5.
         """
-        made = self.to_parity().with_poles(poles)
+        generator = self.to_parity().with_poles(poles)
         old = self.evidence
-        evidence = made.evidence.extended(
-            ranks=dict(old.ranks), references=tuple({*made.evidence.references, *old.references})
+        evidence = generator.evidence.extended(
+            ranks=dict(old.ranks), references=tuple({*generator.evidence.references, *old.references})
         )
         kept = [note for note in old.notes if self.relations is not None and "digits" not in note]
-        evidence = replace(evidence, notes=tuple(dict.fromkeys([*kept, *made.evidence.notes])))
-        return replace(made, method=self.method, evidence=evidence, codes=self.codes, members=self.members)
+        evidence = replace(evidence, notes=tuple(dict.fromkeys([*kept, *generator.evidence.notes])))
+        return replace(generator, method=self.method, evidence=evidence, codes=self.codes, members=self.members)
 
     def equivalent_to(self, other: ResidualGenerator) -> Equivalence:
         """Compare with another generator: the same up to poles and scale, or another transformation.
@@ -459,8 +459,8 @@ def make_generator(
         raise AccuracyError(f"the filter is not stable: poles {', '.join(map(format_pole, system.poles()))}")
     if state_map is None and isinstance(decouples, Decoupled):
         system, state_map, static_map = state_map_of(system, plant)
-    said = {"", *evidence.conditions, *evidence.decoupling}
-    if isinstance(decouples, Approximate) and decouples.entry not in said:
+    entries = {"", *evidence.conditions, *evidence.decoupling}
+    if isinstance(decouples, Approximate) and decouples.entry not in entries:
         raise TypeError(f"an approximate design must say how far inputs reach its residual: no {decouples.entry!r}")
     f = None if state_map is None else BalancedFilter.of(system, plant, state_map, static_map)
     leaks, measured = decouples.leaks(f)
@@ -580,7 +580,7 @@ def as_generator(design: Any) -> ResidualGenerator:
     )
 
 
-def for_monitor(made: Any) -> Any:
+def for_monitor(design: Any) -> Any:
     """Return the part of a design that a monitor takes.
 
     What makes a generator makes it, and its evidence says which members do not exist; what has one, such as matched
@@ -591,13 +591,13 @@ def for_monitor(made: Any) -> Any:
     ModelError
         If it is, has and makes no generator.
     """
-    if isinstance(made, ResidualGenerator):
-        return made
-    if isinstance(made, Watcher):
-        generator = made.residual_generator()
-        missing = made.failures if isinstance(made, PartialDesign) else {}
+    if isinstance(design, ResidualGenerator):
+        return design
+    if isinstance(design, Watcher):
+        generator = design.residual_generator()
+        missing = design.failures if isinstance(design, PartialDesign) else {}
         notes = tuple(f"no member {name!r}: {reason}" for name, reason in missing.items())
         return replace(generator, evidence=generator.evidence.extended(notes=notes)) if notes else generator
-    if isinstance(made, Design):
-        return made
-    raise ModelError(f"no monitor can take {type(made).__name__}: it is, has and makes no residual generator")
+    if isinstance(design, Design):
+        return design
+    raise ModelError(f"no monitor can take {type(design).__name__}: it is, has and makes no residual generator")

@@ -161,19 +161,19 @@ def sampled_form(
     """
     n_u, dt = len(plant.inputs), sampled.dt
     TE = T if plant.E is None else T @ plant.E
-    own = plant.system(()).explicit()
+    explicit = plant.system(()).explicit()
     G = system.B[:, n_u:]
     if hold == "linear":
-        TE = TE - exponentials(system.A, G, dt)[2] @ own.C  # the state that the sampled filter keeps is shifted
+        TE = TE - exponentials(system.A, G, dt)[2] @ explicit.C  # the state that the sampled filter keeps is shifted
     p = sampled_plant.system(("fault", "disturbance", "noise"))
     through, direct = sampled.B[:, n_u:], sampled.D[:, n_u:]
     B = above_rounding(TE @ p.B - through @ p.D, np.abs(TE) @ np.abs(p.B) + np.abs(through) @ np.abs(p.D))
     order = 2 if hold == "linear" else 1
-    bend, terms = own.C, np.abs(own.C)  # the first derivative of the outputs that their hold misses
+    bend, terms = explicit.C, np.abs(explicit.C)  # the first derivative of the outputs that their hold misses
     for _ in range(order):
-        bend, terms = bend @ own.A, terms @ np.abs(own.A)
+        bend, terms = bend @ explicit.A, terms @ np.abs(explicit.A)
     bend = above_rounding(bend, terms)
-    seen = staircase(own.A, above_rounding(G @ bend, np.abs(G) @ terms))
+    seen = staircase(explicit.A, above_rounding(G @ bend, np.abs(G) @ terms))
     Q = seen.Q[:, : seen.n_observable]
     A = Q.T @ seen.A @ Q
     driven = _between(system.A, G, A, bend * seen.states @ Q, order, dt)

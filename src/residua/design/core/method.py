@@ -137,7 +137,7 @@ class Method:
     calls: Calls = field(default=one_call, repr=False)
 
     def with_chosen(
-        self, plant: Plant, asked: Mapping[str, Any], made: dict[Chosen, Any], seconds: float
+        self, plant: Plant, asked: Mapping[str, Any], known: dict[Chosen, Any], seconds: float
     ) -> dict[str, Any]:
         """Return arguments with those that are made from the plant, where they are not among them.
 
@@ -146,9 +146,9 @@ class Method:
         arguments = dict(asked)
         for name, one in self.chosen.items():
             if name not in arguments:
-                if one not in made:
-                    made[one] = one.make(plant, seconds)
-                arguments[name] = made[one]
+                if one not in known:
+                    known[one] = one.make(plant, seconds)
+                arguments[name] = known[one]
         return arguments
 
     @property
@@ -192,8 +192,8 @@ class Method:
     @property
     def called(self) -> str:
         """Its call in a line of code."""
-        own = self.function.__module__.split(".")[0] == __name__.split(".")[0]
-        return f"rs.design.{self.name}" if own else self.name
+        ours = self.function.__module__.split(".")[0] == __name__.split(".")[0]
+        return f"rs.design.{self.name}" if ours else self.name
 
     @property
     def place(self) -> tuple[Any, ...]:
@@ -215,12 +215,12 @@ class Method:
 METHODS: dict[str, Method] = {}
 
 
-def check_design(record: Method, made: object) -> None:
+def check_design(record: Method, design: object) -> None:
     """Raise for a result of a method that cannot be a design: it is, has and makes nothing that runs."""
-    if isinstance(made, Mapping) or any(hasattr(made, one) for one in _RUNS):
+    if isinstance(design, Mapping) or any(hasattr(design, one) for one in _RUNS):
         return
     raise ModelError(
-        f"{record.name} returned {type(made).__name__}, which is no design: it is, has and makes nothing that runs"
+        f"{record.name} returned {type(design).__name__}, which is no design: it is, has and makes nothing that runs"
     )
 
 

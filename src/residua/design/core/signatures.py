@@ -138,16 +138,16 @@ def signatures_of(
         values, sizes = responses.values[:, :, i], responses.sizes[:, :, i]
         # each residual as this fault moves it: others may move it millions of times further at low frequencies; a
         # design misses the direction that it aims at by a little of the terms, hence the bound
-        own = np.where(reached[:, i], np.maximum(np.abs(values), _LEAST_ANSWER * sizes).max(axis=0), units)
-        columns = _unit_columns(values.T / own[:, None])
+        heights = np.where(reached[:, i], np.maximum(np.abs(values), _LEAST_ANSWER * sizes).max(axis=0), units)
+        columns = _unit_columns(values.T / heights[:, None])
         if columns.shape[1] == 0:
-            bases[name] = np.zeros((len(own), 0))
+            bases[name] = np.zeros((len(heights), 0))
             continue
         spanning = np.ones((1, 1))
-        if len(own) > 1:
+        if len(heights) > 1:
             U, s, _ = np.linalg.svd(np.concatenate([columns.real, columns.imag], axis=1), full_matrices=False)
             spanning = U[:, : _dimension(s, rtol)]
-        basis = np.linalg.qr((own / responses.residuals)[:, None] * spanning)[0]
+        basis = np.linalg.qr((heights / responses.residuals)[:, None] * spanning)[0]
         if basis.shape[1] == 1 and basis[:, 0] @ first_response(responses, i) < 0:
             basis = -basis
         basis = np.where(reached[:, i, None], basis, 0.0)
@@ -242,8 +242,10 @@ def steady_responses(form: StateSpace) -> NDArray[np.float64]:
     gain, terms = C @ X + D, np.abs(C) @ np.abs(X) + np.abs(D)
     rounding = np.abs(C) @ (np.abs(inverse) @ (np.abs(M) @ (np.abs(inverse) @ np.abs(B))))  # of the inverse itself
     sizes = np.maximum(np.abs(B).max(axis=0, initial=0.0), np.abs(D).max(axis=0, initial=0.0))
-    own = np.abs(gain) / np.where(sizes > 0, sizes, 1.0)
-    left = own > 1e-15 * own.max(axis=1, keepdims=True, initial=0.0)  # a direct term may be rounding of its row
+    relative = np.abs(gain) / np.where(sizes > 0, sizes, 1.0)
+    left = relative > 1e-15 * relative.max(
+        axis=1, keepdims=True, initial=0.0
+    )  # a direct term may be rounding of its row
     return np.where(left & (np.abs(gain) > 1e-10 * terms + 1e-13 * rounding), gain, 0.0)
 
 

@@ -265,9 +265,9 @@ def _directional_filters(
     ideal = _scalar_gain(pair, poles, margin)
     groups, gains = partition(pair, events, hidden) if ideal is None else ([events], [ideal])
     for k, group in enumerate(groups if ideal is None and (poles is not None or margin is not None) else ()):
-        own = {name for event in group for name in event.faults} | {"rest"}
-        mine = {name: poles[name] for name in poles if name in own} if isinstance(poles, Mapping) else poles
-        gains[k] = block_gain(pair, group, hidden, mine, margin)
+        names = {name for event in group for name in event.faults} | {"rest"}
+        share = {name: poles[name] for name in poles if name in names} if isinstance(poles, Mapping) else poles
+        gains[k] = block_gain(pair, group, hidden, share, margin)
     if len(groups) > 1:
         notes.append(f"{len(groups)} filters: one cannot keep all faults apart")
     near = [one for event in events for one in event.space.decisions if not one.is_clear]

@@ -343,8 +343,8 @@ def _right_gain(
     named = set(poles or {}) if poles is None or isinstance(poles, Mapping) else None
     chains = [event for event in events if event.faults[-1] != "ignored"]
     if named is not None:
-        own = {e.faults[0]: [first] * e.space.dimension for e in chains if not set(e.faults) & named}
-        poles = {**(poles or {}), **own}
+        defaults = {e.faults[0]: [first] * e.space.dimension for e in chains if not set(e.faults) & named}
+        poles = {**(poles or {}), **defaults}
     return block_gain(pair, events, None, poles, margin)
 
 
@@ -452,17 +452,17 @@ def _generator(
     system = plant_filter(plant, units.rate * T * units.states @ F @ pair.M @ V, T, T @ observer.K, C, W, None, names)
     faults = tuple(name for name in plant.faults if name in parts.names)
     decouples = Decoupled(faults=faults, apart=True) if exact else Decoupled(disturbances=False)
-    made = make_generator(system, plant, method, evidence, decouples=decouples, state_map=T, observer=observer)
-    leaks = made.evidence.decoupling
-    own = {name: gain for name, gain in leaks.items() if name != IGNORED}
-    observer = replace(observer, evidence=evidence.extended(decoupling=own))
+    generator = make_generator(system, plant, method, evidence, decouples=decouples, state_map=T, observer=observer)
+    leaks = generator.evidence.decoupling
+    decoupling = {name: gain for name, gain in leaks.items() if name != IGNORED}
+    observer = replace(observer, evidence=evidence.extended(decoupling=decoupling))
     more = {IGNORED: leaks["disturbance"]} if exact and not faults and "disturbance" in leaks else {}
     if not exact:  # the peak gain of each ignored input over frequency, beside the largest of a fault that is seen
-        form = made.internal_form()
+        form = generator.internal_form()
         peaks = {
             name: hinf_norm(form.A, form.B[:, [i]], form.C, form.D[:, [i]], form.dt).value
             for i, name in enumerate((*plant.faults, *plant.disturbances))
         }
         largest = max((peaks[name] for name in plant.faults if name not in parts.names), default=0.0)
         more = {f"{name}, leaking": float(peaks[name] / largest) if largest else np.inf for name in parts.names}
-    return replace(made, observer=observer, evidence=made.evidence.extended(decoupling=more))
+    return replace(generator, observer=observer, evidence=generator.evidence.extended(decoupling=more))

@@ -315,8 +315,8 @@ def fault_estimator(
         },
     )
     maps = {"state_map": T, "static_map": V if plant.E is not None else None}
-    made = make_generator(system, plant, _METHOD, evidence, decouples=Decoupled(), estimated=names, **maps)
-    generator = replace(made, evidence=_with_noise(made.evidence, plant, system, form, lag))
+    generator = make_generator(system, plant, _METHOD, evidence, decouples=Decoupled(), estimated=names, **maps)
+    generator = replace(generator, evidence=_with_noise(generator.evidence, plant, system, form, lag))
     return FaultEstimator(plant, names, observer, system, lag, generator)
 
 
@@ -447,15 +447,15 @@ def _realised(
         delta = np.where(late, 0.0, np.where(on, epsilon, 1.0))
     else:
         alpha, beta, gamma, delta, epsilon = -rate, rate, -(rate**2), np.where(on, 0.0, 1.0), rate
-    own = np.flatnonzero(filtered)
-    k = len(own)
-    T, V = np.vstack([observer.T, -(beta * P)[own]]), delta * P
+    lagging = np.flatnonzero(filtered)
+    k = len(lagging)
+    T, V = np.vstack([observer.T, -(beta * P)[lagging]]), delta * P
     system = plant_filter(
         plant,
-        np.block([[observer.F, np.zeros((observer.order, k))], [(beta * r_z)[own], alpha * np.eye(k)]]),
+        np.block([[observer.F, np.zeros((observer.order, k))], [(beta * r_z)[lagging], alpha * np.eye(k)]]),
         T,
-        np.vstack([observer.K, (beta * R + gamma * L_d)[own]]),
-        np.hstack([delta * r_z, np.eye(len(names))[:, own]]),
+        np.vstack([observer.K, (beta * R + gamma * L_d)[lagging]]),
+        np.hstack([delta * r_z, np.eye(len(names))[:, lagging]]),
         delta * R + epsilon * L_d,
         V,
         [f"estimate {name}" for name in names],

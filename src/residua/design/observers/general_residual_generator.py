@@ -312,8 +312,8 @@ def _of_gain(plant: Plant, gain: ArrayLike, weight: ArrayLike | None) -> Residua
     F = plant.A - K @ plant.C
     _require_stable(F, plant.dt, "A - K C")
     evidence = Evidence(method="observer with a given gain", poles=explicit_poles(F), references=(REFERENCE,))
-    made = Observer(plant, F, np.eye(n), K, np.eye(n), np.zeros((n, p)), S, evidence.method, False, evidence)
-    return made.residual_generator()
+    observer = Observer(plant, F, np.eye(n), K, np.eye(n), np.zeros((n, p)), S, evidence.method, False, evidence)
+    return observer.residual_generator()
 
 
 def _of_matrices(plant: Plant, entries: dict[str, Any], decouples: bool) -> ResidualGenerator:
@@ -359,13 +359,13 @@ def _of_matrices(plant: Plant, entries: dict[str, Any], decouples: bool) -> Resi
     return make_generator(system, plant, method, evidence, decouples=promise, state_map=T, static_map=V)
 
 
-def _decoupling_as_asked(made: ResidualGenerator, decouples: bool | None) -> ResidualGenerator:
+def _decoupling_as_asked(generator: ResidualGenerator, decouples: bool | None) -> ResidualGenerator:
     """Return a generator, after checking that it ignores the disturbances where that is asked."""
-    p = made.plant
+    p = generator.plant
     if not decouples or not p.disturbances:
-        return made
-    assert made.state_map is not None  # every observer has one
-    found = leak(made.system, p, made.state_map, made.static_map)
+        return generator
+    assert generator.state_map is not None  # every observer has one
+    found = leak(generator.system, p, generator.state_map, generator.static_map)
     gain = float(found.gains[:, len(p.inputs) :].max())
     if gain > LEAK:
         raise DesignError(
@@ -373,7 +373,7 @@ def _decoupling_as_asked(made: ResidualGenerator, decouples: bool | None) -> Res
             f"reach it by {gain:.2g} of the terms that would have to cancel (allowed: {LEAK:.0e}); leave decouples out "
             "to take it as it is, or have one designed, as by unknown_input_observer or decoupled_residual"
         )
-    return replace(made, evidence=made.evidence.extended(decoupling={"disturbance": gain}))
+    return replace(generator, evidence=generator.evidence.extended(decoupling={"disturbance": gain}))
 
 
 def _require_stable(F: NDArray, dt: float, name: str) -> None:

@@ -383,7 +383,7 @@ def perfect_observer(
         gain = full_rank_gain(pencil, seed)
     columns = pencil.columns[:, None]
     G = columns * gain.G * pencil.rows
-    made = PerfectObserver(
+    observer = PerfectObserver(
         plant,
         tuple(plant.outputs[i] for i in rows),
         G[:, :n],
@@ -397,8 +397,8 @@ def perfect_observer(
         pencil.left * pencil.rows if least_order else np.eye(len(rows)) * (pencil.rows[n:] if q else 1.0),
     )
     if q or least_order:
-        made = replace(made, left=_reduced_rows(made))
-    return replace(made, evidence=_evidence(made))
+        observer = replace(observer, left=_reduced_rows(observer))
+    return replace(observer, evidence=_evidence(observer))
 
 
 def _check_existence(plant: Plant, rows: list[int]) -> None:

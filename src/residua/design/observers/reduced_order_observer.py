@@ -208,8 +208,8 @@ def _designed(
     process = q.N @ default_weights(model)[0] @ q.N.T
     gain = pair_gain(model, A22, A12, (V2.T @ process @ V2, V1.T @ process @ V1), *asked(model.plant, poles, margin))
     L = gain.K
-    own, down = A22 - L @ A12, V2.T - L @ V1.T
-    K = without_rounding((own @ L + A21 - L @ A11) @ reading + down @ q.J)
+    dynamics, down = A22 - L @ A12, V2.T - L @ V1.T
+    K = without_rounding((dynamics @ L + A21 - L @ A11) @ reading + down @ q.J)
     known, whole = q.known[0], V1 + V2 @ L
     out = without_rounding(q.P - q.R @ known @ q.C)
     H = out @ whole @ reading + q.R @ known
@@ -228,7 +228,7 @@ def _designed(
     K, H, algebra = K @ rows, H @ rows, model.algebra
     return plant_observer(
         model,
-        own,
+        dynamics,
         without_rounding(down @ q.N @ model.derivative - K[:, p:] @ algebra),
         K[:, :p],
         left / largest(left),
