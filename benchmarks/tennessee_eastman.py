@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 import residua as rs
 from residua.decide import NormThreshold
-from residua.design.core.brought import DesignWithTest
+from residua.design.core.generator import DesignWithTest
 
 OUTPUT = Path(__file__).resolve().parent.parent / "docs" / "data" / "tennessee_eastman.csv"
 HEADER = ["monitor", "false alarms", "missed, 18 faults", "missed, 21 faults"]

@@ -33,7 +33,7 @@ class NoFilterError(Exception):
 
 def verdict(name: str, plant: rs.Plant) -> str:
     """Return whether the filters of a design work on a plant: works, leaks, none; empty where there is no textbook."""
-    from residua.design.core.leak import leak  # an older source, whose speed is compared, has none
+    from residua.design.core.decoupling import leak  # an older source, whose speed is compared, has none
     from residua.tolerances import LEAK
 
     if name not in FILTERS:

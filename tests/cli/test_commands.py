@@ -14,8 +14,8 @@ import residua as rs
 from cli_examples import DISTURBED, PLANT, Residua, assert_error, simulate, write_csv
 from residua.cli.guard import in_cli_words
 from residua.cli.option_types import parse_poles
-from residua.design.core.brought import for_monitor
 from residua.design.core.evidence import format_pole
+from residua.design.core.generator import for_monitor
 
 # ------------------------------------------------------------------ the whole way
 

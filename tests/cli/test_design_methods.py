@@ -27,8 +27,7 @@ from residua.cli.option_types import (
     parse_whole,
 )
 from residua.design.catalogue import methods as registered
-from residua.design.core.method import METHODS
-from residua.design.core.options import Option
+from residua.design.core.method import METHODS, Option
 from residua.errors import SettingError
 
 OFFERED = methods.offered()

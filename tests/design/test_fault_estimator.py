@@ -312,3 +312,21 @@ def test_a_plant_without_such_an_observer_is_refused_whatever_the_poles() -> Non
     plant = rs.library.gertler().with_sensor_faults()
     with pytest.raises(DesignError, match=r"no observer of the state ignores p1, p2, .*estimate fewer faults at once"):
         fault_estimator(plant, poles=[0.2])
+
+
+def test_as_many_faults_as_outputs_are_estimated_past_fixed_poles() -> None:
+    """An inverse of the plant: its zero is a fixed pole, and the estimate converges though no residual is left."""
+    plant = rs.Plant([[-1, 1], [1, -3]], [[1], [0]], [[1, 0]]).with_faults({"leak": [1, 0]})
+    estimator = fault_estimator(plant)
+    np.testing.assert_allclose(estimator.observer.evidence.fixed_poles, -3)
+    time = np.arange(0, 12, 0.01)
+    y = plant.system("fault").discretize(0.01).simulate(np.ones((len(time), 1)), x0=[0.3, -0.5])
+    estimate = estimator.estimate(np.zeros((len(time), 1)), y, dt=0.01)
+    np.testing.assert_allclose(estimate[-100:], 1, atol=1e-6)
+
+
+def test_an_estimate_that_no_measurement_corrects_is_refused() -> None:
+    plant = rs.Plant([[-1, 1], [1, -3]], [[1], [0]], [[1, 0], [0, 1]]).with_sensor_faults()
+    with pytest.raises(DesignError, match=r"no pole of an estimate that ignores .* is free"):
+        fault_estimator(plant)
+    fault_estimator(plant, faults=plant.faults[:1])

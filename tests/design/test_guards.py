@@ -20,7 +20,7 @@ from residua.design.banks.bank import Wanted, check_promise
 from residua.design.core.decoupling import Approximate, Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import make_generator
-from residua.design.core.responses import state_covariance
+from residua.design.core.internal_form import state_covariance
 from residua.design.observers.observer import with_checked_estimate
 from residua.design.observers.perfect_observer import perfect_observer
 from residua.design.parity.conversion import to_parity
@@ -249,16 +249,16 @@ def test_an_estimate_that_is_off_is_refused(design: Callable[[rs.Plant], Any]) -
         with_checked_estimate(replace(observer, K=off(observer.K)))
 
 
-@trips("design.core.responses:state_covariance:2")
+@trips("design.core.internal_form:state_covariance:2")
 def test_a_covariance_that_misses_its_equation_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     A, Q = np.diag([0.5, 0.2]), np.eye(2)
     np.testing.assert_allclose(state_covariance(A, Q), np.diag([4 / 3, 1 / 0.96]), rtol=1e-12)
-    changed(monkeypatch, "design.core.responses:np.linalg.norm", lambda value: 1.0)
+    changed(monkeypatch, "design.core.internal_form:np.linalg.norm", lambda value: 1.0)
     with pytest.raises(AccuracyError, match="misses its equation"):
         state_covariance(A, Q)
 
 
-@trips("design.core.responses:state_covariance:1")
+@trips("design.core.internal_form:state_covariance:1")
 @pytest.mark.parametrize("pole", [1.0, -1.0, 1.5])
 def test_what_does_not_settle_has_no_covariance(pole: float) -> None:
     with pytest.raises(AccuracyError, match="does not settle"):

@@ -19,11 +19,10 @@ from exact_arithmetic import exact_leaks, normal_rank, reaches
 from guards import trips
 from refusals import Refused
 from residua.design.core.balanced_filter import BalancedFilter
-from residua.design.core.decoupling import Decoupled
+from residua.design.core.decoupling import Decoupled, leak, reached
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import make_generator
 from residua.design.core.internal_form import frequency_grid
-from residua.design.core.leak import leak, reached
 from residua.errors import AccuracyError, ResiduaError
 from residua.testing import check_residual_generator
 from scaled_plants import KINDS, numbers

@@ -17,9 +17,8 @@ import pytest
 import residua as rs
 from residua.cli import main
 from residua.design import catalogue
-from residua.design.core.brought import as_generator, brings_a_generator, for_monitor
-from residua.design.core.method import METHODS, Need, method
-from residua.design.core.options import parameters_in, signature_of
+from residua.design.core.generator import as_generator, brings_a_generator, for_monitor
+from residua.design.core.method import METHODS, Need, method, parameters_in, signature_of
 from residua.errors import ModelError, SettingError
 
 FUNCTIONS = {name: f for name in rs.design.__all__ if inspect.isfunction(f := getattr(rs.design, name))}

@@ -8,8 +8,8 @@ import scipy.linalg
 
 import residua as rs
 from generated import random_plant, singular_plant
-from residua.design.core.leak import leak
-from residua.design.core.state_map import state_map_of
+from residua.design.core.balanced_filter import state_map_of
+from residua.design.core.decoupling import leak
 from residua.design.observers.perfect_observer import differential_filter
 
 

@@ -16,7 +16,7 @@ from generated import random_plant, singular_plant
 from guards import trips
 from refusals import Refused
 from residua.design import catalogue, ranking, suggestion
-from residua.design.core.brought import as_generator, brings_a_generator, for_monitor
+from residua.design.core.generator import as_generator, brings_a_generator, for_monitor
 from residua.design.core.method import method
 from residua.design.lasting_faults import RATE, WINDOW, lasting_faults
 from residua.errors import AccuracyError, DesignError, ModelError, SettingError

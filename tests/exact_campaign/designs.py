@@ -10,6 +10,7 @@ import numpy as np
 import residua as rs
 from exact import questions
 from exact.matrices import block, rank
+from exact.pencils import zero_polynomial
 from exact.plants import ExactPlant
 from exact.stability import distance_to_boundary
 from exact_campaign.answers import Record, Subject
@@ -306,8 +307,19 @@ def _estimators(subject: Subject) -> None:
 
 
 def _corrected(X: ExactPlant, chosen: Sequence[int]) -> bool:
-    """Tell whether an estimate that ignores faults has a pole that is free, or no pole: else nothing corrects it."""
-    return sum(questions.residual_indices(X, chosen)) > 0 or questions.fixed_polynomial(X, chosen).degree() == 0
+    r"""Tell whether a measurement corrects an estimate that ignores faults, or there is no pole to correct.
+
+    The fixed poles of the error are the invariant zeros of the pencil with disturbances and ignored faults. Where the
+    pencil has full column rank these are at most as many as the poles of the plant, :math:`\deg\det(sE - A)`. Where
+    they are as many, its Kronecker form has no row index above zero and no infinite zero of higher order: the unknown
+    inputs enter the outputs at once, and no output that they leave sees the state. Sueur's observer for the faults of
+    all sensors is this case, whose fixed poles are the eigenvalues of ``A``. Where they are fewer, measurements enter
+    the estimate; all poles that are not zeros are of choice, and with stable zeros the estimate converges to the fault.
+    That some residual ignores the faults (a row index above zero) is no condition: an estimate of as many faults as
+    there are outputs is an inverse of the plant.
+    """
+    fixed = questions.fixed_polynomial(X, chosen).degree()
+    return fixed == 0 or fixed < zero_polynomial((X.A, -X.E)).degree()
 
 
 def _independent(X: ExactPlant, chosen: Sequence[int]) -> bool:

@@ -11,6 +11,7 @@ from exact_campaign.answers import FAILURES, Record, Subject, without_numbers
 from exact_campaign.cases import Case, Units, base_units, in_other_time, literal, units
 from exact_campaign.designs import designs
 from exact_campaign.kinds import case_of
+from residua.tolerances import LEAK
 
 #: Evidence below this is rounding whatever its factor: a filter is refused from a millionth on.
 _ROUNDING = 1e-8
@@ -105,7 +106,9 @@ def _compare(base: Record, other: Record) -> None:
         return
     if bool(a.refused) != bool(b.refused):
         text = f"in base units: {a.refused[:150] or 'made'}; in others: {b.refused[:150] or 'made'}"
-        other.problem("units", "units: refusal", text)
+        accepted, refused = (b, a) if a.refused else (a, b)
+        close = refused.accuracy and _hardly_accurate(accepted.made)
+        other.problem("close" if close else "units", "units: refusal", text)
         return
     if a.refused and without_numbers(a.refused) != without_numbers(b.refused):
         other.problem("units", "units: reason", f"{a.refused[:250]} || {b.refused[:250]}")
@@ -116,6 +119,15 @@ def _compare(base: Record, other: Record) -> None:
         least, most = sorted((value, other.evidence.get(key, value)))
         if most > _FACTOR * max(least, _ROUNDING):
             other.problem("units", "units: evidence", f"{key}: {value:.2e} || {other.evidence[key]:.2e}")
+
+
+def _hardly_accurate(design: Any) -> bool:
+    """Tell whether the evidence of a design would fail its check if it grew with the units as far as it may."""
+    found = getattr(getattr(design, "generator", design), "evidence", None)
+    if found is None:
+        return False
+    errors = [*found.decoupling.values(), found.conditions.get("estimate off the state", 0.0)]
+    return max(errors) * _FACTOR > LEAK
 
 
 def masked(value: Any) -> Any:

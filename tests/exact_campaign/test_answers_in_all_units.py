@@ -18,7 +18,7 @@ from exact_campaign import designs
 from exact_campaign.answers import Subject
 from exact_campaign.cases import base_units, plant_of, units
 from exact_campaign.kinds import case_of
-from residua.design.core.leak import leak
+from residua.design.core.decoupling import leak
 from residua.errors import DesignError
 from residua.plant import Plant
 

@@ -259,6 +259,25 @@ EARLIER = [
     # the campaign asked for estimates of faults of which no pole is free
     ("repeated poles", 50005, designs._estimators),
     ("singular E", 50039, designs._estimators),
+    # and of estimates of as many faults as outputs, whose fixed poles are stable, that a residual stands beside them
+    ("hidden modes", 51006, designs._estimators),
+    ("oscillators", 52009, designs._estimators),
+    # states of an estimator that cancel left of a fault that no output sees what rounding made of them
+    ("hidden modes", 52008, designs._estimators),
+    # a chain of integrators was looked at, and its filter given poles, at what rounding leaves of its poles at zero
+    ("repeated poles", 52008, designs._filters),
+    # a leak was judged by the largest response of an output at one frequency times that of the filter at another
+    ("integrators", 52029, designs._parity),
+    # a plant had a pole where its perfect observer was checked
+    ("repeated poles", 52015, designs._perfect),
+    # of an observer without states the error of an identity was divided by the size of its terms, which was zero
+    ("sparse", 52035, designs._estimators),
+    # the basis of rows that pivots were chosen by was not orthonormal, and came of the units
+    ("more outputs than states", 52003, designs._filters),
+    # a residual read a sensor that a fault hides by what rounding left of the estimate
+    ("singular E", 52006, designs._scheme_banks),
+    # T was what rounding left of H times C, and scaled up
+    ("stiff", 52002, designs._estimators),
     # a relation of one output of a stiff plant was said to be one order shorter than the shortest
     ("stiff", 31267, designs._parity),
 ]

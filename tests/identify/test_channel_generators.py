@@ -14,7 +14,7 @@ import scipy.optimize
 import residua as rs
 from recorded_examples import diagnosed, recorded
 from residua.decide import Directional, NormThreshold
-from residua.design.core.brought import DesignWithTest
+from residua.design.core.generator import DesignWithTest
 from residua.errors import DataError, ModelError, SettingError
 from residua.report.contributions import channels_by_reconstruction
 from residua.testing import check_residual_generator

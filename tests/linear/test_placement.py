@@ -13,6 +13,7 @@ from guards import trips
 from residua.errors import AccuracyError, DesignError, ModelError
 from residua.linear import detectability
 from residua.linear.poles.placement import default_margin, place_observer_margin, place_observer_poles
+from residua.linear.poles.spectrum import balanced_rate
 
 
 def pair(seed, n, p, k=None, dt=0.0, units=False):
@@ -163,6 +164,15 @@ def test_default_margin():
     assert default_margin(np.zeros((2, 2))) == 1
     assert default_margin(np.zeros((0, 0))) == 1
     assert default_margin(np.diag([0.0, 1.0]), 0.1) == pytest.approx(1)
+
+
+def test_integrators_that_rounding_has_moved_have_no_rate():
+    S = np.random.default_rng(0).normal(size=(5, 5))
+    for chain in range(2, 6):  # with a pole at -2 beside it for all but the last
+        M = np.diag(np.ones(chain - 1), 1)
+        A = np.linalg.solve(S, scipy.linalg.block_diag(M, -2 * np.eye(5 - chain)) @ S)
+        assert balanced_rate(A, sampled=False) == pytest.approx(2 if chain < 5 else 1)
+    assert balanced_rate(A + np.eye(5), sampled=True) == pytest.approx(0.1)
 
 
 def test_margin_on_slicot_benchmarks(shared_data):

@@ -13,7 +13,7 @@ import residua as rs
 from bank_examples import hand_made_bank, recording, sampled_plant, static_estimator, with_gaps
 from residua.decide import Directional, NormThreshold, Structured
 from residua.decide.sizes import estimates_of, fault_unit
-from residua.design.core.leak import reached
+from residua.design.core.decoupling import reached
 from residua.errors import ModelError, SettingError
 from residua.monitor.specification import with_estimator
 

@@ -10,7 +10,7 @@ import pytest
 
 import residua as rs
 from residua.decide import Directional, Matched, NormThreshold, PeakThreshold, Structured
-from residua.design.core.responses import covariance_of_sums, state_covariance
+from residua.design.core.internal_form import covariance_of_sums, state_covariance
 from residua.errors import SettingError
 from residua.linear import StateSpace
 from running_examples import plant, recording

@@ -1,4 +1,4 @@
-"""What can be detected and isolated, before any design."""
+"""Detectability and isolability of faults, before any design."""
 
 from typing import TYPE_CHECKING
 

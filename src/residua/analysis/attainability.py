@@ -1,4 +1,4 @@
-"""Which rows of a structure any residual can have, and why not the others."""
+"""Attainable rows of a structure, and the reasons against the others."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MOST_ROWS = 5000
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Attainability(Shown):
-    """Which rows of a structure are attainable: by some residual that answers to the ones and ignores the zeros.
+    """Attainable rows of a structure: some residual answers to their ones and ignores their zeros.
 
     Prints as a table.
 
@@ -52,7 +52,7 @@ class Attainability(Shown):
     constant: bool = False
 
     def __bool__(self) -> bool:
-        """Whether all rows are attainable."""
+        """True if all rows are attainable."""
         return bool(self.attainable.all())
 
     @property
@@ -81,7 +81,7 @@ def attainable(
     constant: bool = False,
     most: int = MOST_ROWS,
 ) -> Attainability:
-    r"""Tell which rows of a structure are attainable, or list all that are.
+    r"""Test rows of a structure for attainability, or list all that are attainable.
 
     A row is attainable when for every fault ``i`` that it answers to
 
@@ -204,7 +204,7 @@ def _listed(space: FaultSpace, faults: list[int] | tuple[int, ...]) -> str:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MutualIsolability(Shown):
-    """Which pairs of faults some residual tells apart, in both directions.
+    """Pairs of faults that some residual tells apart, in both directions.
 
     Prints as a table.
 
@@ -225,7 +225,7 @@ class MutualIsolability(Shown):
     reasons: dict[str, str]
 
     def __bool__(self) -> bool:
-        """Whether all pairs are mutually isolable."""
+        """True if all pairs are mutually isolable."""
         return not self.reasons
 
     def __str__(self) -> str:
@@ -238,7 +238,7 @@ class MutualIsolability(Shown):
 
 
 def mutually_isolable(plant: Plant) -> MutualIsolability:
-    r"""Tell which pairs of faults residuals can separate, whatever the method.
+    r"""Find the pairs of faults that residuals can separate, whatever the method.
 
     Two faults are not mutually isolable when their columns :math:`g_i, g_j`, after the disturbances are divided out,
     are dependent over the polynomials, :math:`c_i(z) g_i(z) + c_j(z) g_j(z) = 0`: then no residual answers to one and

@@ -1,4 +1,4 @@
-"""Codes of faults, which residuals each of them fires: which are equal, and whether one is part of another."""
+"""Codes of faults, the residuals that each of them fires: equal ones, and one within another."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Coding sets: what they are worth, what is attainable for a plant, and the choice of a good one."""
+"""Coding sets: their quality, their attainability for a plant, and the choice of a good one."""
 
 from residua.analysis.attainability import Attainability, MutualIsolability, attainable, mutually_isolable
 from residua.analysis.coding_choice import choose

@@ -199,7 +199,7 @@ class ChoiceTask:
         return [(j, k) for j in range(n) for k in range(j + 1, n) if {j, k} & self.required]
 
     def cover(self, strong: bool) -> tuple[Cover, list[tuple[int, int]]]:
-        """Return what the chosen rows must do, and the pairs ``(j, k)`` for which the code of k stays part of j's."""
+        """Return the demands on the chosen rows, and the pairs ``(j, k)`` with the code of k a part of that of j."""
         R = self.rows
         demands, stuck = [R[:, j] for j in range(R.shape[1])], []
         for j, k in self.pairs():
@@ -216,7 +216,7 @@ class ChoiceTask:
 
 
 def _least(faults: int, strong: bool) -> int:
-    """Return the number of residuals below which there are not enough codes."""
+    """Return the least number of residuals with enough codes."""
     s = 1
     while (comb(s, s // 2) if strong else 2**s - 1) < faults:
         s += 1
@@ -226,7 +226,7 @@ def _least(faults: int, strong: bool) -> int:
 def _search(
     task: ChoiceTask, quality: str, max_residuals: int | None, share: Callable[[float], float], time_limit: float
 ) -> tuple[NDArray[np.int64], tuple[str, ...]]:
-    """Return the chosen rows in their order, and what to say about them.
+    """Return the chosen rows in their order, with remarks.
 
     Every program leaves some time to those that follow it, a ``share`` of the seconds that are left: a limit is met
     only after the step that reaches it.

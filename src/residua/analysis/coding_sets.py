@@ -1,4 +1,4 @@
-"""Coding sets: which residual answers to which fault, and how well the codes keep the faults apart."""
+"""Coding sets: the faults that each residual answers to, and the distances between the codes of faults."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ NAMED = 6
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CodingSet(Shown):
-    """Which residual answers to which fault; the column of a fault is its code.
+    """Structure of a set of residuals; the column of a fault is its code.
 
     Prints as a table, with all that keeps the codes from isolating strongly.
 
@@ -85,7 +85,7 @@ class CodingSet(Shown):
 
     @property
     def quality(self) -> str:
-        """Whether the codes isolate: "none", "weak" or "strong"; see :func:`isolation_quality`."""
+        """Isolation by the codes: "none", "weak" or "strong"; see :func:`isolation_quality`."""
         return _quality(self.structure)
 
     @property
@@ -135,17 +135,17 @@ class CodingSet(Shown):
 
     @property
     def ones(self) -> NDArray[np.int64]:
-        """How many residuals answer to each fault."""
+        """Numbers of residuals that answer to each fault."""
         return self.structure.sum(axis=0)
 
     @property
     def zeros(self) -> NDArray[np.int64]:
-        """How many of the faults each residual ignores; inseparable ones count as one, undetectable ones not."""
+        """Numbers of faults that each residual ignores; inseparable ones count as one, undetectable ones not."""
         return np.asarray((~self.structure[:, self._apart]).sum(axis=1))
 
     @property
     def canonical(self) -> bool:
-        """Whether all codes have as many ones, and all residuals as many zeros, as any other."""
+        """True if all codes have the same number of ones, and all residuals the same number of zeros."""
         return len(set(self.ones[self._apart].tolist())) <= 1 and len(set(self.zeros.tolist())) <= 1
 
     @property
@@ -174,11 +174,11 @@ class CodingSet(Shown):
 
     def _verdict(self) -> str:
         words = {"none": "not isolating", "weak": "weakly isolating", "strong": "strongly isolating"}
-        own, possible = self.quality, self.quality_of_groups
-        return words[own] if own == possible else f"{words[possible]} what can be told apart"
+        quality, possible = self.quality, self.quality_of_groups
+        return words[quality] if quality == possible else f"{words[possible]} what can be told apart"
 
     def _defects(self) -> list[str]:
-        """Return what keeps the codes from isolating strongly, in words."""
+        """Return the obstacles to strong isolation, in words."""
         lines = []
         unseen = [name for name in self.undetected if name not in {*self.undetectable, *self.ignored}]
         lines += [f"ignored by all residuals: {', '.join(self.ignored)}"] if self.ignored else []
@@ -196,7 +196,7 @@ class CodingSet(Shown):
 
 
 class HasCodingSet(Protocol):
-    """What has a coding set, as the answer of :func:`attainable`: that of the attainable rows."""
+    """Answers with a coding set, such as that of :func:`attainable`: the attainable rows."""
 
     @property
     def coding_set(self) -> CodingSet:
@@ -278,7 +278,7 @@ def _plain(structure: Any) -> Any:
 
 
 def _quality(codes: NDArray[np.bool_]) -> str:
-    """Return what the columns are worth."""
+    """Return the quality of the columns."""
     if not codes.any(axis=0).all() or len(equal_codes(codes)) < codes.shape[1]:
         return "none"
     return "strong" if strongly_isolating(codes) else "weak"

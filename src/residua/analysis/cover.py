@@ -20,7 +20,7 @@ _SETUP, _SETUP_PER_ENTRY = 0.1, 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Cover:
-    """Rows to choose from, and what the chosen ones must do.
+    """Rows to choose from, and the demands on the chosen ones.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class Cover:
 
     @cached_property
     def differences(self) -> NDArray[np.bool_]:
-        """For each pair, the rows in which its columns differ."""
+        """Rows in which the columns of each pair differ."""
         first, second = [j for j, _ in self.pairs], [k for _, k in self.pairs]
         return (self.rows[:, first] != self.rows[:, second]).T
 
@@ -53,7 +53,7 @@ class Cover:
         return _SETUP + _SETUP_PER_ENTRY * self.demands.size
 
     def met(self, chosen: NDArray) -> bool:
-        """Whether chosen rows meet every demand."""
+        """True if chosen rows meet every demand."""
         return bool(self.demands[:, chosen].any(axis=1).all())
 
 
@@ -170,8 +170,8 @@ def _cuts(cover: Cover) -> tuple[NDArray, NDArray]:
     if cover.strong:
         for k in range(R.shape[1]):
             others = [j for pair in cover.pairs if k in pair for j in pair if j != k]
-            for own in (R, ~R):
-                cut = own[:, [k]] & ~own[:, others]
+            for rows in (R, ~R):
+                cut = rows[:, [k]] & ~rows[:, others]
                 cut = cut[:, cut.any(axis=0)]
                 if cut.shape[1] > 1:
                     sides.append(2.0)

@@ -1,4 +1,4 @@
-"""Which faults can be detected, and which can be isolated, before any design."""
+"""Detectable and isolable faults of a plant, before any design."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from residua.words import counted
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Diagnosability(Shown):
-    """What residuals can show of the faults of a plant, whatever the method.
+    """Detectability and isolability of the faults of a plant by residuals, whatever the method.
 
     Prints as a table.
 
@@ -129,7 +129,7 @@ class Diagnosability(Shown):
 
 
 def diagnosability(plant: Plant) -> Diagnosability:
-    r"""Tell which faults can be detected and which can be isolated from each other, before any design.
+    r"""Find the faults that can be detected and those that can be isolated from each other, before any design.
 
     A fault ``i`` is detectable when :math:`\operatorname{rank}\begin{bmatrix} A-sE & B_d & b_i\\ C & D_d & d_i
     \end{bmatrix}` exceeds the rank without its column for almost every ``s``; it can be told from fault ``j``

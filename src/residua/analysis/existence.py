@@ -1,4 +1,4 @@
-"""Whether an observer exists that ignores the disturbances, and if not, why not."""
+"""Existence of an observer that ignores the disturbances, and the reasons against it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from residua.tolerances import BALANCED_RANK, TINY
 
 @dataclass(frozen=True, eq=False)
 class UnknownInputExistence:
-    r"""Whether an unknown input observer exists, with the numbers behind each condition.
+    r"""Existence of an unknown input observer, with the numbers behind each condition.
 
     Attributes
     ----------

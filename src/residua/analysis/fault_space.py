@@ -1,4 +1,4 @@
-"""Which faults residuals can see, which they can see while ignoring others, and which leave a lasting trace."""
+"""Faults that residuals can see, those that they can see while ignoring others, and lasting traces of faults."""
 
 from __future__ import annotations
 
@@ -40,20 +40,20 @@ class FaultSpace:
 
     @property
     def dimension(self) -> int:
-        """How many independent residuals ignore the disturbances."""
+        """Number of independent residuals that ignore the disturbances."""
         return len(self.model.quotient().H)
 
     @cached_property
     def visible(self) -> NDArray[np.bool_]:
-        """Which faults some residual sees that ignores the disturbances."""
+        """Faults seen by some residual that ignores the disturbances."""
         return self.drive(()) > BALANCED_ANSWER
 
     def drive(self, ignored: Sequence[int]) -> NDArray[np.float64]:
-        """Return how strongly each fault drives what residuals see that ignore the disturbances and some faults."""
+        """Return the strength of each fault in the residuals that ignore the disturbances and some faults."""
         return np.linalg.norm(_columns(self.model, self.model.quotient(ignored)), axis=0)
 
     def closure(self, ignored: Sequence[int]) -> NDArray[np.bool_]:
-        """Return which faults a residual ignores that ignores these."""
+        """Return the faults that every residual ignores that ignores these."""
         closed = self.drive(ignored) <= BALANCED_ANSWER
         closed[list(ignored)] = True
         return closed
@@ -70,11 +70,11 @@ class FaultSpace:
         return taken
 
     def lasting(self, ignored: Sequence[int]) -> NDArray[np.bool_]:
-        """Return which faults leave a lasting trace while constant, in some residual that ignores others."""
+        """Return the constant faults with a lasting trace in some residual that ignores others."""
         return ~self.closure(ignored) & (np.linalg.norm(self.limit(ignored), axis=0) > BALANCED_ANSWER)
 
     def limit(self, ignored: Sequence[int]) -> NDArray[np.float64]:
-        r"""Return what all residuals that ignore some faults settle to for constant faults, a column for each.
+        r"""Return the limits, for constant faults, of all residuals that ignore some faults: one column for each fault.
 
         The rows that annihilate :math:`[F - s_0 I; G]` of the part that is seen, at :math:`s_0 = 0` (:math:`z = 1`).
         """

@@ -32,7 +32,7 @@ from residua.decide.isolation import IsolationSettings
 from residua.decide.sizes import fault_unit
 from residua.decide.structured import codes_of
 from residua.design import MatchedFilters, ResidualGenerator
-from residua.design.core.brought import as_generator
+from residua.design.core.generator import as_generator
 from residua.errors import ModelError
 from residua.monitor import Monitor
 from residua.monitor.specification import chosen_isolation

@@ -13,10 +13,8 @@ from residua.analysis import coding
 from residua.cli.option_types import Form, form_of
 from residua.design.banks.structured_bank import ROWS
 from residua.design.catalogue import methods
-from residua.design.core.brought import brings_a_generator, for_monitor
-from residua.design.core.method import Chosen, Method, check_design, defect
-from residua.design.core.needs import NOISE, SAMPLED
-from residua.design.core.options import Option
+from residua.design.core.generator import brings_a_generator, for_monitor
+from residua.design.core.method import NOISE, SAMPLED, Chosen, Method, Option, check_design, defect
 from residua.design.suggestion import first_design
 from residua.errors import AccuracyError, DesignError, ModelError, ResiduaError, SettingError
 from residua.plant import Plant

@@ -12,7 +12,7 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from residua.analysis.coding_sets import CodingSet
-from residua.design.core.options import Option, kinds_of
+from residua.design.core.method import Option, kinds_of
 
 #: The argument that is a relative tolerance in every design function.
 _TOLERANCE = "rtol"

@@ -1,4 +1,4 @@
-"""The table of methods: every design function with what it needs and gives, from what each declares of itself."""
+"""The table of methods: every design function with its needs and promises, from its own declaration."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How large a fault must be to be seen for as long as it lasts: predicted from the noise, without simulation."""
+"""Sizes of constant faults that are seen as long as they last: predicted from the noise, without simulation."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _SETTLED, _FOLLOWED = 0.01, 1500
 
 @dataclass(frozen=True, eq=False)
 class LastingFaults:
-    r"""What a test on sums of a residual sees of constant faults.
+    r"""Detection of constant faults by a test on sums of a residual.
 
     With :math:`S` the covariance of a sum of ``N`` samples over :math:`\sqrt N`, from the noise of the plant, and
     :math:`Z_n` the same sum of the response to a step of size one, a fault of size :math:`s` puts the whitened norm
@@ -65,8 +65,8 @@ class LastingFaults:
         if g.codes is not None:
             codes = [tuple(column) for column in g.codes.T.tolist()]
             fired = np.where(g.codes, self._of_parts, 0.0).max(axis=0, initial=0.0)
-            told = [any(code) and codes.count(code) == 1 for code in codes]
-            return {name: float(size) if one else np.inf for name, size, one in zip(faults, fired, told, strict=True)}
+            unique = [any(code) and codes.count(code) == 1 for code in codes]
+            return {name: float(size) if one else np.inf for name, size, one in zip(faults, fired, unique, strict=True)}
         whiten, away = self.whitening[0][1], self._settled[0]
         signatures = {}
         for name, steady in zip(faults, away.T, strict=True):  # as an isolation by direction reads them
@@ -107,7 +107,7 @@ class LastingFaults:
 
     @cached_property
     def _settled(self) -> list[NDArray[np.float64]]:
-        """For each part what faults of size one make of its whitened sum in the end, (directions, faults)."""
+        """Steady whitened sums of each part for faults of size one, (directions, faults)."""
         steady = self.generator.steady_directions
         gain = np.array([steady[name] for name in self.generator.faults]).reshape(len(steady), -1).T
         return [np.sqrt(WINDOW) * whiten @ gain[list(residuals)] for residuals, whiten in self.whitening]
@@ -132,7 +132,7 @@ class LastingFaults:
 
 
 def lasting_faults(generator: ResidualGenerator, dt: float) -> LastingFaults:
-    """Return what a test on sums of 127 samples sees of constant faults, in the noise of the plant.
+    """Predict the detection of constant faults by a test on sums of 127 samples, in the noise of the plant.
 
     Parameters
     ----------
@@ -167,9 +167,9 @@ def lasting_faults(generator: ResidualGenerator, dt: float) -> LastingFaults:
         parts = [member.residuals for member in sampled.members]
     whitening = []
     for part in parts:  # S^(-1/2) over the directions that noise moves
-        own = S[np.ix_(part, part)]
-        units = np.sqrt(np.where(np.diag(own) > 0, np.diag(own), 1.0))
-        values, vectors = np.linalg.eigh(own / np.outer(units, units))
+        covariance = S[np.ix_(part, part)]
+        units = np.sqrt(np.where(np.diag(covariance) > 0, np.diag(covariance), 1.0))
+        values, vectors = np.linalg.eigh(covariance / np.outer(units, units))
         kept = values > RANK * values.max(initial=0.0)
         whitening.append((part, (vectors[:, kept] / np.sqrt(values[kept])).T / units))
     return LastingFaults(sampled, tuple(whitening))

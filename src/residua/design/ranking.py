@@ -1,4 +1,4 @@
-"""What was tried for a plant, and the rule by which it is ranked: by the faults that each design sees."""
+"""Entries of a suggestion, and the rule by which they are ranked: by the faults that each design sees."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def typed(value: Any) -> str:
 
 
 def few(names: tuple[str, ...], most: int = 4) -> str:
-    """Return the first of some names, and how many more there are."""
+    """Return the first of some names, and the number of the others."""
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(names[:most]) + more
 
@@ -107,14 +107,14 @@ def never_first(record: Method) -> bool:
 
 
 def gives(entry: Entry, want: str) -> bool:
-    """Tell whether a design that works gives what is wanted, and may come first."""
+    """Tell of a design that works that it serves the wish of the user, and may come first."""
     if want == "state":
         return bool(entry.method.state) and not isinstance(entry.made, (Bank, Mapping))
     return bool(entry.estimates) if want == "size" else entry.foretold is not None and not never_first(entry.method)
 
 
 def by_state(entries: list[Entry], plant: Plant) -> list[Entry]:
-    """Return entries ranked for the state: what filters noise, then what converges, then what differentiates."""
+    """Return entries ranked for the state: filters of noise, then observers that converge, then differentiators."""
 
     def key(entry: Entry) -> tuple[float, ...]:
         if not entry.works:
@@ -130,11 +130,11 @@ def by_faults(entries: list[Entry], deviations: Mapping[str, float], want: str) 
     """Return entries ranked by the faults that they see, with the reasons of those that are left out."""
 
     def sizes(entry: Entry, *, named: bool = False) -> NDArray[np.float64]:
-        """Return the sizes of all faults in deviations; what is not seen counts as :data:`UNSEEN`."""
+        """Return the sizes of all faults in deviations, :data:`UNSEEN` for those that are not seen."""
         found = {} if entry.foretold is None else entry.foretold.named if named else entry.foretold.sizes
         scaled = [found.get(name, np.inf) / one for name, one in deviations.items()]
-        own = [want != "size" or name in entry.estimates for name in deviations]
-        return np.array([size if size < UNSEEN and mine else UNSEEN for size, mine in zip(scaled, own, strict=True)])
+        asked = [want != "size" or name in entry.estimates for name in deviations]
+        return np.array([size if size < UNSEEN and yes else UNSEEN for size, yes in zip(scaled, asked, strict=True)])
 
     def score(entry: Entry, *, named: bool = False) -> float:
         return float(np.exp(np.log(sizes(entry, named=named)).mean()))
@@ -151,8 +151,8 @@ def by_faults(entries: list[Entry], deviations: Mapping[str, float], want: str) 
         return "settles as the plant does: none of its poles can be chosen" if fixed else ""
 
     def blind(entry: Entry) -> str:
-        mine = zip(deviations, sizes(entry) >= UNSEEN, seen < UNSEEN, strict=True)
-        missed = tuple(name for name, here, elsewhere in mine if here and elsewhere)
+        visibility = zip(deviations, sizes(entry) >= UNSEEN, seen < UNSEEN, strict=True)
+        missed = tuple(name for name, here, elsewhere in visibility if here and elsewhere)
         return f"{'no size of' if want == 'size' else 'does not see'} {few(missed)}" if missed else ""
 
     working = [replace(one, sizes=one.foretold.sizes if one.foretold else {}) for one in entries if one.works]
@@ -180,7 +180,7 @@ def by_faults(entries: list[Entry], deviations: Mapping[str, float], want: str) 
 
 
 def _with_the_first(left: list[Entry], score: Callable[..., float]) -> list[Entry]:
-    """Return designs by their scores, before them the Kalman filter, or what is clearly better than that."""
+    """Return designs by their scores, before them the Kalman filter, or a design that is clearly better."""
     usual = [one for name in FIRST for one in left if one.method.name == name][:1]
     for one in left:
         better = (

@@ -1,4 +1,4 @@
-"""The choice of a design function for a plant: by what each design sees in the noise of the plant."""
+"""The choice of a design function for a plant: by the faults that each design sees in the noise of the plant."""
 
 from __future__ import annotations
 
@@ -12,9 +12,8 @@ from residua.analysis.diagnosability import Diagnosability, diagnosability
 from residua.design.banks.bank import Bank
 from residua.design.banks.matched_filters import MatchedFilters
 from residua.design.catalogue import methods
-from residua.design.core.brought import PartialDesign, as_generator, for_monitor
-from residua.design.core.generator import ResidualGenerator
-from residua.design.core.leak import reached_inputs
+from residua.design.core.decoupling import reached_inputs
+from residua.design.core.generator import PartialDesign, ResidualGenerator, as_generator, for_monitor
 from residua.design.core.method import Chosen, Method, check_design
 from residua.design.estimation.fault_estimator import FaultEstimator
 from residua.design.lasting_faults import LastingFaults, lasting_faults
@@ -40,7 +39,7 @@ _CHOICE_TIME = 5.0
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Suggestion(Shown):
-    """What to call for a plant, the best first. Prints as a table.
+    """Design functions for a plant, the best first. Prints as a table.
 
     Attributes
     ----------
@@ -107,15 +106,15 @@ class Suggestion(Shown):
                 lines.append(f"{title}:")
                 width = min(max(len(one.label) for one in group), 48)
                 for one in group:
-                    told = "; ".join(part for part in (one.left_out, self._numbers(one), one.reason) if part)
-                    lines.append(f"  {one.label:<{width}}  {_shortened(told)}")
+                    remarks = "; ".join(part for part in (one.left_out, self._numbers(one), one.reason) if part)
+                    lines.append(f"  {one.label:<{width}}  {_shortened(remarks)}")
         return "\n".join(lines)
 
     def seen_by(self, entry: Entry) -> str:
         """Return the sizes that a design sees, each in the unit of its fault and in deviations of the noise."""
-        told = [f"{name} {self._size(name, size)}" for name, size in entry.sizes.items()]
-        more = f" and {len(told) - _LISTED} more" if len(told) > _LISTED else ""
-        return f"{', '.join(told[:_LISTED])}{more}"
+        sizes = [f"{name} {self._size(name, size)}" for name, size in entry.sizes.items()]
+        more = f" and {len(sizes) - _LISTED} more" if len(sizes) > _LISTED else ""
+        return f"{', '.join(sizes[:_LISTED])}{more}"
 
     def _size(self, fault: str, size: float) -> str:
         if not np.isfinite(size):
@@ -137,7 +136,7 @@ _LISTED = 8
 
 
 def suggest(plant: Plant, *, want: str | None = None, seconds: float = 30.0) -> Suggestion:
-    r"""Tell which design function to call for a plant, by the faults that each design sees in the noise of the plant.
+    r"""Suggest a design function for a plant, by the faults that each design sees in the noise of the plant.
 
     Guaranteed: what is said to work has been designed and has passed its own checks (``entry.made``); what is said to
     be refused has been refused, for the reason that stands beside it.
@@ -256,7 +255,7 @@ def _suggested(plant: Plant, want: str | None, seconds: float, *, everything: bo
 
 
 def _no_plant(value: object) -> str:
-    """Return what to do with what is no plant."""
+    """Return the advice for a value that is no plant."""
     if isinstance(value, InputOutputModel):
         return "suggest looks at a plant: suggest(model.to_plant())"
     if not isinstance(value, UncertainPlant):
@@ -279,7 +278,7 @@ def _no_plant(value: object) -> str:
 
 
 def _with_noise(plant: Plant) -> tuple[Plant, str]:
-    """Return a plant with noise, and what was assumed where it has none."""
+    """Return a plant with noise, and the assumption behind the noise of one without."""
     if plant.noises:
         return plant, ""
     try:
@@ -324,9 +323,9 @@ def _tried(entry: Entry, plant: Plant, want: str, chosen: dict[Chosen, Any]) -> 
     try:
         check_time()
         arguments = entry.method.with_chosen(plant, entry.options, chosen, _CHOICE_TIME)
-        made = entry.method.function(plant, **arguments)
-        check_design(entry.method, made)
-        return _told(entry, made, plant, want)
+        design = entry.method.function(plant, **arguments)
+        check_design(entry.method, design)
+        return _completed(entry, design, plant, want)
     except TimeUsedUpError:
         return replace(entry, reason="the time is used up: suggest(plant, seconds=...)")
     except (DesignError, AccuracyError, ModelError) as error:
@@ -344,21 +343,21 @@ def _too_much(record: Method, plant: Plant) -> str:
     return ""
 
 
-def _told(entry: Entry, made: Any, plant: Plant, want: str) -> Entry:
-    """Return the entry of a design that works: its names and sizes of faults, and what of disturbances is in it."""
+def _completed(entry: Entry, design: Any, plant: Plant, want: str) -> Entry:
+    """Return the entry of a design that works: its names and sizes of faults, and the disturbances in it."""
     record = entry.method
-    entry = replace(entry, works=True, made=made)
-    if isinstance(made, Mapping):
-        left_out = made.failures if isinstance(made, PartialDesign) else ()
+    entry = replace(entry, works=True, made=design)
+    if isinstance(design, Mapping):
+        left_out = design.failures if isinstance(design, PartialDesign) else ()
         missing = f"; none for {few(tuple(left_out))}" if left_out else ""
-        reason = f"{record.state}: {few(tuple(made)) if made else 'none'}{missing}"
-        return replace(entry, reason=reason, order=sum(_order(part) for part in made.values()))
+        reason = f"{record.state}: {few(tuple(design)) if design else 'none'}{missing}"
+        return replace(entry, reason=reason, order=sum(_order(part) for part in design.values()))
     blind = ""
     try:
-        generator = as_generator(for_monitor(made))
+        generator = as_generator(for_monitor(design))
     except (DesignError, AccuracyError, ModelError) as error:
         generator, blind = None, f"no residual: {error}"
-    entry = replace(entry, order=_order(generator or made), blind=blind)
+    entry = replace(entry, order=_order(generator or design), blind=blind)
     if generator is not None:
         if plant.disturbances:
             maps = generator.state_map, generator.static_map
@@ -370,7 +369,7 @@ def _told(entry: Entry, made: Any, plant: Plant, want: str) -> Entry:
                 entry = replace(entry, foretold=lasting_faults(generator, sensible_step(plant)))
             except (DesignError, AccuracyError, ModelError) as error:
                 entry = replace(entry, reason=f"no sizes foretold: {error}")
-    names, estimates, parts = _names(made, entry.foretold)
+    names, estimates, parts = _names(design, entry.foretold)
     if record.state and want == "state":
         parts.append(record.state)
     if names:
@@ -384,32 +383,37 @@ def _told(entry: Entry, made: Any, plant: Plant, want: str) -> Entry:
     return replace(entry, reason=reason, names=names, estimates=estimates)
 
 
-def _names(made: Any, foretold: LastingFaults | None) -> tuple[tuple[str, ...], tuple[str, ...], list[str]]:
-    """Return the faults that a design names, those whose size it estimates, and what is to be said of it."""
-    if isinstance(made, FaultEstimator):
-        late = ", ".join(f"{name} {lag:.3g} s late" for name, lag in made.lag.items() if lag)
-        return made.faults, made.faults, [f"estimates {few(made.faults)}", late]
-    if isinstance(made, MatchedFilters):
-        seen = tuple(name for name in made.faults if name not in made.unseen)
-        alone = tuple(group[0] for group in made.groups if len(group) == 1)
-        return alone, seen, [f"arrival, up to {made.window} samples ago, and size of a step"]
-    if isinstance(made, Bank):
-        return tuple(group[0] for group in made.groups if len(group) == 1), (), [counted(len(made.members), "member")]
+def _names(design: Any, foretold: LastingFaults | None) -> tuple[tuple[str, ...], tuple[str, ...], list[str]]:
+    """Return the faults that a design names, those whose size it estimates, and remarks."""
+    if isinstance(design, FaultEstimator):
+        late = ", ".join(f"{name} {lag:.3g} s late" for name, lag in design.lag.items() if lag)
+        return design.faults, design.faults, [f"estimates {few(design.faults)}", late]
+    if isinstance(design, MatchedFilters):
+        seen = tuple(name for name in design.faults if name not in design.unseen)
+        arrival = f"arrival, up to {design.window} samples ago, and size of a step"
+        return _alone(design.groups), seen, [arrival]
+    if isinstance(design, Bank):
+        return _alone(design.groups), (), [counted(len(design.members), "member")]
     if foretold is None:
         return (), (), []
     return tuple(name for name, size in foretold.named.items() if np.isfinite(size)), (), []
 
 
-def _order(made: Any) -> int:
-    """Return the number of states of what was made, or of the observer in it."""
-    return (made if hasattr(made, "system") else made.observer).system.n_states
+def _alone(groups: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
+    """Return the faults that are in no group with another."""
+    return tuple(group[0] for group in groups if len(group) == 1)
+
+
+def _order(design: Any) -> int:
+    """Return the number of states of a design, or of the observer in it."""
+    return (design if hasattr(design, "system") else design.observer).system.n_states
 
 
 # ------------------------------------------------------------------------- ranking
 
 
 def _rank_of_trial(record: Method, want: str) -> tuple[bool, ...]:
-    """Return what to sort trials by: what cannot come first last, and what takes long after that."""
+    """Return the key for the order of trials: candidates for the first place first, then the fast ones."""
     if want == "state":
         return not record.state, record.many
     if want == "size":
@@ -443,13 +447,13 @@ def _notes(plant: Plant, known: Diagnosability | None, entries: list[Entry]) -> 
         yield "faults that come together: a dedicated bank or a fault_estimator; a generalized bank names one at a time"
 
 
-def _about_identification(plant: Plant, made: Identification) -> Iterator[str]:
-    """Yield what a plant from recordings leaves open, and what to do where its errors show that it is wrong."""
-    yield f"the plant was {made}, not given: fit the monitor on recordings, which shows what its errors let through"
-    if made.coloured:
+def _about_identification(plant: Plant, found: Identification) -> Iterator[str]:
+    """Yield the open questions of a plant from recordings, and remedies for errors of the model."""
+    yield f"the plant was {found}, not given: fit the monitor on recordings, which shows what its errors let through"
+    if found.coloured:
         order = max(2, -(-plant.n_states // plant.n_outputs))
         yield (
-            f"the prediction errors of {listing(made.coloured)} are correlated in time: the plant misses dynamics "
+            f"the prediction errors of {listing(found.coloured)} are correlated in time: the plant misses dynamics "
             "there, and tests that take the residual as white are wrong. Try a higher order first; else prefer what "
             "is insensitive to errors of the model: uncertain = model.uncertain_plant(plant); "
             f"rs.design.multi_model_parity([plant, *uncertain.sample(0, 20)], order={order}, noise=True)"
@@ -458,7 +462,9 @@ def _about_identification(plant: Plant, made: Identification) -> Iterator[str]:
         fault.name
         for fault in plant.fault_list
         if fault.kind == "actuator"
-        and (fault.component in made.weak_inputs or any(fault.component == given for _, given in made.uncertain_gains))
+        and (
+            fault.component in found.weak_inputs or any(fault.component == given for _, given in found.uncertain_gains)
+        )
     }
     if driven:
         yield (

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.arrays import runs
 from residua.design import kalman_filter
-from residua.design.core.brought import for_monitor
+from residua.design.core.generator import for_monitor
 from residua.errors import AccuracyError, DataError, DesignError, ModelError, SettingError
 from residua.identify.channel_facts import channel_facts
 from residua.identify.channel_filter import KNOWN

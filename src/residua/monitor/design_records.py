@@ -9,8 +9,7 @@ import numpy as np
 
 from residua.arrays import frozen
 from residua.design import Evidence, Observer, ParityRelations, ResidualGenerator
-from residua.design.core.decoupling import IGNORED
-from residua.design.core.leak import reached
+from residua.design.core.decoupling import IGNORED, reached
 from residua.errors import FileFormatError
 from residua.linear import RankDecision, StateSpace
 from residua.number_kinds import ANY, NOT_NEGATIVE, STEP

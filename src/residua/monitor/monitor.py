@@ -17,7 +17,7 @@ from residua.decide.isolation import IsolationSettings, NoIsolation
 from residua.decide.learnt_faults import LearntFault
 from residua.decide.test import ResidualTest, TestSettings, Watched
 from residua.design import ResidualGenerator
-from residua.design.core.brought import as_generator
+from residua.design.core.generator import as_generator
 from residua.design.core.signals import stacked
 from residua.errors import DataError, ModelError, NotFittedError, SettingError
 from residua.monitor.decision import Decision, decision_from

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from residua.decide.test import ResidualTest
 from residua.design import ResidualGenerator
 from residua.design.banks.matched_filters import step_responses
-from residua.design.core.responses import state_covariance
+from residua.design.core.internal_form import state_covariance
 from residua.errors import AccuracyError
 from residua.linear.systems.recursion import Matrices, product_checked, run_checked
 

@@ -18,11 +18,9 @@ from residua.decide.peak_threshold import PeakThreshold
 from residua.decide.test import ResidualTest, TestSettings, Watched
 from residua.design import ResidualGenerator
 from residua.design.banks.bank import maps_of
-from residua.design.core.brought import BoundedDesign, CertifiedDesign, DesignWithTest
-from residua.design.core.decoupling import Approximate, Decoupled, Promise
+from residua.design.core.decoupling import Approximate, Decoupled, Promise, reached
 from residua.design.core.evidence import of_sampling
-from residua.design.core.generator import make_generator
-from residua.design.core.leak import reached
+from residua.design.core.generator import BoundedDesign, CertifiedDesign, DesignWithTest, make_generator
 from residua.errors import ModelError, SettingError
 from residua.linear import StateSpace
 from residua.linear.systems.state_space import stack_systems

@@ -6,7 +6,7 @@ import numpy as np
 
 from residua.design import ResidualGenerator
 from residua.design.core.balanced_filter import BalancedFilter
-from residua.design.core.leak import reached
+from residua.design.core.decoupling import reached
 from residua.design.core.signatures import outside_subspaces, responses_of_filter
 from residua.errors import AccuracyError
 from residua.linear import simulate_descriptor

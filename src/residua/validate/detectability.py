@@ -15,7 +15,7 @@ from residua.decide.stream_settings import is_white
 from residua.decide.test import Block, ResidualTest
 from residua.decide.whitened_norm import NormTest
 from residua.design import ResidualGenerator
-from residua.design.core.responses import state_covariance
+from residua.design.core.internal_form import state_covariance
 from residua.errors import NotFittedError, SettingError
 from residua.linear.systems.recursion import run_filter
 from residua.monitor.monitor import Monitor

@@ -8,8 +8,7 @@ from numpy.typing import ArrayLike
 
 from residua.design.banks.bank import Bank, build_bank, wanted_by_scheme
 from residua.design.banks.member_design import advice_for, member_design
-from residua.design.core.method import method
-from residua.design.core.needs import ACTUATOR_FAULTS, each_scheme
+from residua.design.core.method import ACTUATOR_FAULTS, each_scheme, method
 from residua.errors import DesignError
 from residua.plant import Plant
 

@@ -30,7 +30,7 @@ MOST_STATES = 4000
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Bank(Shown):
-    """Residual generators that each ignore some faults, so that who fires names the fault.
+    """Residual generators that each ignore some faults: the pattern of those that fire names the fault.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class Bank(Shown):
 
     @property
     def strongly_isolating(self) -> bool:
-        """Whether no code becomes another when some of its members stay silent: columns form an antichain."""
+        """True if no code becomes another when some of its members stay silent: columns form an antichain."""
         return strongly_isolating(self.structure)
 
     def residual_generator(self) -> ResidualGenerator:
@@ -103,7 +103,7 @@ class Bank(Shown):
 
 @dataclass(frozen=True)
 class Wanted:
-    """One member as it was asked for: what it must ignore and what it must answer to."""
+    """Specification of one member: the faults to ignore and those to answer to."""
 
     name: str
     ignored: tuple[str, ...]
@@ -191,7 +191,7 @@ def build_bank(
 
 
 def check_promise(generator: ResidualGenerator, one: Wanted) -> None:
-    """Raise when a member answers to what it should ignore, or is blind to what it should see."""
+    """Raise for a member that answers to a fault to ignore, or is blind to one that it should see."""
     seen = _seen(generator)
     leaking = [name for name in one.ignored if name in seen]
     if leaking:

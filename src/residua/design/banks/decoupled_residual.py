@@ -12,8 +12,7 @@ from residua import arrays
 from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
-from residua.design.core.method import method
-from residua.design.core.needs import FAULTS
+from residua.design.core.method import FAULTS, method
 from residua.design.observers.observer import plant_filter
 from residua.design.observers.observer_gain import asked, default_weights, gain_evidence
 from residua.errors import AccuracyError, DesignError
@@ -117,14 +116,13 @@ def decoupled_residual(
             f"no residual ignores {names or 'nothing'}: the {used_up(plant.n_outputs)}; add a sensor or ignore less"
         )
     try:
-        found = _gain(model, q, poles, margin, gain)
+        found, F, G = _gain(model, q, poles, margin, gain)
     except AccuracyError:  # of modes that double precision hardly tells to be seen no gain may be found
         near = model.quotient(chosen, tolerance=NEAR * BALANCED_RANK)
         if near.split.seen.shape[1] == q.split.seen.shape[1] or not len(near.H):
             raise
-        q, found = near, _gain(model, near, poles, margin, gain)
-    O, (F, G) = q.split.seen, q.pair  # noqa: E741
-    F, G = without_rounding(O.T @ F @ O), without_rounding(G @ O)  # as the gain was found for
+        q, (found, F, G) = near, _gain(model, near, poles, margin, gain)
+    O = q.split.seen  # noqa: E741
     J = without_rounding(O.T @ q.J)  # of an output that is not read nothing may be left
     K = above_rounding(J + found.K @ q.H, np.abs(J) + np.abs(found.K) @ np.abs(q.H), RESPONSE_ROUNDING)
     units, R, Y = model.units, model.units.equations, model.units.outputs
@@ -159,8 +157,8 @@ def _gain(
     poles: Sequence[complex] | ArrayLike | None,
     margin: float | None,
     kind: str | None,
-) -> ObserverGain:
-    """Return the gain that is asked for, for the part of the quotient that is seen."""
+) -> tuple[ObserverGain, Matrix, Matrix]:
+    """Return the gain that is asked for, and the pair that it is for: the part of the quotient that is seen."""
     plant = model.plant
     if kind not in (None, "kalman", "placement"):
         raise DesignError(f"gain must be 'kalman' or 'placement', got {kind!r}")
@@ -171,7 +169,7 @@ def _gain(
         raise DesignError("a Kalman filter needs the noise of the plant: with_noise(process=..., measurement=...)")
     poles, margin = asked(plant, poles, margin)
     O, (F, G) = q.split.seen, q.pair  # noqa: E741
-    F, G, note = O.T @ F @ O, G @ O, ""
+    F, G, note = without_rounding(O.T @ F @ O), without_rounding(G @ O), ""
     split = observable_split(F, G)
     if free and kind != "placement" and plant.Bw.shape[1]:
         w, v = _noise(model)
@@ -190,7 +188,7 @@ def _gain(
                 cross=w @ v.T / size,
                 rate=model.units.rate,
             )
-            return replace(found, K=found.K / size, note="gain of the Kalman filter")
+            return replace(found, K=found.K / size, note="gain of the Kalman filter"), F, G
         except (AccuracyError, DesignError) as error:
             if kind == "kalman":
                 raise
@@ -207,11 +205,11 @@ def _gain(
         margin=margin,
         rate=model.units.rate,
     )
-    return replace(found, note=found.note or note)
+    return replace(found, note=found.note or note), F, G
 
 
 def _noise(model: BalancedPlant) -> tuple[Matrix, Matrix]:
-    """Return how white noise enters the states and the outputs of the balanced plant, the algebraic ones too."""
+    """Return the directions of white noise in states and outputs of the balanced plant, the algebraic ones too."""
     plant, units = model.plant, model.units
     root = np.sqrt(units.rate)
     w = units.equations[:, None] * plant.Bw / root

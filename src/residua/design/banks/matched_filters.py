@@ -1,4 +1,4 @@
-"""Matched filters: what every fault does to the innovations of a Kalman filter, as a step that just arrived."""
+"""Matched filters: signatures of faults, as steps that just arrived, in the innovations of a Kalman filter."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.design.core.generator import ResidualGenerator
-from residua.design.core.method import method
-from residua.design.core.needs import FAULTS, NOISE, SAMPLED
-from residua.design.core.responses import steady_responses
+from residua.design.core.method import FAULTS, NOISE, SAMPLED, method
+from residua.design.core.signatures import steady_responses
 from residua.design.observers.kalman_filter import kalman_filter
 from residua.errors import DesignError
 from residua.plant import Plant
@@ -113,7 +112,7 @@ class MatchedFilters(Shown):
         return {n: float(1 / np.sqrt(e)) if e > 0 else float("inf") for n, e in zip(self.faults, at, strict=True)}
 
     def similarity(self, age: int | None = None) -> NDArray[np.float64]:
-        """Return how alike the faults look if they arrived together: 1 means that nothing tells them apart.
+        """Return the similarity of faults that arrive together: 1 means that nothing tells them apart.
 
         Parameters
         ----------
@@ -275,8 +274,8 @@ def matched_filters(plant: Plant, *, window: int = 40, steady: bool = False, ali
     if covariance is None:
         raise DesignError("the innovations have no stationary covariance: give every measurement noise")
     whitening = np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)).T, dtype=float)
-    made = MatchedFilters(kalman, int(window), bool(steady), float(alike), responses, settled, whitening)
-    if not made.groups:
+    matched = MatchedFilters(kalman, int(window), bool(steady), float(alike), responses, settled, whitening)
+    if not matched.groups:
         when = "once they are constant" if steady else f"within {window} samples"
         raise DesignError(
             f"the innovations answer to none of the faults {when} ({', '.join(plant.faults)}): add a sensor that sees "
@@ -286,14 +285,14 @@ def matched_filters(plant: Plant, *, window: int = 40, steady: bool = False, ali
         kalman,
         method="matched filters on Kalman innovations",
         evidence=kalman.evidence.extended(
-            notes=_notes(made), references=("Gertler (1991), section 5.3, eqs. (5-19) to (5-21)",)
+            notes=_notes(matched), references=("Gertler (1991), section 5.3, eqs. (5-19) to (5-21)",)
         ),
     )
-    return replace(made, generator=generator)
+    return replace(matched, generator=generator)
 
 
 def step_responses(generator: ResidualGenerator, window: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the residual of each fault as a step of size one, at 0 to ``window`` samples, and what it settles to.
+    """Return the residual of each fault as a step of size one, at 0 to ``window`` samples, and its steady value.
 
     Returns
     -------
@@ -369,28 +368,28 @@ def _unit(columns: NDArray) -> NDArray[np.float64]:
     return columns / np.where(size > 0, size, 1.0)
 
 
-def _notes(made: MatchedFilters) -> tuple[str, ...]:
+def _notes(matched: MatchedFilters) -> tuple[str, ...]:
     """Return notes for the reader: faults that are alike, that vanish, and whether the window is long enough."""
-    notes = [f"not told apart within the window: {', '.join(group)}" for group in made.groups if len(group) > 1]
-    if made.unseen:
-        notes.append(f"not seen: {', '.join(made.unseen)}")
-    if made.vanishing:
-        notes.append(f"seen only for a while, and not once constant: {', '.join(made.vanishing)}")
-    if made.steady:
+    notes = [f"not told apart within the window: {', '.join(group)}" for group in matched.groups if len(group) > 1]
+    if matched.unseen:
+        notes.append(f"not seen: {', '.join(matched.unseen)}")
+    if matched.vanishing:
+        notes.append(f"seen only for a while, and not once constant: {', '.join(matched.vanishing)}")
+    if matched.steady:
         notes.append("settled responses only: the name may be wrong until the residual has settled")
         return tuple(notes)
-    return (*notes, *_window_notes(made))
+    return (*notes, *_window_notes(matched))
 
 
-def _window_notes(made: MatchedFilters) -> tuple[str, ...]:
-    """Warn of a window that is shorter than the responses take to settle, and say how long one should be."""
-    if not made.under_way:
+def _window_notes(matched: MatchedFilters) -> tuple[str, ...]:
+    """Warn of a window that is shorter than the responses take to settle, with a length that suffices."""
+    if not matched.under_way:
         return ()
-    slowest = float(np.abs(made.generator.system.poles()).max(initial=0.0))
+    slowest = float(np.abs(matched.generator.system.poles()).max(initial=0.0))
     enough = int(np.ceil(np.log(_SETTLED) / np.log(min(max(slowest, 1e-3), 1 - 1e-9))))
-    longer = f", of about {enough} samples," if enough > made.window else ""
+    longer = f", of about {enough} samples," if enough > matched.window else ""
     return (
-        f"still under way at the end of the window: {', '.join(made.under_way)}; a longer window{longer} sees them "
+        f"still under way at the end of the window: {', '.join(matched.under_way)}; a longer window{longer} sees them "
         "settle (until then, once its arrival has left the window, a fault resembles none that is expected)",
     )
 

@@ -1,4 +1,4 @@
-"""What a bank's members can be: the observers, each turned into a residual that ignores the disturbances."""
+"""Members of a bank: observers, each turned into a residual that ignores the disturbances."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ KINDS = ("unknown-input", "reduced-order", "perfect", "minimal")
 def member_design(
     kind: str, plant: Plant, *, poles: Sequence[complex] | ArrayLike | None, margin: float | None
 ) -> MemberDesign:
-    """Return how members of a kind are designed.
+    """Return the design function for members of a kind.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def decoupled_member(
     poles: Sequence[complex] | ArrayLike | None = None,
     margin: float | None = None,
 ) -> MemberDesign:
-    """Return how members that are decoupled residuals are designed, each with all faults of a plant."""
+    """Return the design function for members that are decoupled residuals, each with all faults of a plant."""
     known = len(plant.disturbances)
     return lambda _, part: decoupled_residual(
         plant, insensitive_to=part.disturbances[known:], poles=poles, margin=margin
@@ -71,7 +71,7 @@ def decoupled_member(
 
 
 def advice_for(kind: str) -> str:
-    """Return what to try when members of a kind do not exist."""
+    """Return the advice for members of a kind that do not exist."""
     return "" if kind == "minimal" else "; observer='minimal' exists whenever any residual does: try it"
 
 

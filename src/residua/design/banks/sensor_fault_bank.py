@@ -9,8 +9,7 @@ from numpy.typing import ArrayLike
 
 from residua.design.banks.bank import Bank, build_bank, wanted_by_scheme
 from residua.design.banks.member_design import advice_for, member_design
-from residua.design.core.method import method
-from residua.design.core.needs import SENSOR_FAULTS, each_scheme
+from residua.design.core.method import SENSOR_FAULTS, each_scheme, method
 from residua.errors import DesignError
 from residua.plant import Plant
 
@@ -103,7 +102,7 @@ def sensor_fault_bank(
 
 
 def _sensors(plant: Plant) -> dict[str, str]:
-    """Return for each sensor fault the output that it is in, or say which is not in one output alone."""
+    """Return the output of each sensor fault, or raise for one that is not in one output alone."""
     out = {}
     for i, fault in enumerate(plant.fault_list):
         if fault.kind != "sensor":

@@ -1,4 +1,4 @@
-"""A bank for any attainable structure: who fires when what fails."""
+"""A bank for any attainable structure."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ from residua.analysis.coding import choose
 from residua.analysis.coding_sets import CodingSet, Structure
 from residua.design.banks.bank import Bank, build_bank, wanted_rows
 from residua.design.banks.member_design import decoupled_member
-from residua.design.core.method import Chosen, method
-from residua.design.core.needs import FAULTS_APART
+from residua.design.core.method import FAULTS_APART, Chosen, method
 from residua.plant import Plant
 
 

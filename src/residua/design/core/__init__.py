@@ -1,1 +1,1 @@
-"""What every design shares: the generator, its internal form, its evidence and its structure."""
+"""The common base of all designs: the generator, its internal form, its evidence and its structure."""

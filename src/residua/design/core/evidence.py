@@ -1,4 +1,4 @@
-"""What a design proves about itself."""
+"""The evidence of a design: the checks that it has passed."""
 
 from __future__ import annotations
 

@@ -1,31 +1,29 @@
-"""The residual generator: what every design method returns and everything after design works on."""
+"""The residual generator, the result of every design, and the protocols of designs that have or make one."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Protocol, SupportsFloat, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residua.design.core.balanced_filter import BalancedFilter
-from residua.design.core.decoupling import Approximate, Decoupled, Promise
+from residua.design.core.balanced_filter import BalancedFilter, state_map_of
+from residua.design.core.decoupling import Approximate, Decoupled, Promise, reached
 from residua.design.core.evidence import Evidence, format_pole, of_sampling
 from residua.design.core.internal_form import (
+    covariance_of_sums,
     frequency_grid,
     internal_form,
     refuse_growth,
     sampled_form,
     with_silent_inputs,
 )
-from residua.design.core.leak import reached
-from residua.design.core.responses import covariance_of_sums, steady_responses
 from residua.design.core.signals import discretized_filter, run_signals, sampled_filter
-from residua.design.core.signatures import responses_of_filter, responses_of_form, signatures_of
-from residua.design.core.state_map import state_map_of
-from residua.errors import AccuracyError
+from residua.design.core.signatures import responses_of_filter, responses_of_form, signatures_of, steady_responses
+from residua.errors import AccuracyError, ModelError
 from residua.linear import StateSpace, decide_rank
 from residua.plant import Plant
 from residua.progress import check_time
@@ -170,7 +168,7 @@ class ResidualGenerator:
 
     @cached_property
     def structure(self) -> NDArray[np.bool_]:
-        """Who fires when what fails: boolean, shape (residuals, faults)."""
+        """Marks of the residuals that answer to each fault: boolean, shape (residuals, faults)."""
         rows = [np.any(self.subspaces[name], axis=1) for name in self.faults]
         return np.array(rows, dtype=bool).reshape(len(self.faults), self.n_residuals).T
 
@@ -209,7 +207,7 @@ class ResidualGenerator:
     # ----------------------------------------------------------------- results
 
     def internal_form(self, plant: Plant | None = None, *, controls: bool = False) -> StateSpace:
-        """Return what faults, disturbances and noise do to the residual.
+        """Return the system from faults, disturbances and noise to the residual.
 
         Parameters
         ----------
@@ -226,14 +224,14 @@ class ResidualGenerator:
             Inputs are the faults, disturbances and noise of the plant. The states that the residual does
             not see are removed, so that an unstable plant is no obstacle.
         """
-        own = plant is None or plant is self.plant
-        if own and not controls:
+        same = plant is None or plant is self.plant
+        if same and not controls:
             return self._internal_form
         plant = self.plant if plant is None else plant
         leaks = [self.evidence.decoupling.get(name, 0.0) for name in ("control", *of_sampling({"control": 0.0}))]
-        if own and self.known_form is not None and max(leaks) < LEAK:
+        if same and self.known_form is not None and max(leaks) < LEAK:
             return with_silent_inputs(self.known_form, plant.inputs)
-        maps = (self.state_map, self.static_map) if own else (None, None)
+        maps = (self.state_map, self.static_map) if same else (None, None)
         return internal_form(self.system, plant, *maps, with_controls=controls)
 
     @cached_property
@@ -380,17 +378,17 @@ class ResidualGenerator:
         ----------
         Gertler (1991), section 3.5.
         """
-        made = self.to_parity().with_poles(poles)
+        generator = self.to_parity().with_poles(poles)
         old = self.evidence
-        evidence = made.evidence.extended(
-            ranks=dict(old.ranks), references=tuple({*made.evidence.references, *old.references})
+        evidence = generator.evidence.extended(
+            ranks=dict(old.ranks), references=tuple({*generator.evidence.references, *old.references})
         )
         kept = [note for note in old.notes if self.relations is not None and "digits" not in note]
-        evidence = replace(evidence, notes=tuple(dict.fromkeys([*kept, *made.evidence.notes])))
-        return replace(made, method=self.method, evidence=evidence, codes=self.codes, members=self.members)
+        evidence = replace(evidence, notes=tuple(dict.fromkeys([*kept, *generator.evidence.notes])))
+        return replace(generator, method=self.method, evidence=evidence, codes=self.codes, members=self.members)
 
     def equivalent_to(self, other: ResidualGenerator) -> Equivalence:
-        """Tell whether another generator is the same up to poles and scale, or another transformation, and which.
+        """Compare with another generator: the same up to poles and scale, or another transformation.
 
         Parameters
         ----------
@@ -461,8 +459,8 @@ def make_generator(
         raise AccuracyError(f"the filter is not stable: poles {', '.join(map(format_pole, system.poles()))}")
     if state_map is None and isinstance(decouples, Decoupled):
         system, state_map, static_map = state_map_of(system, plant)
-    said = {"", *evidence.conditions, *evidence.decoupling}
-    if isinstance(decouples, Approximate) and decouples.entry not in said:
+    entries = {"", *evidence.conditions, *evidence.decoupling}
+    if isinstance(decouples, Approximate) and decouples.entry not in entries:
         raise TypeError(f"an approximate design must say how far inputs reach its residual: no {decouples.entry!r}")
     f = None if state_map is None else BalancedFilter.of(system, plant, state_map, static_map)
     leaks, measured = decouples.leaks(f)
@@ -495,3 +493,111 @@ def make_generator(
         estimated=estimated,
         relations=relations,
     )
+
+
+@runtime_checkable
+class Design(Protocol):
+    """A design that is no generator itself, such as a bank or an estimator: it has one."""
+
+    @property
+    def generator(self) -> ResidualGenerator:
+        """The generator that runs."""
+        ...
+
+
+@runtime_checkable
+class CertifiedDesign(Protocol):
+    """A design that has proved thresholds: no fault-free residual of a member exceeds that of the member."""
+
+    @property
+    def thresholds(self) -> Mapping[str, SupportsFloat]:
+        """Thresholds by name of the member."""
+        ...
+
+
+@runtime_checkable
+class BoundedDesign(Protocol):
+    """A design with guaranteed responses of each member, over a whole uncertainty set."""
+
+    @property
+    def member_bounds(self) -> Mapping[str, tuple[float, float, Mapping[str, float]]]:
+        """By name of the member, the bound of what disturbances cause, the least response to its own fault of size one,
+        and the bounds of what other faults of size one cause.
+        """
+        ...
+
+
+@runtime_checkable
+class DesignWithTest(Protocol):
+    """A design whose residuals are made for a test of some kind: T2 and Q of principal components, for example."""
+
+    @property
+    def test(self) -> Any:
+        """Settings of that test, a :class:`residua.decide.TestSettings`."""
+        ...
+
+
+@runtime_checkable
+class Watcher(Protocol):
+    """A design, such as an observer, that makes a generator when it is asked which residuals are meant."""
+
+    def residual_generator(self) -> ResidualGenerator:
+        """Return one."""
+        ...
+
+
+@runtime_checkable
+class PartialDesign(Protocol):
+    """A design whose members need not all exist."""
+
+    @property
+    def failures(self) -> Mapping[str, str]:
+        """Reasons by name of the member that could not be designed."""
+        ...
+
+
+def brings_a_generator(cls: Any) -> bool:
+    """Tell from the return class of a design function, before any design, that a monitor can take its result."""
+    if not isinstance(cls, type):
+        return False
+    declared = {name for base in cls.__mro__ for name in vars(base).get("__annotations__", {})} | set(dir(cls))
+    return issubclass(cls, ResidualGenerator) or bool(declared & {"generator", "residual_generator"})
+
+
+def as_generator(design: Any) -> ResidualGenerator:
+    """Return the generator that was handed over, or the ``generator`` of a bank or an estimator.
+
+    Other objects that could give one, such as observers, are refused: which of their residuals is meant is the
+    caller's to say.
+    """
+    if isinstance(design, ResidualGenerator):
+        return design
+    if isinstance(design, Design) and isinstance(design.generator, ResidualGenerator) and not isinstance(design, type):
+        return design.generator
+    raise ModelError(
+        f"a monitor runs a residual generator, got {type(design).__name__}"
+        + ("; use its residual_generator()" if isinstance(design, Watcher) else "")
+    )
+
+
+def for_monitor(design: Any) -> Any:
+    """Return the part of a design that a monitor takes.
+
+    What makes a generator makes it, and its evidence says which members do not exist; what has one, such as matched
+    filters, stays as it is.
+
+    Raises
+    ------
+    ModelError
+        If it is, has and makes no generator.
+    """
+    if isinstance(design, ResidualGenerator):
+        return design
+    if isinstance(design, Watcher):
+        generator = design.residual_generator()
+        missing = design.failures if isinstance(design, PartialDesign) else {}
+        notes = tuple(f"no member {name!r}: {reason}" for name, reason in missing.items())
+        return replace(generator, evidence=generator.evidence.extended(notes=notes)) if notes else generator
+    if isinstance(design, Design):
+        return design
+    raise ModelError(f"no monitor can take {type(design).__name__}: it is, has and makes no residual generator")

@@ -13,12 +13,16 @@ from residua.linear.subspaces.observability import staircase
 from residua.linear.subspaces.reachability import without_unobservable
 from residua.linear.systems.sampling import exponentials
 from residua.plant import Plant
-from residua.tolerances import LEAKAGE, above_rounding
+from residua.tolerances import IDENTITY, LEAKAGE, TINY, above_rounding
 
 #: Frequencies of a grid.
 _POINTS = 60
 #: Of the largest pole, the part below which a pole is at zero.
 _SMALL = 1e-12
+#: Windows of more samples are summed by doubling: what they cost grows with the logarithm of their length.
+_LONG = 4096
+#: Doublings of a covariance at most: poles as near to the circle as rounding keeps apart have settled by then.
+_DOUBLINGS = 60
 #: The most that a plant may grow by from one sample to the next: rounding of that is then what may leak.
 _MOST_GROWTH = LEAKAGE / float(np.finfo(float).eps)
 
@@ -114,7 +118,7 @@ def _driven(generator: StateSpace, plant: Plant) -> StateSpace:
 
 
 def refuse_growth(plant: Plant) -> None:
-    """Refuse a sampled plant that grows so far in one step that what rounding leaves beside it hides the residual."""
+    """Refuse a sampled plant whose growth in one step hides the residual in rounding."""
     growth, most = np.log(max(float(spectral_radius(plant.A)), 1.0)), np.log(_MOST_GROWTH)
     if growth > most:
         raise AccuracyError(
@@ -126,7 +130,7 @@ def refuse_growth(plant: Plant) -> None:
 def sampled_form(
     system: StateSpace, T: NDArray[np.float64], plant: Plant, sampled: StateSpace, sampled_plant: Plant, hold: str
 ) -> StateSpace:
-    r"""Return what faults, disturbances and noise do to the residual of a sampled filter of a continuous design.
+    r"""Return the system from faults, disturbances and noise to the residual of a sampled continuous design.
 
     The continuous filter sees nothing of a plant that moves without faults: its state is :math:`\xi = T x`. The
     sampled one takes an output to run straight from sample to sample, and sees how far it does not:
@@ -157,19 +161,19 @@ def sampled_form(
     """
     n_u, dt = len(plant.inputs), sampled.dt
     TE = T if plant.E is None else T @ plant.E
-    own = plant.system(()).explicit()
+    explicit = plant.system(()).explicit()
     G = system.B[:, n_u:]
     if hold == "linear":
-        TE = TE - exponentials(system.A, G, dt)[2] @ own.C  # the state that the sampled filter keeps is shifted
+        TE = TE - exponentials(system.A, G, dt)[2] @ explicit.C  # the state that the sampled filter keeps is shifted
     p = sampled_plant.system(("fault", "disturbance", "noise"))
     through, direct = sampled.B[:, n_u:], sampled.D[:, n_u:]
     B = above_rounding(TE @ p.B - through @ p.D, np.abs(TE) @ np.abs(p.B) + np.abs(through) @ np.abs(p.D))
     order = 2 if hold == "linear" else 1
-    bend, terms = own.C, np.abs(own.C)  # the first derivative of the outputs that their hold misses
+    bend, terms = explicit.C, np.abs(explicit.C)  # the first derivative of the outputs that their hold misses
     for _ in range(order):
-        bend, terms = bend @ own.A, terms @ np.abs(own.A)
+        bend, terms = bend @ explicit.A, terms @ np.abs(explicit.A)
     bend = above_rounding(bend, terms)
-    seen = staircase(own.A, above_rounding(G @ bend, np.abs(G) @ terms))
+    seen = staircase(explicit.A, above_rounding(G @ bend, np.abs(G) @ terms))
     Q = seen.Q[:, : seen.n_observable]
     A = Q.T @ seen.A @ Q
     driven = _between(system.A, G, A, bend * seen.states @ Q, order, dt)
@@ -193,7 +197,7 @@ def _between(
     order: int,
     dt: float,
 ) -> NDArray[np.float64]:
-    """Return what a state of the plant puts into the filter over a step, by how its outputs leave what is held.
+    """Return the effect of a state of the plant on the filter over a step, by the error of the hold of its outputs.
 
     ``bend`` is their derivative of that order. In time from sample to sample, and with derivatives of size one, one
     exponential has it to the last digits however short the step is.
@@ -227,3 +231,76 @@ def frequency_grid(*systems: StateSpace) -> NDArray[np.float64]:
     low, high = (sizes.min(), sizes.max()) if sizes.size else (1.0, 1.0)
     # the factor keeps round numbers, where models have their poles, off the grid
     return 1.0371 * np.geomspace(0.01 * low, 100 * high, _POINTS)
+
+
+def state_covariance(A: NDArray, Q: NDArray) -> NDArray[np.float64]:
+    r"""Return ``X = A X A' + Q`` of a stable system, or raise when the solution misses the equation.
+
+    By doubling, :math:`X_{k+1} = X_k + A^{2^k} X_k (A^{2^k})^T`: a sum of what cannot cancel, in which predictors with
+    all poles at zero and large gains keep their digits.
+    """
+    if not len(A):
+        return np.zeros((0, 0))
+    units = np.sqrt(np.where(np.diag(Q) > 0, np.diag(Q), 1.0))  # comparable states, whatever the units of the model
+    A, Q = A / units[:, None] * units, Q / units[:, None] / units
+    X, power, settled = Q, A, False
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(_DOUBLINGS):
+            added = power @ X @ power.T
+            X, power = X + (added + added.T) / 2, power @ power
+            settled = bool((np.diag(added) <= np.finfo(float).eps * np.diag(X)).all())  # each state by its own size
+            if settled:
+                break
+    if not settled or not np.isfinite(X).all():
+        raise AccuracyError(f"a residual has no covariance: noise moves a state that does not settle, {_slowest(A)}")
+    missed = float(np.linalg.norm(X - A @ X @ A.T - Q) / max(np.linalg.norm(X), TINY))
+    if not missed < IDENTITY:
+        raise AccuracyError(
+            f"the covariance of the residual misses its equation by {missed:.2g}: noise, and rounding with it, is "
+            f"summed by a state that hardly settles, {_slowest(A)}"
+        )
+    return X * units[:, None] * units
+
+
+def _slowest(A: NDArray) -> str:
+    """Return the place of the pole that is nearest to the circle, with a remedy."""
+    inside = 1 - float(np.abs(np.linalg.eigvals(A)).max())
+    return (
+        f"of a pole {abs(inside):.2g} {'inside' if inside > 0 else 'outside'} the unit circle: ask for faster poles or "
+        "a longer step, or, where a continuous design was sampled, design for the sampled plant, plant.discretize(dt)"
+    )
+
+
+def covariance_of_sums(form: StateSpace, window: int) -> NDArray[np.float64]:
+    """Return the covariance of outputs summed over ``window`` samples, divided by it, for white inputs of variance one.
+
+    See :meth:`ResidualGenerator.covariance_of_sums`.
+    """
+    A, B, C, D = form.A, form.B, form.C, form.D
+    X = state_covariance(A, B @ B.T)
+    S = C @ X @ C.T + D @ D.T
+    step = A @ X @ C.T + B @ D.T
+    if window > _LONG:
+        R = C @ _weighted_powers(A, window) @ step
+        return (S + S.T) / 2 + R + R.T
+    for k in range(1, window):
+        if not step.any():  # nothing is left: a long window costs no more than the memory of the system
+            break
+        R = C @ step
+        S = S + (1 - k / window) * (R + R.T)
+        step = A @ step
+    return (S + S.T) / 2
+
+
+def _weighted_powers(A: NDArray, window: int) -> NDArray[np.float64]:
+    """Return the sum of ``(1 - k / window) A^(k-1)`` for ``k`` from one below ``window``, by doubling."""
+    n, count = len(A), window - 1
+    power, plain, weighted = np.eye(n), np.zeros((n, n)), np.zeros((n, n))  # A^m, sum of A^j and of j A^j, for j < m
+    m = 0
+    for bit in bin(count)[2:]:
+        plain, weighted = plain + power @ plain, weighted + power @ (weighted + m * plain)
+        power, m = power @ power, 2 * m
+        if bit == "1":
+            plain, weighted = plain + power, weighted + m * power
+            power, m = power @ A, m + 1
+    return (1 - 1 / window) * plain - weighted / window

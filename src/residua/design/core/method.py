@@ -1,4 +1,4 @@
-"""The registry of methods: what a design function needs and promises is declared where the function is.
+"""The registry of methods: needs and promises of a design function are declared beside the function.
 
 A design is what maps measurements to residuals or estimates. A function is one, and declares itself, when what it
 returns does so (``run``, ``estimate``), or has or makes what does (``generator``, ``residual_generator()``,
@@ -9,15 +9,20 @@ choice among equations are tools beside them.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterable, Mapping
+import re
+import types
+import typing
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast, get_args
 
-from residua.design.core.options import Option, kinds_of, options_of, signature_of
+import numpy as np
+
 from residua.errors import ModelError, SettingError
 from residua.plant import InputOutputModel, Plant
+from residua.plant.balanced import is_singular
 from residua.threads import in_one_thread
 from residua.visible import echo
 
@@ -77,7 +82,7 @@ def one_call(plant: Plant, known: Diagnosability | None) -> Iterable[Mapping[str
 
 @dataclass(frozen=True, eq=False)
 class Method:
-    """A design function, with what it needs and promises.
+    """A design function, with its needs and promises.
 
     Attributes
     ----------
@@ -132,7 +137,7 @@ class Method:
     calls: Calls = field(default=one_call, repr=False)
 
     def with_chosen(
-        self, plant: Plant, asked: Mapping[str, Any], made: dict[Chosen, Any], seconds: float
+        self, plant: Plant, asked: Mapping[str, Any], known: dict[Chosen, Any], seconds: float
     ) -> dict[str, Any]:
         """Return arguments with those that are made from the plant, where they are not among them.
 
@@ -141,9 +146,9 @@ class Method:
         arguments = dict(asked)
         for name, one in self.chosen.items():
             if name not in arguments:
-                if one not in made:
-                    made[one] = one.make(plant, seconds)
-                arguments[name] = made[one]
+                if one not in known:
+                    known[one] = one.make(plant, seconds)
+                arguments[name] = known[one]
         return arguments
 
     @property
@@ -153,24 +158,24 @@ class Method:
 
     @property
     def needs(self) -> str:
-        """What the plant must have, in words."""
+        """The needs of the plant, in words."""
         listed = ", ".join(one if isinstance(one, str) else one.text for one in self.requirements)
         return listed or "nothing more"
 
     @property
     def returns(self) -> str:
-        """The name of the class of what it returns."""
+        """The name of the class of its result."""
         annotation = self.function.__annotations__.get("return", "")
         return annotation if isinstance(annotation, str) else getattr(annotation, "__name__", str(annotation))
 
     @cached_property
     def signature(self) -> inspect.Signature:
-        """Its parameters and what it returns, as types."""
+        """Its parameters and its result, as types."""
         return signature_of(self.function)
 
     @property
     def result(self) -> Any:
-        """The class of what it returns."""
+        """The class of its result."""
         return self.signature.return_annotation
 
     @cached_property
@@ -180,19 +185,19 @@ class Method:
 
     @cached_property
     def takes_a_plant(self) -> bool:
-        """Whether a plant is all that it is designed for."""
+        """True if a plant is all that it is designed for."""
         first = next(iter(self.signature.parameters.values()))
         return self.designs_for == "plant" and Plant in kinds_of(first.annotation)
 
     @property
     def called(self) -> str:
-        """How it is called in a line of code."""
-        own = self.function.__module__.split(".")[0] == __name__.split(".")[0]
-        return f"rs.design.{self.name}" if own else self.name
+        """Its call in a line of code."""
+        ours = self.function.__module__.split(".")[0] == __name__.split(".")[0]
+        return f"rs.design.{self.name}" if ours else self.name
 
     @property
     def place(self) -> tuple[Any, ...]:
-        """Where it stands among others: observers, plain residuals, names, sizes; then the least noise first."""
+        """Its place among others: observers, plain residuals, names, sizes; then the least noise first."""
         gives = 3 if self.size else 2 if self.faults else 0 if self.state else 1
         noise = get_args(Noise).index(self.noise)
         return self.designs_for != "plant", gives, noise, self.singular, self.name
@@ -210,12 +215,12 @@ class Method:
 METHODS: dict[str, Method] = {}
 
 
-def check_design(record: Method, made: object) -> None:
-    """Raise where what a method returned cannot be a design: it is, has and makes nothing that runs."""
-    if isinstance(made, Mapping) or any(hasattr(made, one) for one in _RUNS):
+def check_design(record: Method, design: object) -> None:
+    """Raise for a result of a method that cannot be a design: it is, has and makes nothing that runs."""
+    if isinstance(design, Mapping) or any(hasattr(design, one) for one in _RUNS):
         return
     raise ModelError(
-        f"{record.name} returned {type(made).__name__}, which is no design: it is, has and makes nothing that runs"
+        f"{record.name} returned {type(design).__name__}, which is no design: it is, has and makes nothing that runs"
     )
 
 
@@ -224,7 +229,7 @@ _RUNS = ("system", "observer", "generator", "residual_generator")
 
 
 def defect(record: Method, error: Exception) -> str:
-    """Return what is said of a method that raised what is no answer about a plant."""
+    """Return the message on a method that raised an error that is no answer about a plant."""
     return f"{record.name} raised {type(error).__name__}: {error} (a defect of the method)"
 
 
@@ -268,7 +273,7 @@ def method(
     source : str
         Where the method is from.
     needs : sequence of Need or str
-        What the plant must have: in words, or one of ``residua.design.core.needs``, which can be asked of a plant.
+        What the plant must have: in words, or one of ``residua.design.core.method``, which can be asked of a plant.
     designs_for : {"plant", "uncertain plant", "several plants", "model with parameters", "observer"}
         Only what is for a plant alone is tried by ``suggest`` and offered on the command line.
     state : str
@@ -340,7 +345,7 @@ def method(
 
 
 def _check(record: Method) -> None:
-    """Raise where a function cannot be a method of this name, or does not say what it returns or what it is for."""
+    """Raise for a function that cannot be a method of this name, or has no annotation of its plant or its result."""
     name, parameters, other = record.name, tuple(record.signature.parameters.values()), METHODS.get(record.name)
     if not parameters:
         raise SettingError(f"{name} takes nothing: a design function takes a plant, or what it is designed for, first")
@@ -360,3 +365,148 @@ def _check(record: Method) -> None:
     places = [(one.__module__, one.__qualname__) for one in (record.function, other.function)] if other else []
     if len(set(places)) > 1:
         raise SettingError(f"the name {name!r} is that of {places[1][0]}: take another")
+
+
+#: The beginning of a parameter in numpydoc: names, and what they are.
+_HEAD = re.compile(r"^(?P<names>\w+(?:, \w+)*)(?: : (?P<kind>.*))?$")
+
+
+@dataclass(frozen=True)
+class Option:
+    """A parameter of a design function beside the plant.
+
+    Attributes
+    ----------
+    name : str
+    annotation : type
+        The type of its values.
+    default : object
+        ``inspect.Parameter.empty`` without one.
+    text : str
+        The text of its docstring.
+    choices : tuple of str
+        The texts that it may be, where only some are.
+    """
+
+    name: str
+    annotation: Any
+    default: Any
+    text: str
+    choices: tuple[str, ...]
+
+    @property
+    def required(self) -> bool:
+        """True if it has no default."""
+        return self.default is inspect.Parameter.empty
+
+    @property
+    def kinds(self) -> tuple[Any, ...]:
+        """The types that it may be, each by itself."""
+        return kinds_of(self.annotation)
+
+
+def options_of(function: Callable[..., Any], signature: inspect.Signature) -> tuple[Option, ...]:
+    """Return the options of a function with this signature: all parameters after the first but ``*args``, ``**kw``."""
+    described, found = parameters_in(inspect.getdoc(function) or ""), []
+    for one in list(signature.parameters.values())[1:]:
+        if one.kind not in _ANY_NUMBER:
+            kind, text = described.get(one.name, ("", ""))
+            braces = re.match(r"\{(.*?)\}", kind)
+            choices = re.findall(r'"([^"]*)"', braces[1]) if braces else []
+            for part in kinds_of(one.annotation):
+                if typing.get_origin(part) is typing.Literal:
+                    choices += [value for value in typing.get_args(part) if isinstance(value, str)]
+            found.append(Option(one.name, one.annotation, one.default, text, tuple(choices)))
+    return tuple(found)
+
+
+#: The kinds of parameters that stand for any number of arguments, none too.
+_ANY_NUMBER = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+
+
+def signature_of(function: Callable[..., Any]) -> inspect.Signature:
+    """Return the signature of a function, its annotations as types; raise where one of them has no meaning."""
+    try:
+        return inspect.signature(function, eval_str=True)
+    except Exception as error:  # an annotation is an expression of anybody's
+        raise SettingError(
+            f"the annotations of {function.__name__} cannot be read: {error}; import or define what they name above "
+            "the function, and not under 'if TYPE_CHECKING:'"
+        ) from error
+
+
+def kinds_of(annotation: Any) -> tuple[Any, ...]:
+    """Return the members of a union, those of its members too; any other type by itself."""
+    annotation = getattr(annotation, "__value__", annotation)  # an alias by ``type``
+    if isinstance(annotation, types.UnionType) or typing.get_origin(annotation) is typing.Union:
+        return tuple(kind for part in typing.get_args(annotation) for kind in kinds_of(part))
+    return (annotation,)
+
+
+def parameters_in(docstring: str) -> Mapping[str, tuple[str, str]]:
+    """Return the ``Parameters`` of a docstring: by name, the kind and the description."""
+    lines = docstring.splitlines()
+    title = next(
+        (k for k in range(len(lines) - 1) if lines[k] == "Parameters" and lines[k + 1].startswith("---")), None
+    )
+    table: dict[str, tuple[str, str]] = {}
+    if title is None:
+        return table
+    names: tuple[str, ...] = ()
+    for k in range(title + 2, len(lines)):
+        if k + 1 < len(lines) and lines[k + 1].startswith("---"):
+            break
+        head = _HEAD.match(lines[k])
+        if head:
+            names = tuple(head["names"].split(", "))
+            table |= dict.fromkeys(names, (head["kind"] or "", ""))
+        elif lines[k].strip():
+            table |= {name: (table[name][0], f"{table[name][1]} {lines[k].strip()}".strip()) for name in names}
+    return table
+
+
+def _not_two_groups(plant: Plant, known: Diagnosability | None) -> str:
+    if not plant.faults:
+        return "the plant has no faults"
+    if known is None:
+        return "which of its faults can be told apart was not examined"
+    return "" if len(known.groups) > 1 else "no two of its faults can be told apart"
+
+
+def _has(text: str, has: Callable[[Plant], object], missing: str) -> Need:
+    return Need(text, lambda plant, known: "" if has(plant) else missing)
+
+
+NOISE = _has("noise", lambda plant: plant.noises, "the plant has no noise: give it with plant.with_noise(...)")
+SAMPLED = _has("sampled", lambda plant: plant.is_discrete, "it counts samples: plant.discretize(dt) first")
+FAULTS = _has("faults", lambda plant: plant.faults, "the plant has no faults")
+SENSOR_FAULTS = _has("sensor faults", lambda plant: "sensor" in plant.fault_kinds, "the plant has no sensor faults")
+ACTUATOR_FAULTS = _has(
+    "actuator faults", lambda plant: "actuator" in plant.fault_kinds, "the plant has no actuator faults"
+)
+FAULTS_APART = Need("faults", _not_two_groups)
+
+
+def disturbances(text: str, instead: str) -> Need:
+    """Return the need of disturbances: its name, and the alternative for a plant without."""
+    return _has(text, lambda plant: plant.disturbances, f"the plant has no disturbances: {instead}")
+
+
+def each_scheme(plant: Plant, known: Diagnosability | None) -> Iterable[Mapping[str, Any]]:
+    """Return both schemes of a bank."""
+    return {"scheme": "generalized"}, {"scheme": "dedicated"}
+
+
+def least_order_unless_singular(plant: Plant, known: Diagnosability | None) -> Iterable[Mapping[str, Any]]:
+    """Return the option for the least order, where a plant has neither a singular ``E`` nor disturbances."""
+    return ({} if is_singular(plant) or plant.disturbances else {"least_order": True},)
+
+
+def groups_of_faults(plant: Plant, known: Diagnosability | None) -> Iterator[Mapping[str, Any]]:
+    """Yield all faults, all of one kind, and each fault that is seen."""
+    seen = plant.faults if known is None else tuple(np.asarray(plant.faults)[known.detectable].tolist())
+    kinds = ("actuator", "sensor", "component")
+    groups = [tuple(fault.name for fault in plant.fault_list if fault.kind == kind) for kind in kinds]
+    for group in dict.fromkeys([plant.faults, *groups, *((name,) for name in seen)]):
+        if group:
+            yield {} if group == plant.faults else {"faults": group}

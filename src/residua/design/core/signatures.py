@@ -1,18 +1,18 @@
-"""Which residuals answer to which fault, and the directions that each fault moves the residual in."""
+"""Responses of residuals to faults: the marks of a structure, the directions of faults, and steady responses."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
 
 from residua.design.core.balanced_filter import BalancedFilter, Resolvent, extended_sum
 from residua.design.core.internal_form import frequency_grid
-from residua.design.core.responses import with_even_states
 from residua.linear import StateSpace
 from residua.linear.systems.scaling import power_near
-from residua.tolerances import DESIGN_ROUNDING, LEAKAGE, TINY, above_rounding
+from residua.tolerances import DESIGN_ROUNDING, LEAKAGE, RESIDUE, RESPONSE_ROUNDING, TINY, above_rounding
 
 Matrix = NDArray[np.float64]
 #: Of the largest terms of a row and of a column, wherever they stand: they leave rounding, and gains known to it only.
@@ -50,7 +50,7 @@ class FaultResponses:
 
     @property
     def reached(self) -> NDArray[np.bool_]:
-        """Which residuals a fault reaches, shape (residuals, faults)."""
+        """Residuals that each fault reaches, shape (residuals, faults)."""
         return np.any(self.values != 0, axis=0)
 
 
@@ -75,6 +75,12 @@ def responses_of_filter(f: BalancedFilter, points: NDArray[np.complex128] | None
     # far above all rates a response falls by powers of frequency, and what rounding leaves of another by fewer
     level = _LEAST_ANSWER * np.median(terms, axis=0)
     reached = np.any(np.abs(values) > DESIGN_ROUNDING * np.maximum(terms, level), axis=0)
+    # nor is what states that cancel leave of their own rounding an answer
+    small = np.abs(values).max(axis=(0, 1), initial=0.0) < RESPONSE_ROUNDING * np.abs(x).max(axis=(0, 1), initial=0.0)
+    if (doubtful := reached.any(axis=0) & small).any():
+        sizes, gains = np.abs(x[..., doubtful]), np.abs(Resolvent.of(f.F.T, None)(f.L.T, points)).transpose(0, 2, 1)
+        made_of = np.abs(f.F) @ sizes + np.abs(points)[:, None, None] * sizes + np.abs(B[:, doubtful])
+        reached[:, doubtful] &= np.any(np.abs(values[..., doubtful]) > RESIDUE * (gains @ made_of), axis=0)
     return FaultResponses((f.F, B, -L, D), np.where(reached, values, 0.0), driven, f.heights)
 
 
@@ -93,7 +99,7 @@ def responses_of_form(form: StateSpace, faults: int) -> FaultResponses:
 
 
 def _product(*products: tuple[Matrix, Matrix]) -> Matrix:
-    """Return a sum of products without what is rounding of its terms."""
+    """Return a sum of products without rounding of its terms."""
     terms = sum(
         np.abs(M) @ np.abs(N)
         + _ELSEWHERE * np.abs(M).max(axis=1, keepdims=True, initial=0.0) * np.abs(N).max(axis=0, initial=0.0)
@@ -132,16 +138,16 @@ def signatures_of(
         values, sizes = responses.values[:, :, i], responses.sizes[:, :, i]
         # each residual as this fault moves it: others may move it millions of times further at low frequencies; a
         # design misses the direction that it aims at by a little of the terms, hence the bound
-        own = np.where(reached[:, i], np.maximum(np.abs(values), _LEAST_ANSWER * sizes).max(axis=0), units)
-        columns = _unit_columns(values.T / own[:, None])
+        heights = np.where(reached[:, i], np.maximum(np.abs(values), _LEAST_ANSWER * sizes).max(axis=0), units)
+        columns = _unit_columns(values.T / heights[:, None])
         if columns.shape[1] == 0:
-            bases[name] = np.zeros((len(own), 0))
+            bases[name] = np.zeros((len(heights), 0))
             continue
         spanning = np.ones((1, 1))
-        if len(own) > 1:
+        if len(heights) > 1:
             U, s, _ = np.linalg.svd(np.concatenate([columns.real, columns.imag], axis=1), full_matrices=False)
             spanning = U[:, : _dimension(s, rtol)]
-        basis = np.linalg.qr((own / responses.residuals)[:, None] * spanning)[0]
+        basis = np.linalg.qr((heights / responses.residuals)[:, None] * spanning)[0]
         if basis.shape[1] == 1 and basis[:, 0] @ first_response(responses, i) < 0:
             basis = -basis
         basis = np.where(reached[:, i, None], basis, 0.0)
@@ -152,7 +158,7 @@ def signatures_of(
 
 
 def _dimension(s: Matrix, rtol: float) -> int:
-    """Return how many of the directions with these singular values, the largest first, a response takes.
+    """Return the number of directions, with these singular values in descending order, that a response takes.
 
     Those beyond ``rtol``; and fainter ones where the gap to what is rounding comes only after them. A design misses a
     direction that it aims at by what lies beyond a gap; faint directions before it are in other units of the residuals
@@ -168,7 +174,7 @@ def _dimension(s: Matrix, rtol: float) -> int:
 
 
 def residual_units(responses: FaultResponses) -> Matrix:
-    """Return the size of each residual: of its answers, where these are more than a little of what they are made of.
+    """Return the size of each residual: of its answers, if they are more than a little of its terms.
 
     Else of what it is made of, so that residuals that ignore every fault have one as well. Where a plant integrates,
     that grows without end towards low frequencies, and no answer would be a direction beside those of another residual.
@@ -221,3 +227,31 @@ def first_response(responses: FaultResponses, fault: int) -> Matrix:
         slowest = np.flatnonzero(responses.values[:, :, fault].any(axis=1))
         first = responses.values[slowest[0], :, fault].real if slowest.size else first
     return first / responses.residuals
+
+
+def steady_responses(form: StateSpace) -> NDArray[np.float64]:
+    """Return the steady response to constant inputs of size one, exactly zero for rounding.
+
+    Rounding is judged by the terms of the same response: each residual and each fault has its own units.
+    """
+    A, B, C = with_even_states(form)
+    D = form.D
+    M = (np.eye(len(A)) if form.is_discrete else 0.0) - A
+    inverse = np.linalg.inv(M)
+    X = inverse @ B
+    gain, terms = C @ X + D, np.abs(C) @ np.abs(X) + np.abs(D)
+    rounding = np.abs(C) @ (np.abs(inverse) @ (np.abs(M) @ (np.abs(inverse) @ np.abs(B))))  # of the inverse itself
+    sizes = np.maximum(np.abs(B).max(axis=0, initial=0.0), np.abs(D).max(axis=0, initial=0.0))
+    relative = np.abs(gain) / np.where(sizes > 0, sizes, 1.0)
+    left = relative > 1e-15 * relative.max(
+        axis=1, keepdims=True, initial=0.0
+    )  # a direct term may be rounding of its row
+    return np.where(left & (np.abs(gain) > 1e-10 * terms + 1e-13 * rounding), gain, 0.0)
+
+
+def with_even_states(form: StateSpace) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return ``A``, ``B``, ``C`` with states in units in which rows and columns of ``A`` are as large."""
+    if not form.n_states:
+        return form.A, form.B, form.C
+    A, (T, _) = scipy.linalg.matrix_balance(form.A, permute=False, separate=True)
+    return A, form.B / T[:, None], form.C * T

@@ -15,8 +15,7 @@ from residua.design.banks.bank import largest_leaks, maps_of
 from residua.design.core.decoupling import Approximate
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import Member, ResidualGenerator, make_generator
-from residua.design.core.method import method
-from residua.design.core.needs import FAULTS, disturbances
+from residua.design.core.method import FAULTS, disturbances, method
 from residua.design.detection_filters.directional_gain import (
     FaultEvent,
     Poles,
@@ -31,8 +30,7 @@ from residua.design.observers.observer_gain import balanced_options, require_det
 from residua.design.observers.unknown_input_observer import REFERENCE, ErrorPair, error_pair
 from residua.errors import AccuracyError, DesignError
 from residua.linear.poles.observer_gain import ObserverGain
-from residua.linear.poles.placement import default_margin
-from residua.linear.poles.spectrum import describe_modes
+from residua.linear.poles.spectrum import balanced_rate, describe_modes
 from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.quotient import observable_split
 from residua.linear.systems.state_space import stack_systems
@@ -238,7 +236,7 @@ def robust_detection_filter(
 def _directional_filters(
     pair: ErrorPair, poles: Poles, margin: float | None, faults: Iterable[str] | None, base: Evidence
 ) -> ResidualGenerator:
-    """Design directional filters for an error pair: that of the plant, or of what no disturbance reaches."""
+    """Design directional filters for an error pair: of the plant, or of the plant without its disturbances."""
     plant = pair.model.plant
     poles, margin = balanced_options(plant, poles, margin)
     wanted = plant.faults if faults is None else (faults,) if isinstance(faults, str) else tuple(faults)
@@ -267,9 +265,9 @@ def _directional_filters(
     ideal = _scalar_gain(pair, poles, margin)
     groups, gains = partition(pair, events, hidden) if ideal is None else ([events], [ideal])
     for k, group in enumerate(groups if ideal is None and (poles is not None or margin is not None) else ()):
-        own = {name for event in group for name in event.faults} | {"rest"}
-        mine = {name: poles[name] for name in poles if name in own} if isinstance(poles, Mapping) else poles
-        gains[k] = block_gain(pair, group, hidden, mine, margin)
+        names = {name for event in group for name in event.faults} | {"rest"}
+        share = {name: poles[name] for name in poles if name in names} if isinstance(poles, Mapping) else poles
+        gains[k] = block_gain(pair, group, hidden, share, margin)
     if len(groups) > 1:
         notes.append(f"{len(groups)} filters: one cannot keep all faults apart")
     near = [one for event in events for one in event.space.decisions if not one.is_clear]
@@ -286,7 +284,7 @@ def _scalar_gain(pair: ErrorPair, poles: Poles, margin: float | None) -> Observe
         return None
     wanted = np.asarray([] if poles is None else poles, dtype=complex)
     if poles is None:
-        distance = default_margin(pair.A, float(sampled)) if margin is None else margin
+        distance = balanced_rate(pair.A, sampled) if margin is None else margin
         pole = float(np.exp(-distance)) if sampled else -float(distance)
     elif len(wanted) != n or np.any(wanted != wanted[0]) or np.any(np.imag(wanted)):
         return None

@@ -48,7 +48,7 @@ class FaultEvent:
 
 
 def entrances(pair: ErrorPair, faults: Sequence[str]) -> dict[str, tuple[Matrix, Matrix]]:
-    r"""Return how each fault enters the error and the residual of any gain, as columns that are balanced.
+    r"""Return the balanced directions of each fault in the error and in the residual of any gain.
 
     A fault :math:`f, d` enters :math:`\varepsilon = T x - z` as :math:`T (f - G d - A_0 H W d)`, less ``K_1`` times
     how it enters the residual, :math:`(I - C_0 H) W d`.

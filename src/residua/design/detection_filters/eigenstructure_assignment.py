@@ -13,8 +13,7 @@ from residua import arrays
 from residua.design.core.decoupling import IGNORED, Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
-from residua.design.core.method import method
-from residua.design.core.needs import disturbances
+from residua.design.core.method import disturbances, method
 from residua.design.detection_filters.directional_gain import (
     FaultEvent,
     block_gain,
@@ -28,9 +27,8 @@ from residua.design.observers.unknown_input_observer import ErrorPair, error_pai
 from residua.errors import AccuracyError, DesignError, SettingError
 from residua.linear.norms.system_norms import hinf_norm
 from residua.linear.poles.observer_gain import ObserverGain
-from residua.linear.poles.placement import default_margin
 from residua.linear.poles.pole_assignment import real_block_diagonal
-from residua.linear.poles.spectrum import describe_modes
+from residua.linear.poles.spectrum import balanced_rate, describe_modes
 from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.detection_space import are_independent, complement, confined_space, split_blocks
 from residua.linear.subspaces.quotient import observable_split, quotient, without_rounding
@@ -77,25 +75,24 @@ class _IgnoredColumns:
         return np.hstack([np.zeros((len(self.pair.A), 0)), *self.columns.values()])
 
     def rows(self, S: Matrix) -> Matrix:
-        """Return rows on the outputs of the plant that span what rows on those of the pair do.
+        """Return a basis, on the outputs of the plant, of the rows on those of the pair.
 
         Each has an output of its own and length one, the first entry positive.
         """
         even, pivots = S @ self.pair.outputs @ self.pair.W, []
-        for i in range(len(S)):
-            size = np.linalg.norm(even[i:], axis=0)
-            pivots.append(j := int(np.argmax(size > 0.9 * size.max())))
-            k = i + int(np.argmax(np.abs(even[i:, j])))
-            even[[i, k]] = even[[k, i]]
-            own = np.where(np.arange(len(S)) == i, 0.0, even[:, j] / even[i, j])[:, None]
-            even = above_rounding(even - own * even[i], np.abs(even) + np.abs(own * even[i]))
-        whole = even[np.argsort(pivots, kind="stable")] * self.pair.model.units.outputs
+        basis = np.linalg.qr(even.T)[0].T  # what is left of it has columns of the same length whatever the rows
+        while len(basis):
+            size = np.linalg.norm(basis, axis=0)
+            pivots.append(int(np.argmax(size > 0.9 * size.max())))
+            basis = complement(basis[:, pivots[-1:]]).T @ basis
+        inverse = np.linalg.inv(even[:, sorted(pivots)])
+        whole = above_rounding(inverse @ even, np.abs(inverse) @ np.abs(even)) * self.pair.model.units.outputs
         lead = np.argmax(whole != 0, axis=1)
         return whole * (np.sign(whole[np.arange(len(S)), lead]) / np.linalg.norm(whole, axis=1))[:, None]
 
 
 def _ignored_columns(plant: Plant, insensitive_to: Iterable[str | int] | str) -> _IgnoredColumns:
-    """Return what an observer of a plant has to ignore: all disturbances and the named faults.
+    """Return the inputs that an observer of a plant has to ignore: all disturbances and the named faults.
 
     Raises
     ------
@@ -234,7 +231,7 @@ def eigenstructure_assignment(
     pair, sampled = parts.pair, parts.pair.model.plant.is_discrete
     poles, margin = balanced_options(pair.model.plant, poles, margin)
     # of assigned eigenvectors when the user names no eigenvalue: as the paper, 0 in sampled time
-    first = 0.0 if sampled else -(default_margin(pair.A) if margin is None else margin)
+    first = 0.0 if sampled else -(balanced_rate(pair.A, sampled) if margin is None else margin)
     if side == "left":
         return _generator(parts, "left", *_left_design(parts, poles, margin, first, approximate))
     S, seen, ways = _confinements(parts, combine)
@@ -271,7 +268,7 @@ def _stable(parts: _IgnoredColumns, margin: float | None) -> str:
 
 
 def _confinements(parts: _IgnoredColumns, combine: bool) -> tuple[Matrix, Matrix, list[tuple[list[FaultEvent], str]]]:
-    r"""Return the rows that do not see the ignored columns, what they see, and the ways to keep the columns from them.
+    r"""Return the rows that do not see the ignored columns, the states they see, and the ways to confine the columns.
 
     The smallest space ``V`` that a gain can make invariant and that holds the columns is :math:`f, A f, \dots,
     A^\mu f` for each, with :math:`C A^\mu f` the first that is not zero. Where the vectors :math:`C A^\mu f` are
@@ -346,15 +343,15 @@ def _right_gain(
     named = set(poles or {}) if poles is None or isinstance(poles, Mapping) else None
     chains = [event for event in events if event.faults[-1] != "ignored"]
     if named is not None:
-        own = {e.faults[0]: [first] * e.space.dimension for e in chains if not set(e.faults) & named}
-        poles = {**(poles or {}), **own}
+        defaults = {e.faults[0]: [first] * e.space.dimension for e in chains if not set(e.faults) & named}
+        poles = {**(poles or {}), **defaults}
     return block_gain(pair, events, None, poles, margin)
 
 
 def _left_design(
     parts: _IgnoredColumns, poles: Any, margin: float | None, first: float, approximate: bool
 ) -> tuple[Matrix, Matrix | None, ObserverGain, str, dict[str, RankDecision]]:
-    r"""Return residual rows, what they see if they are exact, a gain that makes them eigenvectors, a note, and ranks.
+    r"""Return residual rows, the states they see if they are exact, their gain, a note, and ranks.
 
     All rows ``s`` with :math:`s C F_Z = 0` for which ``s C A`` is a row of ``C``, or the nearest one. Both conditions
     are linear in ``s``: :math:`s\,[C F_Z,\ C A N] = 0` with ``N`` a basis of the null space of ``C``. As ``h = s C``
@@ -430,7 +427,7 @@ def _generator(
     note: str,
     ranks: dict[str, RankDecision],
 ) -> ResidualGenerator:
-    """Return the generator of a gain, with what it promises checked.
+    """Return the generator of a gain, with its promises checked.
 
     Its states are those of the estimate that the residual sees, along orthonormal columns; the others, and with them
     what is ignored, are left out, so that rounding does not bring them back. Without such columns the gain is an
@@ -455,17 +452,17 @@ def _generator(
     system = plant_filter(plant, units.rate * T * units.states @ F @ pair.M @ V, T, T @ observer.K, C, W, None, names)
     faults = tuple(name for name in plant.faults if name in parts.names)
     decouples = Decoupled(faults=faults, apart=True) if exact else Decoupled(disturbances=False)
-    made = make_generator(system, plant, method, evidence, decouples=decouples, state_map=T, observer=observer)
-    leaks = made.evidence.decoupling
-    own = {name: gain for name, gain in leaks.items() if name != IGNORED}
-    observer = replace(observer, evidence=evidence.extended(decoupling=own))
+    generator = make_generator(system, plant, method, evidence, decouples=decouples, state_map=T, observer=observer)
+    leaks = generator.evidence.decoupling
+    decoupling = {name: gain for name, gain in leaks.items() if name != IGNORED}
+    observer = replace(observer, evidence=evidence.extended(decoupling=decoupling))
     more = {IGNORED: leaks["disturbance"]} if exact and not faults and "disturbance" in leaks else {}
     if not exact:  # the peak gain of each ignored input over frequency, beside the largest of a fault that is seen
-        form = made.internal_form()
+        form = generator.internal_form()
         peaks = {
             name: hinf_norm(form.A, form.B[:, [i]], form.C, form.D[:, [i]], form.dt).value
             for i, name in enumerate((*plant.faults, *plant.disturbances))
         }
         largest = max((peaks[name] for name in plant.faults if name not in parts.names), default=0.0)
         more = {f"{name}, leaking": float(peaks[name] / largest) if largest else np.inf for name in parts.names}
-    return replace(made, observer=observer, evidence=made.evidence.extended(decoupling=more))
+    return replace(generator, observer=observer, evidence=generator.evidence.extended(decoupling=more))

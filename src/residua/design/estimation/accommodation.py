@@ -1,4 +1,4 @@
-"""Living with a fault: an input that compensates it, and a closed loop on what healthy sensors would read."""
+"""Fault accommodation: an input that compensates faults, and a closed loop on virtual sensors."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from residua.tolerances import RESPONSE_ROUNDING, TINY
 
 @dataclass(frozen=True, eq=False)
 class Compensation:
-    r"""How control inputs undo faults: :math:`u = -\Gamma \hat f`.
+    r"""Compensation of faults by control inputs: :math:`u = -\Gamma \hat f`.
 
     Attributes
     ----------
@@ -147,12 +147,14 @@ def closed_loop(
     """
     if acts_on not in ("states", "outputs"):
         raise SettingError(f"acts_on must be 'states' or 'outputs', got {acts_on!r}")
-    own = estimator.plant
+    model = estimator.plant
     for what in ("inputs", "outputs", "states"):
-        if getattr(own, what) != getattr(plant, what):
-            raise ModelError(f"the estimator is for a plant with other {what}: {', '.join(getattr(own, what))}")
-    if own.dt != plant.dt:
-        raise ModelError(f"the estimator has dt={own.dt:g}, the plant dt={plant.dt:g}: sample both with the same step")
+        if getattr(model, what) != getattr(plant, what):
+            raise ModelError(f"the estimator is for a plant with other {what}: {', '.join(getattr(model, what))}")
+    if model.dt != plant.dt:
+        raise ModelError(
+            f"the estimator has dt={model.dt:g}, the plant dt={plant.dt:g}: sample both with the same step"
+        )
     m, p, n = len(plant.inputs), plant.n_outputs, plant.n_states
     K = _controller(feedback, m, n if acts_on == "states" else p, plant)
     faults, joint = (), estimator.system
@@ -164,12 +166,12 @@ def closed_loop(
     reference, other = np.split(np.eye(P.n_inputs), [m])
     U = -output_of_K  # the control inputs, from all outputs
     if compensate and faults:
-        U = U - compensation_gain(own, faults).gain @ fault_estimate
+        U = U - compensation_gain(model, faults).gain @ fault_estimate
     read, direct = Y, np.zeros((p, m))
     if acts_on == "states":
         read, direct = estimate, np.zeros((n, m))
     elif virtual:
-        read, direct = own.C @ estimate, own.D
+        read, direct = model.C @ estimate, model.D
     back = np.vstack([U, np.zeros((len(other), len(whole.C))), U, Y, read + direct @ U])
     enter = np.vstack([reference, other, reference, np.zeros((p, P.n_inputs)), direct @ reference])
     loop = np.eye(len(back.T)) - whole.D @ back

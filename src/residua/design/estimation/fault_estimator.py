@@ -1,4 +1,4 @@
-"""Observers that estimate the fault itself, and what a faulty sensor should read."""
+"""Observers that estimate faults, and the outputs of healthy sensors."""
 
 from __future__ import annotations
 
@@ -15,8 +15,7 @@ from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.design.core.internal_form import frequency_grid, internal_form
-from residua.design.core.method import method
-from residua.design.core.needs import FAULTS, groups_of_faults
+from residua.design.core.method import FAULTS, groups_of_faults, method
 from residua.design.core.signals import sampled_filter, stack_signals
 from residua.design.observers.observer import Observer, plant_filter
 from residua.design.observers.unknown_input_observer import unknown_input_observer
@@ -140,7 +139,7 @@ class FaultEstimator:
         return self.observer.estimate(u, y, dt=dt)
 
     def virtual_outputs(self, u: ArrayLike | None, y: ArrayLike, *, dt: float | None = None) -> NDArray[np.float64]:
-        r"""Return what healthy sensors would read, :math:`C \hat x + D u`, shape (time, outputs).
+        r"""Return the outputs of healthy sensors, :math:`C \hat x + D u`, shape (time, outputs).
 
         Without what disturbances add to the outputs, where the plant has such.
         """
@@ -249,8 +248,10 @@ def fault_estimator(
     Notes
     -----
     Assumes: the model is exact, linear and time-invariant, and no other fault happens. Exists exactly when
-    an unknown input observer for disturbances and faults does, and
-    :math:`\operatorname{rank} [B_d\ B_f; D_d\ D_f] = \operatorname{rank} [B_d; D_d] + \text{number of faults}`.
+    an unknown input observer for disturbances and faults does,
+    :math:`\operatorname{rank} [B_d\ B_f; D_d\ D_f] = \operatorname{rank} [B_d; D_d] + \text{number of faults}`, and
+    disturbances and faults leave fewer invariant zeros, which are the fixed poles, than the plant has poles: faults of
+    all sensors would leave the state to be simulated beside the plant without any correction.
     Sueur's own form, :func:`inverse_form_observer`, asks for an invertible ``A`` besides, and his sensor faults for
     a filter on every faulty output; neither is needed here.
 
@@ -314,8 +315,8 @@ def fault_estimator(
         },
     )
     maps = {"state_map": T, "static_map": V if plant.E is not None else None}
-    made = make_generator(system, plant, _METHOD, evidence, decouples=Decoupled(), estimated=names, **maps)
-    generator = replace(made, evidence=_with_noise(made.evidence, plant, system, form, lag))
+    generator = make_generator(system, plant, _METHOD, evidence, decouples=Decoupled(), estimated=names, **maps)
+    generator = replace(generator, evidence=_with_noise(generator.evidence, plant, system, form, lag))
     return FaultEstimator(plant, names, observer, system, lag, generator)
 
 
@@ -333,7 +334,8 @@ def _observer_ignoring(
             f"no observer of the state ignores {', '.join(names)} as unknown inputs: {error}; "
             "to estimate fewer faults at once may help"
         ) from error
-    if observer.order and len(observer.evidence.fixed_poles) == observer.order:
+    fixed = len(observer.evidence.fixed_poles)
+    if fixed and fixed == len(plant.balanced.dynamics):
         raise DesignError(
             f"no pole of an estimate that ignores {', '.join(names)} is free: nothing that these faults leave corrects "
             "the state, and errors of the model would look like faults; estimate fewer faults at once, or add a sensor"
@@ -342,7 +344,7 @@ def _observer_ignoring(
 
 
 def _read_faults(plant: Plant, faults: tuple[str, ...]) -> _FaultReading:
-    r"""Return how to read faults off a plant in which they are the last disturbances.
+    r"""Return the reading of faults of a plant in which they are the last disturbances.
 
     What the faults and disturbances ``v`` do at once, :math:`D v = y - D u - C x` and :math:`N B v = -N (A x + B u)`
     with :math:`N E = 0`, is used first; only what that leaves open is taken from derivatives of outputs that ``v``
@@ -403,12 +405,12 @@ def _read_faults(plant: Plant, faults: tuple[str, ...]) -> _FaultReading:
 
 
 def _without_residue(M: Matrix) -> Matrix:
-    """Return a matrix without the entries that are what rounding leaves beside the largest of their row."""
+    """Return a matrix without the entries that are rounding beside the largest of their row."""
     return above_rounding(M, np.abs(M).max(axis=1, keepdims=True, initial=0.0), RESIDUE)
 
 
 def _inverse(M: Matrix) -> Matrix:
-    """Return the pseudoinverse of a balanced matrix, which may be nothing but rounding."""
+    """Return the pseudoinverse of a balanced matrix, zero for one of rounding alone."""
     return np.asarray(scipy.linalg.pinv(M, atol=BALANCED_RANK, rtol=0.0)) if M.size else M.T
 
 
@@ -445,15 +447,15 @@ def _realised(
         delta = np.where(late, 0.0, np.where(on, epsilon, 1.0))
     else:
         alpha, beta, gamma, delta, epsilon = -rate, rate, -(rate**2), np.where(on, 0.0, 1.0), rate
-    own = np.flatnonzero(filtered)
-    k = len(own)
-    T, V = np.vstack([observer.T, -(beta * P)[own]]), delta * P
+    lagging = np.flatnonzero(filtered)
+    k = len(lagging)
+    T, V = np.vstack([observer.T, -(beta * P)[lagging]]), delta * P
     system = plant_filter(
         plant,
-        np.block([[observer.F, np.zeros((observer.order, k))], [(beta * r_z)[own], alpha * np.eye(k)]]),
+        np.block([[observer.F, np.zeros((observer.order, k))], [(beta * r_z)[lagging], alpha * np.eye(k)]]),
         T,
-        np.vstack([observer.K, (beta * R + gamma * L_d)[own]]),
-        np.hstack([delta * r_z, np.eye(len(names))[:, own]]),
+        np.vstack([observer.K, (beta * R + gamma * L_d)[lagging]]),
+        np.hstack([delta * r_z, np.eye(len(names))[:, lagging]]),
         delta * R + epsilon * L_d,
         V,
         [f"estimate {name}" for name in names],
@@ -462,7 +464,7 @@ def _realised(
 
 
 def _summed(*products: tuple[NDArray, NDArray]) -> NDArray[np.float64]:
-    """Return a sum of products without what rounding leaves of sums that cancel."""
+    """Return a sum of products without the rounding of terms that cancel."""
     total = np.add.reduce([left @ right for left, right in products])
     return above_rounding(total, np.add.reduce([np.abs(left) @ np.abs(right) for left, right in products]))
 
@@ -470,7 +472,7 @@ def _summed(*products: tuple[NDArray, NDArray]) -> NDArray[np.float64]:
 def _with_noise(
     evidence: Evidence, plant: Plant, s: StateSpace, form: StateSpace, lag: Mapping[str, float]
 ) -> Evidence:
-    """Return evidence with the lags of the estimates, and what measurements and noise do to them."""
+    """Return evidence with the lags of the estimates, and their gains from measurements and noise."""
     conditions: dict[str, float] = {}
     notes: list[str] = []
     n_u, noise = len(plant.inputs), slice(form.n_inputs - len(plant.noises), None)

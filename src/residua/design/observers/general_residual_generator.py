@@ -10,13 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.arrays import matrix
-from residua.design.core.decoupling import Decoupled
+from residua.design.core.balanced_filter import state_map_of, static_map
+from residua.design.core.decoupling import Decoupled, leak
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
-from residua.design.core.leak import leak
 from residua.design.core.method import method
 from residua.design.core.signals import signal_names
-from residua.design.core.state_map import state_map_of, static_map
 from residua.design.observers.observer import Observer
 from residua.errors import DesignError, SettingError
 from residua.linear import StateSpace
@@ -93,17 +92,17 @@ class GeneralForm(Shown):
 
     @property
     def is_residual_generator(self) -> bool:
-        """Whether the conditions (4-18) hold: zero for the fault-free plant without disturbances."""
+        """True if the conditions (4-18) hold: zero for the fault-free plant without disturbances."""
         return all(error <= IDENTITY for name, error in self.conditions.items() if name in CONDITIONS[:4])
 
     @property
     def decouples(self) -> bool:
-        """Whether also the condition (4-19) holds."""
+        """True if the condition (4-19) holds too."""
         return self.is_residual_generator and all(error <= IDENTITY for error in self.conditions.values())
 
     @property
     def keeps_faults_apart(self) -> bool:
-        """Whether condition (4-20) holds, rank(T F) = rank(F)."""
+        """True if condition (4-20) holds, rank(T F) = rank(F)."""
         return self.rank_TF.rank == self.rank_F.rank
 
     def __str__(self) -> str:
@@ -313,8 +312,8 @@ def _of_gain(plant: Plant, gain: ArrayLike, weight: ArrayLike | None) -> Residua
     F = plant.A - K @ plant.C
     _require_stable(F, plant.dt, "A - K C")
     evidence = Evidence(method="observer with a given gain", poles=explicit_poles(F), references=(REFERENCE,))
-    made = Observer(plant, F, np.eye(n), K, np.eye(n), np.zeros((n, p)), S, evidence.method, False, evidence)
-    return made.residual_generator()
+    observer = Observer(plant, F, np.eye(n), K, np.eye(n), np.zeros((n, p)), S, evidence.method, False, evidence)
+    return observer.residual_generator()
 
 
 def _of_matrices(plant: Plant, entries: dict[str, Any], decouples: bool) -> ResidualGenerator:
@@ -360,13 +359,13 @@ def _of_matrices(plant: Plant, entries: dict[str, Any], decouples: bool) -> Resi
     return make_generator(system, plant, method, evidence, decouples=promise, state_map=T, static_map=V)
 
 
-def _decoupling_as_asked(made: ResidualGenerator, decouples: bool | None) -> ResidualGenerator:
+def _decoupling_as_asked(generator: ResidualGenerator, decouples: bool | None) -> ResidualGenerator:
     """Return a generator, after checking that it ignores the disturbances where that is asked."""
-    p = made.plant
+    p = generator.plant
     if not decouples or not p.disturbances:
-        return made
-    assert made.state_map is not None  # every observer has one
-    found = leak(made.system, p, made.state_map, made.static_map)
+        return generator
+    assert generator.state_map is not None  # every observer has one
+    found = leak(generator.system, p, generator.state_map, generator.static_map)
     gain = float(found.gains[:, len(p.inputs) :].max())
     if gain > LEAK:
         raise DesignError(
@@ -374,7 +373,7 @@ def _decoupling_as_asked(made: ResidualGenerator, decouples: bool | None) -> Res
             f"reach it by {gain:.2g} of the terms that would have to cancel (allowed: {LEAK:.0e}); leave decouples out "
             "to take it as it is, or have one designed, as by unknown_input_observer or decoupled_residual"
         )
-    return replace(made, evidence=made.evidence.extended(decoupling={"disturbance": gain}))
+    return replace(generator, evidence=generator.evidence.extended(decoupling={"disturbance": gain}))
 
 
 def _require_stable(F: NDArray, dt: float, name: str) -> None:

@@ -15,8 +15,7 @@ from residua import arrays
 from residua.analysis.existence import unknown_input_observer_existence
 from residua.arrays import matrix
 from residua.design.core.evidence import Evidence, format_pole
-from residua.design.core.method import method
-from residua.design.core.needs import FAULTS
+from residua.design.core.method import FAULTS, method
 from residua.design.observers.observer import Observer, plant_observer, with_checked_estimate
 from residua.design.observers.unknown_input_observer import unknown_input_observer
 from residua.errors import AccuracyError, DesignError
@@ -27,7 +26,7 @@ from residua.linear.subspaces.quotient import without_rounding
 from residua.linear.subspaces.rank import decide_rank, equilibrated
 from residua.plant import Plant
 from residua.plant.balanced import BalancedPlant
-from residua.tolerances import BALANCED_RANK, RANK, ROUNDING, above_rounding
+from residua.tolerances import BALANCED_RANK, RANK, ROUNDING, TINY, above_rounding
 
 #: No pole of a sampled observer is chosen nearer to zero: its inverse would be far from all others.
 _LEAST = 0.01
@@ -281,7 +280,7 @@ def _observer(
         requested_poles=requested,
         conditions={
             "|T F| / |F|": float(np.abs(T @ E).max()),
-            "T A - K C = F T": float(np.abs(off).max() / (terms + np.abs(F) @ np.abs(T)).max()),
+            "T A - K C = F T": float(np.abs(off).max() / max((terms + np.abs(F) @ np.abs(T)).max(), TINY)),
             "pole error": error,
             "condition of N_BF": condition,
         },

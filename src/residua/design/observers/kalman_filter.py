@@ -8,8 +8,7 @@ import numpy as np
 
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator
-from residua.design.core.method import method
-from residua.design.core.needs import NOISE
+from residua.design.core.method import NOISE, method
 from residua.design.observers.observer import balanced_observer
 from residua.design.observers.observer_gain import gain_evidence, require_detectable
 from residua.errors import AccuracyError, DesignError
@@ -148,7 +147,7 @@ def _gain(plant: Plant, model: BalancedPlant) -> ObserverGain:
 
 
 def _moves_by_itself(plant: Plant, model: BalancedPlant) -> bool:
-    """Tell whether a mode on the boundary of stability gets no process noise but what the measurements show."""
+    """Tell of a mode on the boundary of stability that no process noise reaches beside that of the measurements."""
     X = model.units.states[:, None]
     through = plant.cross_noise @ np.linalg.pinv(plant.measurement_noise)
     A = model.A - through @ plant.C / X * model.units.states / model.units.rate

@@ -8,10 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residua.design.core.decoupling import Decoupled
+from residua.design.core.decoupling import Decoupled, answers, leak
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
-from residua.design.core.leak import answers, leak
 from residua.design.core.signals import sampled_filter, signal_names, stack_signals
 from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace
@@ -91,7 +90,7 @@ class Observer:
 
     @property
     def G(self) -> NDArray[np.float64]:
-        """``T B``: how control inputs enter the observer."""
+        """``T B``: the entry of control inputs into the observer."""
         return self.T @ self.plant.B
 
     @property
@@ -264,7 +263,7 @@ def balanced_observer(model: BalancedPlant, K: NDArray, evidence: Evidence, used
 
 
 def with_checked_estimate(observer: Observer) -> Observer:
-    """Return an observer with how far its estimate is off the state in its evidence, or raise where that is too far.
+    """Return an observer with the error of its estimate in its evidence, or raise for a large one.
 
     The response of the error to the controls, and to the disturbances that are decoupled, peak over peak of the state.
     """

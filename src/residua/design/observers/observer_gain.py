@@ -1,4 +1,4 @@
-"""What every observer asks of its gain: the poles that the user lists, all beyond a margin, or the default."""
+"""Options of the gain of every observer: the poles that the user lists, a margin for all, or the default."""
 
 from __future__ import annotations
 

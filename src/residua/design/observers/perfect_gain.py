@@ -63,14 +63,14 @@ class PlantPencil:
         e = units.equations / units.rate
         B, C, D = e[:, None] * plant.Bd * d, C[outputs], Y[:, None] * plant.Dd[outputs] * d
         # not rounded to powers of two: the smallest gains are to be the same in all units
-        equations, states, heights, own = scaling(A, B, C, D, E, sampled=plant.is_discrete).exact
-        rows = np.concatenate([equations / own, heights])
+        equations, states, heights, unit = scaling(A, B, C, D, E, sampled=plant.is_discrete).exact
+        rows = np.concatenate([equations / unit, heights])
         inputs = np.abs(rows[:, None] * np.vstack([B, D])).max(axis=0, initial=0.0)
         columns = np.concatenate([states, 1 / np.where(inputs > 0, inputs, 1.0)])
         R, S = rows[:, None] * np.block([[A, B], [C, D]]) * columns, np.zeros((len(rows), len(columns)))
         S[:n, :n] = equations[:, None] * E * states
         rows, columns = rows * np.concatenate([e, Y]), columns * np.concatenate([units.states, d])
-        rate = units.rate * own
+        rate = units.rate * unit
         beta = 1.0 if plant.dt else bandwidth / rate
         inverse = np.asarray(np.linalg.pinv(R), dtype=np.float64)
         left = without_rounding(np.linalg.svd(R)[0][:, R.shape[1] :].T)
@@ -79,7 +79,7 @@ class PlantPencil:
 
 @dataclass(frozen=True, eq=False)
 class PerfectGain:
-    """``G R = I`` with ``N = G S`` nilpotent, in balanced units, and how well.
+    """``G R = I`` with ``N = G S`` nilpotent, in balanced units, and its accuracy.
 
     Attributes
     ----------
@@ -233,7 +233,7 @@ def _random_gains(p: PlantPencil, reading: Matrix, chains: int, rng: np.random.G
 
 
 def given_gain(p: PlantPencil, K: Matrix) -> PerfectGain:
-    """Return what ``K`` of ``E xh' = A xh + B u + K (C xh - y)`` achieves, or raise when it is not perfect."""
+    """Return the inverse of ``K`` of ``E xh' = A xh + B u + K (C xh - y)``, or raise for one that is not perfect."""
     whole = np.hstack([np.eye(p.n), p.rows[: p.n, None] * K / p.rows[p.n :]])
     Ab = whole @ p.R
     condition = float(np.linalg.cond(Ab))

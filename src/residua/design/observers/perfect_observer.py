@@ -11,13 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua import arrays
+from residua.design.core.balanced_filter import Resolvent, state_map_of
 from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
-from residua.design.core.method import method
-from residua.design.core.needs import least_order_unless_singular
+from residua.design.core.method import least_order_unless_singular, method
 from residua.design.core.signals import sampled_filter, signal_names, stack_signals
-from residua.design.core.state_map import state_map_of
 from residua.design.observers.perfect_gain import (
     PerfectGain,
     PlantPencil,
@@ -26,9 +25,9 @@ from residua.design.observers.perfect_gain import (
     least_order_gain,
 )
 from residua.errors import AccuracyError, DesignError, SettingError
-from residua.linear import StateSpace, decide_rank, default_margin, invariant_zeros
+from residua.linear import StateSpace, decide_rank, invariant_zeros
 from residua.linear.norms.system_norms import h2_norm, hinf_norm
-from residua.linear.poles.spectrum import describe_modes
+from residua.linear.poles.spectrum import balanced_rate, describe_modes
 from residua.linear.subspaces.rank import left_null_basis, without_noise
 from residua.plant import Plant
 from residua.tolerances import BALANCED_RANK, DESIGN_ROUNDING, LEAK, SAME, above_rounding
@@ -125,12 +124,12 @@ class PerfectObserver:
 
     @property
     def derivatives(self) -> int:
-        """How many derivatives of the inputs and outputs the state estimate takes (sampled: steps)."""
+        """Number of derivatives of the inputs and outputs that the state estimate takes (sampled: steps)."""
         return len(self._estimate(slice(0, self.plant.n_states))) - 1
 
     @property
     def delay(self) -> float:
-        """By how many seconds the state estimate lags: steps times ``dt``, or the sum of the lags of the filter."""
+        """Lag of the state estimate in seconds: steps times ``dt``, or the sum of the lags of the filter."""
         return self.derivatives * (self.plant.dt or 1.0 / self.bandwidth)
 
     @property
@@ -161,13 +160,13 @@ class PerfectObserver:
     def estimate_disturbances(
         self, u: ArrayLike | None, y: ArrayLike, *, dt: float | None = None
     ) -> NDArray[np.float64]:
-        """Return the estimate of the disturbances, shape (time, disturbances); takes what :meth:`estimate` takes."""
+        """Return the estimate of the disturbances, shape (time, disturbances); arguments of :meth:`estimate`."""
         return sampled_filter(self.disturbance_system, self.plant, dt).simulate(stack_signals(self.plant, u, y))
 
     # ---------------------------------------------------------------- residuals
 
     def polynomial(self) -> dict[str, NDArray[np.float64]]:
-        """Return what the unfiltered residual is made of: for each fault the coefficients of ``f, f', f'', ...``.
+        """Return the coefficients of ``f, f', f'', ...`` of each fault in the unfiltered residual.
 
         Each is an array of shape (order + 1, residuals); in sampled time of ``f`` now, one step later, and so on.
         """
@@ -207,7 +206,7 @@ class PerfectObserver:
 
     @property
     def _known(self) -> NDArray[np.float64]:
-        """``F``: how control inputs and outputs enter the equations ``S X' = R X - F v``."""
+        """``F``: the entry of control inputs and outputs into the equations ``S X' = R X - F v``."""
         p, rows = self.plant, self.rows
         spread = np.eye(p.n_outputs)[rows]
         return np.block([[-p.B, np.zeros((p.n_states, p.n_outputs))], [-p.D[rows], spread]])
@@ -361,7 +360,7 @@ def perfect_observer(
     rows = arrays.different_positions(outputs, plant.outputs, "output")
     n, q, model = plant.n_states, len(plant.disturbances), plant.balanced
     if bandwidth is None:
-        bandwidth = 5.0 * model.units.rate * default_margin(model.dynamics)
+        bandwidth = 5.0 * model.units.rate * balanced_rate(model.dynamics, plant.is_discrete)
     elif plant.dt:
         raise SettingError("bandwidth is for continuous plants; a sampled perfect observer is a finite sum of samples")
     elif not np.isfinite(bandwidth) or bandwidth <= 0:
@@ -384,7 +383,7 @@ def perfect_observer(
         gain = full_rank_gain(pencil, seed)
     columns = pencil.columns[:, None]
     G = columns * gain.G * pencil.rows
-    made = PerfectObserver(
+    observer = PerfectObserver(
         plant,
         tuple(plant.outputs[i] for i in rows),
         G[:, :n],
@@ -398,8 +397,8 @@ def perfect_observer(
         pencil.left * pencil.rows if least_order else np.eye(len(rows)) * (pencil.rows[n:] if q else 1.0),
     )
     if q or least_order:
-        made = replace(made, left=_reduced_rows(made))
-    return replace(made, evidence=_evidence(made))
+        observer = replace(observer, left=_reduced_rows(observer))
+    return replace(observer, evidence=_evidence(observer))
 
 
 def _check_existence(plant: Plant, rows: list[int]) -> None:
@@ -481,7 +480,7 @@ def _evidence(o: PerfectObserver) -> Evidence:
 
 
 def _estimate_off(o: PerfectObserver, system: StateSpace) -> float:
-    """Return how far the filter driven by the plant is from the filtered state within the bandwidth, or raise.
+    """Return the distance of the filter driven by the plant from the filtered state, within the bandwidth, or raise.
 
     State by state, relative to the largest response of that state to a control input or disturbance.
     """
@@ -493,7 +492,7 @@ def _estimate_off(o: PerfectObserver, system: StateSpace) -> float:
     D = units.outputs[:, None] * np.hstack([p.D, p.Dd]) * U
     beta = o.bandwidth / units.rate
     s = np.exp(1j * np.array([0.2, 0.9, 2.3])) if p.dt else 1j * beta * np.array([0.043, 0.21, 0.93])
-    X = np.linalg.solve(s[:, None, None] * E - A, B.astype(complex))
+    X = Resolvent.of(A, None if p.E is None else E)(B, s)
     Q = system.evaluate(s if p.dt else s * units.rate) / units.states[:, None] * signals
     late = (1 / s if p.dt else 1 / (s / beta + 1)) ** o.derivatives
     missed = Q[..., n_u:] @ (C @ X + D) - late[:, None, None] * X

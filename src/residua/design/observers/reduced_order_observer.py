@@ -19,7 +19,7 @@ from residua.linear.subspaces.quotient import Quotient, quotient, without_roundi
 from residua.linear.subspaces.rank import RankDecision
 from residua.plant import Plant
 from residua.plant.balanced import BalancedPlant, is_inside, is_singular
-from residua.tolerances import BALANCED_RANK
+from residua.tolerances import BALANCED_RANK, above_rounding
 
 REFERENCE = "Twardy and Kaczorek, part I, eqs. (18) to (29)"
 
@@ -39,7 +39,7 @@ def reduced_order_observer(
     margin: float | None = None,
     outputs: Iterable[str | int] | str | None = None,
 ) -> Observer:
-    r"""Design an observer of order n - p: what the measurements say is not estimated again.
+    r"""Design an observer of order n - p, which takes the measured part of the state from the measurements.
 
     .. math:: \dot z = F z + T B u + K y, \qquad \hat x = M z + H y, \qquad
               \begin{bmatrix} M & H \end{bmatrix} = \begin{bmatrix} T \\ C \end{bmatrix}^{-1}
@@ -208,10 +208,12 @@ def _designed(
     process = q.N @ default_weights(model)[0] @ q.N.T
     gain = pair_gain(model, A22, A12, (V2.T @ process @ V2, V1.T @ process @ V1), *asked(model.plant, poles, margin))
     L = gain.K
-    own, down = A22 - L @ A12, V2.T - L @ V1.T
-    K = without_rounding((own @ L + A21 - L @ A11) @ reading + down @ q.J)
-    out = without_rounding(q.P - q.R @ q.known[0] @ q.C)
-    H = without_rounding(out @ (V1 + V2 @ L) @ reading + q.R @ q.known[0])
+    dynamics, down = A22 - L @ A12, V2.T - L @ V1.T
+    K = without_rounding((dynamics @ L + A21 - L @ A11) @ reading + down @ q.J)
+    known, whole = q.known[0], V1 + V2 @ L
+    out = without_rounding(q.P - q.R @ known @ q.C)
+    H = out @ whole @ reading + q.R @ known
+    H = above_rounding(H, np.abs(out) @ np.abs(whole) @ np.abs(reading) + np.abs(q.R) @ np.abs(known))
     # the residual: combinations of outputs that are left out and that no disturbance enters; all when none is left out
     rest = [i for i in range(p) if i not in used] or list(range(p))
     U, d, _ = np.linalg.svd(model.disturbances[1][rest])
@@ -226,7 +228,7 @@ def _designed(
     K, H, algebra = K @ rows, H @ rows, model.algebra
     return plant_observer(
         model,
-        own,
+        dynamics,
         without_rounding(down @ q.N @ model.derivative - K[:, p:] @ algebra),
         K[:, :p],
         left / largest(left),

@@ -209,7 +209,7 @@ class ErrorPair:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What decoupling costs."""
+        """The costs of decoupling."""
         p, q = len(self.W), self.decoupled
         if not q or p == q:
             return ()
@@ -275,7 +275,7 @@ def error_pair(
     q = E.shape[1]
     P = np.linalg.pinv(C @ E)
     P = cleared(P + (np.eye(q) - P @ C @ E) @ P)
-    H, N = E @ P, without_rounding(np.linalg.svd(P @ C)[2][q:].T) if q else np.eye(n)
+    H, N = _summed(np.zeros((n, len(C))), E, P), without_rounding(np.linalg.svd(P @ C)[2][q:].T) if q else np.eye(n)
     plain = H0 is None or not np.any(H0)
     if H0 is not None and not plain:
         given = matrix(H0, "H0", (n, model.plant.n_outputs), what="states x outputs")
@@ -299,7 +299,7 @@ def error_pair(
 
 
 def _summed(M: NDArray, left: NDArray, right: NDArray) -> NDArray[np.float64]:
-    """Return ``M + left right`` without what rounding leaves of sums that cancel."""
+    """Return ``M + left right`` without the rounding of sums that cancel."""
     return above_rounding(M + left @ right, np.abs(M) + np.abs(left) @ np.abs(right), RESPONSE_ROUNDING)
 
 
@@ -315,7 +315,7 @@ def largest(W: NDArray) -> NDArray[np.float64]:
 def _of_singular_plant(
     model: BalancedPlant, evidence: Evidence, poles: Sequence[complex] | ArrayLike | None, margin: float | None
 ) -> Observer:
-    """Return the observer of what is left of a singular plant when the disturbances are divided out."""
+    """Return the observer of the quotient of a singular plant by its disturbances."""
     q, (process, measurement), p = model.quotient(), default_weights(model), model.plant.n_outputs
     F, G = q.pair
     noise = q.N @ process @ q.N.T, q.H @ measurement @ q.H.T

@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua import arrays
 from residua.design.core.generator import ResidualGenerator
-from residua.design.core.method import method
-from residua.design.core.needs import FAULTS
+from residua.design.core.method import FAULTS, method
 from residua.design.parity.directions import Directions
 from residua.design.parity.relation import Relation
 from residua.design.parity.relation_model import RelationModel, relation_model

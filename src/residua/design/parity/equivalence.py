@@ -9,9 +9,8 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from residua.design.core.brought import as_generator, for_monitor
 from residua.design.core.evidence import format_pole
-from residua.design.core.generator import ResidualGenerator
+from residua.design.core.generator import ResidualGenerator, as_generator, for_monitor
 from residua.design.core.internal_form import frequency_grid
 from residua.design.parity.conversion import row_fractions
 from residua.design.parity.relation import chain, pole_basis

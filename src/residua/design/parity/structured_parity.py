@@ -11,8 +11,7 @@ from residua.analysis.coding_sets import Structure
 from residua.design.banks.bank import Bank, build_bank, wanted_rows
 from residua.design.banks.structured_bank import ROWS
 from residua.design.core.generator import ResidualGenerator
-from residua.design.core.method import method
-from residua.design.core.needs import FAULTS_APART
+from residua.design.core.method import FAULTS_APART, method
 from residua.design.parity.relation_model import relation_model
 from residua.design.parity.relations import Poles, check_pole_names, relations_of
 from residua.design.parity.shortest import shortest_space, with_rank

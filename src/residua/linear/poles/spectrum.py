@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from residua.errors import AccuracyError
 from residua.linear.poles.stability import modes_with_uncertainty
 from residua.linear.subspaces.parts import connected_parts
+from residua.tolerances import BALANCED_RANK
 from residua.words import counted
 
 Poles = NDArray[np.complex128]
@@ -46,6 +47,22 @@ def mean_rate(poles: NDArray, dt: float = 0.0) -> float:
     rates = np.abs(np.log(poles[np.abs(poles) > _INTEGRATES]))
     rates = rates[rates > _INTEGRATES]
     return min(float(np.exp(np.mean(np.log(rates)))) if rates.size else 0.1, 1.0) / dt
+
+
+def balanced_rate(A: NDArray[np.float64], sampled: bool) -> float:
+    """Return the mean rate of a balanced matrix in its unit of time, without the integrators, which rounding may move.
+
+    A chain of ``k`` integrators has eigenvalues as large as the ``k``-th root of rounding. Its null space, divided out
+    until there is none, is found to rounding itself.
+    """
+    M = A - np.eye(len(A)) if sampled else A
+    while len(M):
+        _, s, Vh = np.linalg.svd(M)
+        rest = Vh[: np.count_nonzero(s > BALANCED_RANK)]
+        if len(rest) == len(M):
+            break
+        M = rest @ M @ rest.T
+    return mean_rate(np.linalg.eigvals(M) + sampled, float(sampled))
 
 
 def spectral_radius(A: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from residua import arrays
 from residua.design.core.generator import ResidualGenerator
-from residua.design.core.method import method
-from residua.design.core.needs import FAULTS
+from residua.design.core.method import FAULTS, method
 from residua.design.parity.relation import Relation, plant_rate
 from residua.design.parity.relation_model import RelationModel, relation_model
 from residua.design.parity.relations import ParityRelations, Poles, relations_of

@@ -15,7 +15,7 @@ from residua.analysis.cover import Cover, integer_program
 from residua.design.banks.bank import Bank
 from residua.design.core.generator import ResidualGenerator
 from residua.design.core.internal_form import internal_form
-from residua.design.core.responses import steady_responses
+from residua.design.core.signatures import steady_responses
 from residua.design.parity.relation_model import relation_model
 from residua.errors import AccuracyError, DesignError, ModelError, SettingError
 from residua.plant import Plant
