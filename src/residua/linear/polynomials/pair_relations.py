@@ -110,9 +110,9 @@ class PairRelations:
         p, q = self._rows(w, v)
         if (self.parts != self.parts[:1]).any():
             U = _by_parts(q, self.parts)
-            p, q = np.tensordot(U, p, 1), np.tensordot(U, q, 1)
-            size = np.abs(q).max(axis=(1, 2), keepdims=True, initial=0.0)
-            q = above_rounding(q, size, RESIDUE)
+            p, q = (np.tensordot(U, one, 1) for one in (p, q))
+            size = np.abs(np.concatenate([p, q], axis=2)).max(axis=(1, 2), keepdims=True, initial=0.0)
+            p, q = (above_rounding(one, size, RESIDUE) for one in (p, q))
         return p, q, RankDecision(kept, s, BALANCED_RANK * float(s.max(initial=0.0)))
 
     def moved(self, p: Matrix, q: Matrix, basis: PolynomialBasis, other: PolynomialBasis) -> tuple[Matrix, Matrix]:
@@ -162,9 +162,11 @@ class PairRelations:
 
     def _rows(self, w: Matrix, v: Matrix) -> tuple[Matrix, Matrix]:
         """Return ``p`` and ``q``, without what rounding leaves of nothing."""
-        w, H, J = w @ self.seen.T, self.quotient.H, self.quotient.J
-        size = np.abs(v) @ np.abs(H) + np.abs(w) @ np.abs(J)
-        return w @ self.quotient.N, above_rounding(v @ H - w @ J, size.max(axis=2, keepdims=True, initial=0.0), RESIDUE)
+        w, N, H, J = w @ self.seen.T, self.quotient.N, self.quotient.H, self.quotient.J
+        terms = np.abs(w) @ np.abs(N), np.abs(v) @ np.abs(H) + np.abs(w) @ np.abs(J)
+        sizes = (one.max(axis=2, keepdims=True, initial=0.0) for one in terms)
+        p, q = (above_rounding(one, size, RESIDUE) for one, size in zip((w @ N, v @ H - w @ J), sizes, strict=True))
+        return p, q
 
 
 def _by_parts(q: Matrix, parts: NDArray[np.int_]) -> Matrix:
