@@ -111,8 +111,8 @@ class PairRelations:
         F, center = self.pair[0], self.center
         n = len(F)
         nodes = np.linalg.eigvals(F)
-        away = float(np.abs(F - center * np.eye(n)).max(initial=0.0))
-        if not np.abs(nodes - center).max(initial=0.0) > _MEET * away:  # rounding scatters one
+        reach = float(np.abs(F - center * np.eye(n)).max(initial=0.0))
+        if not np.abs(nodes - center).max(initial=0.0) > _MEET * reach:  # rounding scatters one
             size = float(np.abs(self.injected[0] - center * np.eye(n)).max(initial=0.0))
             return replace(PolynomialBasis.powers(order + 1, size or 1.0), real=np.full(order + 1, center))
         return basis_on_poles(nodes, order + 1, 1.0, outward=order >= n)

@@ -1,4 +1,4 @@
-"""What is left of a system when everything that unknown inputs reach unseen is divided out: one staircase for all.
+"""The quotient of a system by everything that unknown inputs reach unseen: one staircase for all.
 
 Zeros, hidden modes, the existence of observers, and which fault a residual can see are read from it.
 """
