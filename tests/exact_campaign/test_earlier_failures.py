@@ -266,6 +266,8 @@ EARLIER = [
     ("integrators", 52022, designs._parity),
     # relations that read outputs of one part kept what rounding left of the states of another, and were mixed
     ("dead sensors", 52020, designs._parity),
+    # polynomials of a pair with one state had the size of what rounding left of its rate
+    ("hidden modes", 61001, designs._parity),
 ]
 
 

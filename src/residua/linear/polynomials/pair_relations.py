@@ -63,7 +63,7 @@ class PairRelations:
     def pair(self) -> tuple[Matrix, Matrix]:
         """``(F, G)``."""
         F, G = self.quotient.pair
-        return self.seen.T @ F @ self.seen, G @ self.seen
+        return without_rounding(self.seen.T @ F @ self.seen), without_rounding(G @ self.seen)
 
     @property
     def center(self) -> float:
@@ -114,7 +114,8 @@ class PairRelations:
         reach = float(np.abs(F - center * np.eye(n)).max(initial=0.0))
         if not np.abs(nodes - center).max(initial=0.0) > _MEET * reach:  # rounding scatters one
             size = float(np.abs(self.injected[0] - center * np.eye(n)).max(initial=0.0))
-            return replace(PolynomialBasis.powers(order + 1, size or 1.0), real=np.full(order + 1, center))
+            powers = PolynomialBasis.powers(order + 1, size if size > BALANCED_RANK else 1.0)
+            return replace(powers, real=np.full(order + 1, center))
         return basis_on_poles(nodes, order + 1, 1.0, outward=order >= n)
 
     def rows(self, order: int, basis: PolynomialBasis) -> tuple[Matrix, Matrix, RankDecision]:
