@@ -280,6 +280,13 @@ EARLIER = [
     ("stiff", 52002, designs._estimators),
     # a relation of one output of a stiff plant was said to be one order shorter than the shortest
     ("stiff", 31267, designs._parity),
+    # a relation kept a state by what rounding left of a quotient, and a control reached it
+    ("hidden modes", 52018, designs._parity),
+    ("integrators", 52022, designs._parity),
+    # relations that read outputs of one part kept what rounding left of the states of another, and were mixed
+    ("dead sensors", 52020, designs._parity),
+    # polynomials of a pair with one state had the size of what rounding left of its rate
+    ("hidden modes", 61001, designs._parity),
 ]
 
 

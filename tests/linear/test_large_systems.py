@@ -9,8 +9,8 @@ from scipy.sparse.csgraph import connected_components
 
 from residua.errors import ModelError
 from residua.linear import StateSpace
-from residua.linear.poles import doubling
-from residua.linear.poles.doubling import filter_covariance
+from residua.linear.poles import riccati
+from residua.linear.poles.riccati import filter_covariance
 from residua.linear.subspaces.parts import connected_parts, strong_parts
 
 KINDS = ("full", "chain", "blocks", "graded")
@@ -109,10 +109,10 @@ def filter_problem(n: int, dt: float, *, cross: bool) -> tuple[np.ndarray, ...]:
 @pytest.mark.parametrize("n", [32, 70])
 def test_doubling_gives_the_covariance_of_the_qz_algorithm(n, dt, cross, monkeypatch):
     terms = filter_problem(n, dt, cross=cross)
-    P = doubling._by_doubling(*terms, dt)
+    P = riccati._by_doubling(*terms, dt)
     assert P is not None
     assert np.array_equal(P, filter_covariance(*terms, dt=dt))
-    monkeypatch.setattr(doubling, "_STATES", 1000)
+    monkeypatch.setattr(riccati, "_STATES", 1000)
     other = filter_covariance(*terms, dt=dt)
     assert np.linalg.norm(P - other) <= 1e-10 * np.linalg.norm(other)
 
@@ -123,17 +123,17 @@ def test_the_solution_is_the_stabilising_one_where_no_noise_reaches_an_unstable_
     C = np.hstack([C, np.ones((2, 1))])
     P = filter_covariance(A, C, Q, R, dt=0.0)
     assert np.linalg.eigvals(A - P @ C.T @ np.linalg.inv(R) @ C).real.max() < 0
-    monkeypatch.setattr(doubling, "_STATES", 1000)
+    monkeypatch.setattr(riccati, "_STATES", 1000)
     assert np.allclose(P, filter_covariance(A, C, Q, R, dt=0.0), rtol=1e-8, atol=1e-8)
 
 
 def test_what_doubling_does_not_solve_is_left_to_the_qz_algorithm(monkeypatch):
     A, C, Q, R, S = filter_problem(40, 0.0, cross=False)
-    monkeypatch.setattr(doubling, "_MOST", 1)  # the start is not forgotten
-    assert doubling._by_doubling(A, C, Q, R, S, 0.0) is None
-    monkeypatch.setattr(doubling, "_MOST", 60)
-    monkeypatch.setattr(doubling, "_RESIDUAL", 0.0)
-    assert doubling._by_doubling(A, C, Q, R, S, 0.0) is None
+    monkeypatch.setattr(riccati, "_MOST", 1)  # the start is not forgotten
+    assert riccati._by_doubling(A, C, Q, R, S, 0.0) is None
+    monkeypatch.setattr(riccati, "_MOST", 60)
+    monkeypatch.setattr(riccati, "_RESIDUAL", 0.0)
+    assert riccati._by_doubling(A, C, Q, R, S, 0.0) is None
     assert np.array_equal(filter_covariance(A, C, Q, R, dt=0.0), scipy.linalg.solve_continuous_are(A.T, C.T, Q, R))
 
 

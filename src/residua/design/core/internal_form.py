@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from residua.errors import AccuracyError, ModelError
 from residua.linear import StateSpace
 from residua.linear.poles.spectrum import spectral_radius
-from residua.linear.subspaces.observability import staircase
-from residua.linear.subspaces.reachability import without_unobservable
+from residua.linear.subspaces.observability import staircase, without_unobservable
 from residua.linear.systems.sampling import exponentials
 from residua.plant import Plant
 from residua.tolerances import IDENTITY, LEAKAGE, TINY, above_rounding

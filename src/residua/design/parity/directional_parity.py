@@ -144,17 +144,17 @@ def directional_parity(
     notes = (*model.notes, *((f"ignores {', '.join(ignored)}",) if ignored else ()))
     notes += (f"{', '.join(free)}: no direction was asked for",) if free else ()
     try:
-        made = relations.with_poles(poles, method="directional parity relations", notes=notes)
+        generator = relations.with_poles(poles, method="directional parity relations", notes=notes)
     except AccuracyError as error:
         k = relations.orders[0]
         raise AccuracyError(
             f"as relations of order {k} with these poles, {error}; give {counted(k, 'pole')} near those of "
             "the plant, or ask for fewer directions"
         ) from error
-    made, r = with_rank(made, space), made.n_residuals
+    generator, r = with_rank(generator, space), generator.n_residuals
     short = (f"only {rank} of the {r} residuals are independent",) if rank < r else ()
-    references = (*made.evidence.references, "Gertler (1991), section 5.2, eqs. (5-9) to (5-18)")
-    return replace(made, evidence=made.evidence.extended(references=references, notes=short))
+    references = (*generator.evidence.references, "Gertler (1991), section 5.2, eqs. (5-9) to (5-18)")
+    return replace(generator, evidence=generator.evidence.extended(references=references, notes=short))
 
 
 def _checked(directions: Mapping[str, ArrayLike], plant: Plant) -> Directions:
@@ -203,10 +203,10 @@ def _solution(
             return None
         tries = combinations_to_try(space.responses)
         response = np.linalg.norm(np.einsum("tn,nkf->tkf", tries, space.responses), axis=1).min(axis=1, initial=np.inf)
-        own = np.median(_read(space, wanted, tries)[..., rank - 1], axis=1) if rank else np.ones(len(tries))
-        if not np.any((response > SEEN) & (own > SEEN)):
+        reading = np.median(_read(space, wanted, tries)[..., rank - 1], axis=1) if rank else np.ones(len(tries))
+        if not np.any((response > SEEN) & (reading > SEEN)):
             return None
-        scores = np.minimum(response / response.max(), own / own.max())
+        scores = np.minimum(response / response.max(), reading / reading.max())
         return space, space.combined(tries[simplest_of_the_best(scores)]), rank
 
     found = None if order is None else best(int(order))
@@ -239,14 +239,14 @@ def _check_attainable(model: RelationModel, wanted: Directions, ignored: Sequenc
     assert equations is not None
     free = len(model.equations(ignored).quotient.H)
     r, s = wanted.vectors.shape
-    said = (
+    terms = (
         f"{s} direction{'s' * (s > 1)} of {r} residual{'s' * (r > 1)} are {s * (r - 1)} conditions; "
         f"{free} independent relation{'s' * (free != 1)} leave {max(r * free - 1, 0)} free polynomials"
     )
     ask = f"at most {(r * free - 1) // (r - 1)} directions" if r > 1 and free else "directions of fewer residuals"
     if equations.orders is None:
         raise DesignError(
-            f"no residuals keep {', '.join(wanted.faults)} to their directions: {said}; ask for {ask}, decouple less "
+            f"no residuals keep {', '.join(wanted.faults)} to their directions: {terms}; ask for {ask}, decouple less "
             "or add a sensor"
         )
     drive = np.linalg.norm(equations.quotient.drive(*wanted.responses(model)), axis=0)
@@ -259,5 +259,5 @@ def _check_attainable(model: RelationModel, wanted: Directions, ignored: Sequenc
         )
         raise DesignError(
             f"where residuals keep {', '.join(wanted.faults)} to their directions, the response to {', '.join(blind)} "
-            f"vanishes: {said}; {why}: choose other directions, decouple less or add a sensor"
+            f"vanishes: {terms}; {why}: choose other directions, decouple less or add a sensor"
         )

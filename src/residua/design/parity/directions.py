@@ -25,7 +25,7 @@ _OFF = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Directions:
-    r"""Where the residuals shall point when a fault is there.
+    r"""The directions that residuals are to have when faults are there.
 
     Relations ``x_1 ... x_r`` keep a fault ``F_j`` to the direction ``d_j`` when side by side, as one relation of ``r``
     copies of the plant, they ignore :math:`c \otimes F_j` for every ``c`` at right angles to ``d_j``.
@@ -63,12 +63,12 @@ class Directions:
         """Return the same with the relations of the copies that keep to them and ignore some faults."""
         copies, balanced = np.eye(self.count), model.balanced
         known, (B, D) = model.plant.faults, model.unknown(ignored)
-        columns = [_copied(copies, B), _copied(copies, D)]
+        columns = [np.kron(copies, B), np.kron(copies, D)]
         for name, d in zip(self.faults, self.units.T, strict=True):
             across = without_rounding(np.linalg.svd(d[:, None])[0][:, 1:])
             for i, part in enumerate(balanced.faults):
-                columns[i] = np.hstack([columns[i], _copied(across, part[:, [known.index(name)]])])
-        A, C = _copied(copies, balanced.A), _copied(copies, balanced.C)
+                columns[i] = np.hstack([columns[i], np.kron(across, part[:, [known.index(name)]])])
+        A, C = np.kron(copies, balanced.A), np.kron(copies, balanced.C)
         return replace(self, equations=PairRelations.of(A, columns[0], C, columns[1]))
 
     def responses(self, model: RelationModel) -> tuple[Matrix, Matrix]:
@@ -100,12 +100,7 @@ class Directions:
         return float(np.sign(along[present[-1]])) if len(present) else 1.0
 
 
-def _copied(weights: Matrix, M: Matrix) -> Matrix:
-    """Return copies of a matrix, one below the other, each with its weight."""
-    return np.asarray(np.kron(weights, M), dtype=np.float64)
-
-
-def check_directions(made: ResidualGenerator, directions: Directions) -> float:
+def check_directions(generator: ResidualGenerator, directions: Directions) -> float:
     """Return how far responses to faults are from their directions at most, relative to their peaks, or raise.
 
     Raises
@@ -113,15 +108,15 @@ def check_directions(made: ResidualGenerator, directions: Directions) -> float:
     AccuracyError
         If the response to a fault leaves its direction, or is lost.
     """
-    form = made.internal_form()
-    chosen = [made.faults.index(name) for name in directions.faults]
+    form = generator.internal_form()
+    chosen = [generator.faults.index(name) for name in directions.faults]
     response = form.frequency_response(frequency_grid(form))[:, :, chosen] / directions.levels[:, None]
     along = np.einsum("wij,ij->wj", response, directions.units)
     off = np.linalg.norm(response - along[:, None] * directions.units, axis=1).max(axis=0)
     peak = np.linalg.norm(response, axis=1).max(axis=0)
     missed = off / np.where(peak > 0, peak, 1.0)
     for name, share, size in zip(directions.faults, missed, peak, strict=True):
-        if not share <= _OFF or not size > 0 or made.subspaces[name].shape[1] != 1:
+        if not share <= _OFF or not size > 0 or generator.subspaces[name].shape[1] != 1:
             raise AccuracyError(
                 f"the response to {name!r} misses its direction by {share:.2g} of its peak, {size:.2g} "
                 f"(limit {_OFF:.0e}): the relations are too ill-conditioned with these poles; choose poles near those "

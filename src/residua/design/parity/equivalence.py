@@ -1,4 +1,4 @@
-"""Whether two residual generators are the same up to a transformation, and by which one."""
+"""Equivalence of two residual generators, and the transformation between them."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from residua.design.core.evidence import format_pole
 from residua.design.core.generator import ResidualGenerator, as_generator, for_monitor
 from residua.design.core.internal_form import frequency_grid
 from residua.design.parity.conversion import row_fractions
-from residua.design.parity.relation import chain, pole_basis
+from residua.design.parity.relation import pole_basis, realize_relation
 from residua.design.parity.relations import ParityRelations
 from residua.errors import AccuracyError, DesignError, ModelError
 from residua.linear import StateSpace, decide_rank
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
-from residua.linear.subspaces.reachability import without_unobservable
+from residua.linear.subspaces.observability import without_unobservable
 from residua.plant import Plant
 from residua.shown import Shown
 from residua.tolerances import TINY
@@ -74,7 +74,7 @@ class RowTransformation:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Equivalence(Shown):
-    """What one generator is to another.
+    """The relation between two generators.
 
     True in a condition when the generators are equivalent. Prints the transformation, or what keeps them apart.
 
@@ -172,41 +172,36 @@ class Equivalence(Shown):
             inputs=a.outputs,
             outputs=a.inputs,
         )
-        made = _minimal(back.series(b)).replaced(inputs=a.outputs, outputs=b.outputs)
+        realized = _minimal(back.series(b)).replaced(inputs=a.outputs, outputs=b.outputs)
         w = frequency_grid(a, b)
         wanted = self.transformation(w)
-        missed = np.abs(made.frequency_response(w) - wanted).max() / max(np.abs(wanted).max(), TINY)
+        missed = np.abs(realized.frequency_response(w) - wanted).max() / max(np.abs(wanted).max(), TINY)
         if not missed < 1e-5:
             raise AccuracyError(f"the transformation as a filter misses its frequency response by {missed:.2g}")
-        return made
+        return realized
 
     def _realized_rows(self) -> StateSpace:
         """Return the filters of the rows side by side: zeros and poles in sections."""
-        a, b = self.first, self.second
-        made = StateSpace(np.zeros((0, 0)), np.zeros((0, a.n_outputs)), np.zeros((b.n_outputs, 0)), dt=a.dt)
+        a, b, parts = self.first, self.second, []
+        rate = self.plant.balanced.units.rate  # powers are compared in balanced time
         for row in self.rows:
             if len(row.zeros) > len(row.poles):
                 raise DesignError(
                     f"{row.first!r} answers later than {row.second!r}, which the transformation would have to undo: "
                     "ask for the reverse one, second.equivalent_to(first)"
                 )
-            rate = self.plant.balanced.units.rate  # powers are compared in balanced time
             basis, k = pole_basis(row.poles / rate), len(row.poles)
             zeros = np.atleast_1d(np.poly(row.zeros / rate)).real[::-1] * row.gain * rate ** (len(row.zeros) - k)
-            padded = np.asarray(np.concatenate([zeros, np.zeros(k + 1 - len(zeros))]), dtype=np.float64)
-            q = PolynomialBasis.powers(k + 1).changed_to(basis, padded[:, None])
-            last = np.eye(k)[-1:] if k else np.zeros((1, 0))
-            one = StateSpace(rate * chain(basis, k), rate * q[:k], last, q[k:], dt=a.dt)
-            into = np.eye(a.n_outputs)[a.outputs.index(row.first)][None]
-            out = np.eye(b.n_outputs)[:, [b.outputs.index(row.second)]]
-            made = StateSpace(
-                scipy.linalg.block_diag(made.A, one.A),
-                np.vstack([made.B, one.B @ into]),
-                np.hstack([made.C, out @ one.C]),
-                made.D + out @ one.D @ into,
-                dt=a.dt,
-            )
-        return made.replaced(inputs=a.outputs, outputs=b.outputs)
+            q = np.zeros((k + 1, 1))
+            q[: len(zeros), 0] = zeros
+            q = PolynomialBasis.powers(k + 1).changed_to(basis, q)
+            parts.append(realize_relation(np.zeros((k + 1, 0)), q, (np.zeros((0, 0)), np.zeros((1, 0))), basis))
+        A, B, C, D = (scipy.linalg.block_diag(*[getattr(one, name) for one in parts]) for name in "ABCD")
+        into = np.eye(a.n_outputs)[[a.outputs.index(row.first) for row in self.rows]]
+        out = np.eye(b.n_outputs)[:, [b.outputs.index(row.second) for row in self.rows]]
+        return StateSpace(
+            rate * A, rate * B @ into, out @ C, out @ D @ into, dt=a.dt, inputs=a.outputs, outputs=b.outputs
+        )
 
     def __str__(self) -> str:
         sentence = {
@@ -301,7 +296,7 @@ def _matched(
     w, dt = frequency_grid(first.system, second.system), first.dt
     points = np.asarray(np.exp(1j * w * dt) if dt else 1j * w, dtype=np.complex128)
     ours, theirs = row_fractions(first), row_fractions(second)
-    rows, own = [], False
+    rows, zeros_of_second = [], False
     for i, j, error in pairs:
         a, b = ours[i], theirs[j]
         zeros, poles = _cancelled(np.concatenate([b.zeros, a.poles]), np.concatenate([a.zeros, b.poles]), dt)
@@ -314,8 +309,8 @@ def _matched(
         if not missed < _FILTER_ERROR:
             raise AccuracyError(f"filters made of them miss by {missed:.2g}")
         rows.append(replace(row, gain=gain, error=missed))
-        own |= any(len(left) for left in _cancelled(b.zeros, a.zeros, dt))
-    return tuple(rows), own
+        zeros_of_second |= any(len(left) for left in _cancelled(b.zeros, a.zeros, dt))
+    return tuple(rows), zeros_of_second
 
 
 def _cancelled(zeros: NDArray, poles: NDArray, dt: float) -> tuple[NDArray, NDArray]:

@@ -108,10 +108,10 @@ def _shortest_of_each(equations: RelationModel) -> list[Relation]:
     """Return for each output of a plant the shortest relation that reads no other."""
     rows, open_to_all = [], replace(equations, decouples=False)
     for name in equations.plant.outputs:
-        own = open_to_all.reading([name]).equations()
-        if own.orders is None:
+        alone = open_to_all.reading([name]).equations()
+        if alone.orders is None:
             raise DesignError(f"no relation reads {name!r} alone: algebraic equations tie it to other signals")
-        rows.append(relation_space(own, own.orders[0], equations.balanced.faults).relations[0])
+        rows.append(relation_space(alone, alone.orders[0], equations.balanced.faults).relations[0])
     return rows
 
 

@@ -40,7 +40,7 @@ Matrix = NDArray[np.float64]
 _HUGE = 1e50
 #: Of several relations those of which the newest sample counts for less are nearly of a lower order.
 _NEWEST = 1e-3
-#: What is said of a filter whose default poles are others.
+#: The note of a filter whose default poles are others.
 _OTHER_POLES = "with the usual poles too many digits cancel: the poles are those of a gain by least squares"
 _LOST = "digits lost to cancellation"
 #: Measurements seldom have more digits than this.
@@ -196,18 +196,18 @@ class ParityRelations(Shown):
         if poles is not None or self.directions is not None:
             return self._on_poles(self._poles(poles), method, notes)
         try:
-            made = self._on_poles(self._poles(None), method, notes)
+            usual = self._on_poles(self._poles(None), method, notes)
         except AccuracyError as error:
             with suppress(AccuracyError):
                 return self._by_least_squares(method, notes)
             raise error
-        lost = made.evidence.conditions.get(_LOST, 0.0) > _MANY
-        if lost or not made.structure.any(axis=1).all():  # in a residual that answers to nothing all may be lost
+        lost = usual.evidence.conditions.get(_LOST, 0.0) > _MANY
+        if lost or not usual.structure.any(axis=1).all():  # in a residual that answers to nothing all may be lost
             with suppress(AccuracyError):
                 other = self._by_least_squares(method, notes)
-                if lost or (other.structure & ~made.structure).any():
+                if lost or (other.structure & ~usual.structure).any():
                     return other
-        return made
+        return usual
 
     def _on_poles(self, poles: list[NDArray[np.complex128]], method: str, notes: Sequence[str]) -> ResidualGenerator:
         """Return the filter with poles for each relation; raise where its rounding hides the faults."""
@@ -215,13 +215,14 @@ class ParityRelations(Shown):
         rows = [row.times(1 / float(np.prod(row.basis.sizes[: row.order]))) for row in rows]  # monic again
         controls = controls_of(self.plant)
         parts = [realize_relation(*row.in_equations(self.plant), controls, row.basis) for row in rows]
-        made = self._generator(parts, method, notes, np.concatenate([np.zeros(0, dtype=np.complex128), *poles]))
+        generator = self._generator(parts, method, notes, np.concatenate([np.zeros(0, dtype=np.complex128), *poles]))
         if self.directions is not None:
-            off = check_directions(made, self.directions)
-            made = replace(made, evidence=made.evidence.extended(conditions={"response off the directions": off}))
-        lost = lost_digits(rows, made)
+            off = check_directions(generator, self.directions)
+            evidence = generator.evidence.extended(conditions={"response off the directions": off})
+            generator = replace(generator, evidence=evidence)
+        lost = lost_digits(rows, generator)
         if lost is None:
-            return made
+            return generator
         share = f"{10 ** (lost - 16):.0e} of" if lost < 16 else "as large as"
         remark = (
             f"{lost:.0f} digits of the data cancel: rounding of numbers of 16 digits alone makes residuals {share} "
@@ -231,7 +232,7 @@ class ParityRelations(Shown):
         if lost > _MOST:
             raise AccuracyError(f"with these poles rounding hides what a fault does: {remark}, or decoupled_residual")
         remarks = (remark,) if lost > _MANY else ()
-        return replace(made, evidence=made.evidence.extended(conditions={_LOST: lost}, notes=remarks))
+        return replace(generator, evidence=generator.evidence.extended(conditions={_LOST: lost}, notes=remarks))
 
     def _by_least_squares(self, method: str, notes: Sequence[str]) -> ResidualGenerator:
         """Return the filter of which each relation has the poles of a gain by least squares."""

@@ -50,7 +50,7 @@ class RelationSpace:
 
     @property
     def count(self) -> int:
-        """How many independent relations there are."""
+        """The number of independent relations."""
         return len(self.q)
 
     @property
@@ -77,10 +77,10 @@ class RelationSpace:
         padded = [np.pad(one, ((0, self.order + 1 - len(one)), (0, 0), (0, 0))) for one in multiples]
         rows = np.concatenate([one.reshape(-1, one.shape[2]) for one in padded], axis=1)
         M = np.linalg.qr(rows / np.linalg.norm(rows, axis=0))[0]
-        own = np.concatenate([self.p, self.q], axis=2)
-        flat = own.reshape(self.count, -1)
+        rows_of_order = np.concatenate([self.p, self.q], axis=2)
+        flat = rows_of_order.reshape(self.count, -1)
         weights = np.linalg.svd(flat - flat @ M @ M.T)[0][:, :new].T
-        found = np.concatenate([np.moveaxis(padded[0], -1, 0), np.tensordot(weights, own, 1)])
+        found = np.concatenate([np.moveaxis(padded[0], -1, 0), np.tensordot(weights, rows_of_order, 1)])
         p, q = found[:, :, :n], found[:, :, n:]
         return replace(self, p=p, q=q, responses=p @ faults[0] + q @ faults[1])
 
@@ -141,10 +141,10 @@ def shortest_space(model: RelationModel, equations: PairRelations, seen: Sequenc
 
 
 def with_rank(
-    made: ResidualGenerator, space: RelationSpace, near: Sequence[RankDecision] | None = None
+    generator: ResidualGenerator, space: RelationSpace, near: Sequence[RankDecision] | None = None
 ) -> ResidualGenerator:
     """Return a generator whose evidence holds the rank decisions behind its relations, and those that are near."""
-    ranks = {**made.evidence.ranks, "states and ignored signals": space.decision}
+    ranks = {**generator.evidence.ranks, "states and ignored signals": space.decision}
     near = space.equations.near if near is None else near
     notes = tuple(f"near: {one}; double precision hardly decides this rank" for one in near[:1])
-    return replace(made, evidence=made.evidence.extended(ranks=ranks, notes=notes))
+    return replace(generator, evidence=generator.evidence.extended(ranks=ranks, notes=notes))

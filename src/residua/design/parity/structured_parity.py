@@ -129,18 +129,18 @@ def structured_parity(
     def relation_of(
         used: PairRelations, exact: PairRelations, name: str, ones: list[int], faults: Sequence[str]
     ) -> ResidualGenerator:
-        own = poles[name] if isinstance(poles, Mapping) else poles
         space = shortest_space(model, used, seen=ones)
         relations = relations_of(model.plant, [space.best(ones)], [name])
-        made = relations.with_poles(own, method="structured parity relation", notes=model.notes)
-        blind = [fault for i, fault in zip(ones, faults, strict=True) if not made.structure[0, i]]
+        row_poles = poles[name] if isinstance(poles, Mapping) else poles
+        generator = relations.with_poles(row_poles, method="structured parity relation", notes=model.notes)
+        blind = [fault for i, fault in zip(ones, faults, strict=True) if not generator.structure[0, i]]
         if blind:
             raise AccuracyError(
                 f"a relation of order {relations.orders[0]} answers to {', '.join(blind)}, but as a filter with "
                 "these poles its response is lost in the rounding of its terms: choose poles near those of the "
                 "plant, or use structured_bank"
             )
-        return with_rank(made, space, exact.near)
+        return with_rank(generator, space, exact.near)
 
     return build_bank(
         model.plant,

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import AccuracyError, DesignError
-from residua.linear.poles.doubling import filter_covariance
 from residua.linear.poles.pole_assignment import assigned_gain, checked_poles
+from residua.linear.poles.riccati import filter_covariance
 from residua.linear.poles.spectrum import describe_modes, match_poles
 from residua.linear.subspaces.quotient import ObservableSplit, without_rounding
 from residua.tolerances import BALANCED_STABLE, POLE, above_rounding

@@ -1,4 +1,4 @@
-"""Which modes are stable, and which may be so only by rounding."""
+"""Stable modes, and those that may be stable only by rounding."""
 
 from __future__ import annotations
 

@@ -9,10 +9,10 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
-from residua import arrays
 from residua.linear.subspaces.quotient import explicit, quotient
 from residua.linear.subspaces.rank import RankDecision, decide_rank
 from residua.linear.systems.scaling import scaling
+from residua.linear.systems.state_space import StateSpace
 from residua.tolerances import BALANCED_RANK
 
 Matrix = NDArray[np.float64]
@@ -98,7 +98,8 @@ def invariant_zeros(
     >>> invariant_zeros([[0, 1], [-2, -3]], [[0], [1]], [[4, 1]]).zeros.real.round(12)
     array([-4.])
     """
-    (A, B, C, D), E = _checked(A, B, C, D, E)
+    system = StateSpace(A, B, C, D, E=E)
+    A, B, C, D, E = system.A, system.B, system.C, system.D, system.E
     units = scaling(A, B, C, D, E, sampled=False)
     R, X, Y = units.equations[:, None], units.states, units.outputs[:, None]
     A, B, C, D = R * A * X / units.rate, R * B * units.inputs / units.rate, Y * C * X, Y * D * units.inputs
@@ -115,22 +116,6 @@ def invariant_zeros(
     return InvariantZeros(
         units.rate * zeros, left.D.shape[1] - algebraic, (*right.decisions, *left.decisions), clusters
     )
-
-
-def _checked(
-    A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike | None, E: ArrayLike | None
-) -> tuple[tuple[Matrix, Matrix, Matrix, Matrix], Matrix | None]:
-    A = arrays.matrix(A, "A", (None, None))
-    n = A.shape[0]
-    A = arrays.matrix(A, "A", (n, n))
-    B = arrays.matrix(B, "B", (n, None))
-    C = arrays.matrix(C, "C", (None, n))
-    shape = (C.shape[0], B.shape[1])
-    D = np.zeros(shape) if D is None else arrays.matrix(D, "D", shape)
-    if E is None:
-        return (A, B, C, D), None
-    E = arrays.matrix(E, "E", (n, n))
-    return (A, B, C, D), None if np.array_equal(E, np.eye(n)) else E
 
 
 def _zeros_of_square(A: Matrix, B: Matrix, C: Matrix, D: Matrix) -> NDArray[np.complex128]:
@@ -208,7 +193,8 @@ def pencil_rank_at(
     >>> print(pencil_rank_at([[0, 1], [-2, -3]], [[0], [1]], [[4, 1]], s=-4).rank)
     2
     """
-    (A, B, C, D), E = _checked(A, B, C, D, E)
+    system = StateSpace(A, B, C, D, E=E)
+    A, B, C, D, E = system.A, system.B, system.C, system.D, system.E
     units = scaling(A, B, C, D, E, sampled=False)
     R, X, U, Y = units.equations[:, None], units.states, units.inputs, units.outputs[:, None]
     dynamic = R * (A - s * (np.eye(len(A)) if E is None else E)) * X / units.rate

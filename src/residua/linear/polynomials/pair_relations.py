@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis, basis_on_poles
 from residua.linear.subspaces.parts import part_numbers
-from residua.linear.subspaces.quotient import NEGLIGIBLE, Quotient, quotient
+from residua.linear.subspaces.quotient import NEGLIGIBLE, Quotient, quotient, without_rounding
 from residua.linear.subspaces.rank import RankDecision
 from residua.progress import check_time
 from residua.tolerances import BALANCED_RANK, DESIGN_ROUNDING, RESIDUE, TINY, above_rounding
@@ -63,7 +63,25 @@ class PairRelations:
     def pair(self) -> tuple[Matrix, Matrix]:
         """``(F, G)``."""
         F, G = self.quotient.pair
-        return self.seen.T @ F @ self.seen, G @ self.seen
+        return without_rounding(self.seen.T @ F @ self.seen), without_rounding(G @ self.seen)
+
+    @property
+    def center(self) -> float:
+        """The mean of the eigenvalues of ``F``."""
+        F = self.pair[0]
+        return float(np.trace(F)) / max(len(F), 1)
+
+    @cached_property
+    def injection(self) -> Matrix:
+        """``K`` that leaves least of ``F - K G`` around its center: what outputs tell needs no state."""
+        F, G = self.pair
+        return (F - self.center * np.eye(len(F))) @ np.linalg.pinv(G, rcond=BALANCED_RANK)
+
+    @cached_property
+    def injected(self) -> tuple[Matrix, Matrix]:
+        """``(F - K G, G)``, of which the rows are ``w`` and ``v + w K``."""
+        F, G = self.pair
+        return without_rounding(F - self.injection @ G), G
 
     @cached_property
     def new(self) -> list[int]:
@@ -90,13 +108,14 @@ class PairRelations:
 
     def basis(self, order: int) -> PolynomialBasis:
         """Return Newton's polynomials on the eigenvalues of ``F``, for rows of an order."""
-        F = self.pair[0]
+        F, center = self.pair[0], self.center
         n = len(F)
         nodes = np.linalg.eigvals(F)
-        center = float(np.trace(F)) / max(n, 1)
-        away = float(np.abs(F - center * np.eye(n)).max(initial=0.0))
-        if not np.abs(nodes - center).max(initial=0.0) > _MEET * away:  # rounding scatters one
-            return replace(PolynomialBasis.powers(order + 1, away or 1.0), real=np.full(order + 1, center))
+        reach = float(np.abs(F - center * np.eye(n)).max(initial=0.0))
+        if not np.abs(nodes - center).max(initial=0.0) > _MEET * reach:  # rounding scatters one
+            size = float(np.abs(self.injected[0] - center * np.eye(n)).max(initial=0.0))
+            powers = PolynomialBasis.powers(order + 1, size if size > BALANCED_RANK else 1.0)
+            return replace(powers, real=np.full(order + 1, center))
         return basis_on_poles(nodes, order + 1, 1.0, outward=order >= n)
 
     def rows(self, order: int, basis: PolynomialBasis) -> tuple[Matrix, Matrix, RankDecision]:
@@ -110,20 +129,21 @@ class PairRelations:
         p, q = self._rows(w, v)
         if (self.parts != self.parts[:1]).any():
             U = _by_parts(q, self.parts)
-            p, q = np.tensordot(U, p, 1), np.tensordot(U, q, 1)
-            size = np.abs(q).max(axis=(1, 2), keepdims=True, initial=0.0)
-            q = above_rounding(q, size, RESIDUE)
+            p, q = (np.tensordot(U, one, 1) for one in (p, q))
+            size = np.abs(np.concatenate([p, q], axis=2)).max(axis=(1, 2), keepdims=True, initial=0.0)
+            p, q = (above_rounding(one, size, RESIDUE) for one in (p, q))
         return p, q, RankDecision(kept, s, BALANCED_RANK * float(s.max(initial=0.0)))
 
     def moved(self, p: Matrix, q: Matrix, basis: PolynomialBasis, other: PolynomialBasis) -> tuple[Matrix, Matrix]:
         """Return ``p`` and ``q`` of one row in another basis, or of the row nearest to it where that costs digits."""
-        both = p @ self.quotient.N.T @ self.seen, q @ self.quotient.H.T
+        w = p @ self.quotient.N.T @ self.seen
+        both = w, q @ self.quotient.H.T + w @ self.injection
         moved = (basis.changed_to(other, both[0]), basis.changed_to(other, both[1]))
         w, v, _ = self._null(len(q) - 1, other)
         weights = np.tensordot(w, moved[0], 2) + np.tensordot(v, moved[1], 2)
         nearest = (np.tensordot(weights, w, 1), np.tensordot(weights, v, 1))
         if np.linalg.norm(weights) > _GONE * np.linalg.norm(np.hstack(moved)):
-            moved = min(moved, nearest, key=lambda row: _missed(*row, *self.pair, other))
+            moved = min(moved, nearest, key=lambda row: _missed(*row, *self.injected, other))
         largest = max(float(np.abs(x).max(initial=0.0)) for x in moved)
         w, v = (above_rounding(x, largest, NEGLIGIBLE)[None] for x in moved)
         p, q = self._rows(w, v)
@@ -132,7 +152,7 @@ class PairRelations:
     def completed(self, q: Matrix, basis: PolynomialBasis) -> tuple[Matrix, float]:
         """Return ``p`` of a row given by its ``q``, and how far it is from annihilating the states, of its terms."""
         w, v, missed = self._divided(q @ self.quotient.H.T, basis)
-        p, found = self._rows(w[None], v[None])
+        p, found = self._rows(w[None], (v + w @ self.injection)[None])
         return p[0], max(missed, float(np.abs(found[0] - q).max() / max(float(np.abs(q).max()), TINY)))
 
     def characteristic(self) -> tuple[Matrix, Matrix]:
@@ -140,7 +160,7 @@ class PairRelations:
         k = len(self.seen.T)
         basis = self.basis(k)
         w, v, _ = self._divided(np.eye(k + 1)[:, [k]], basis)
-        p, q = self._rows(w[None], v[None])
+        p, q = self._rows(w[None], (v + w @ self.injection)[None])
         return p[0], q[0]
 
     def _divided(self, v: Matrix, basis: PolynomialBasis) -> tuple[Matrix, Matrix, float]:
@@ -157,14 +177,17 @@ class PairRelations:
     def _null(self, order: int, basis: PolynomialBasis) -> tuple[Matrix, Matrix, Matrix]:
         key = order, *(x[: order + 1].tobytes() for x in (basis.real, basis.imaginary, basis.sizes))
         if key not in self._found:
-            self._found[key] = _null_rows(*self.pair, basis, order, self.count(order))
+            self._found[key] = _null_rows(*self.injected, basis, order, self.count(order))
         return self._found[key]
 
     def _rows(self, w: Matrix, v: Matrix) -> tuple[Matrix, Matrix]:
         """Return ``p`` and ``q``, without what rounding leaves of nothing."""
-        w, H, J = w @ self.seen.T, self.quotient.H, self.quotient.J
-        size = np.abs(v) @ np.abs(H) + np.abs(w) @ np.abs(J)
-        return w @ self.quotient.N, above_rounding(v @ H - w @ J, size.max(axis=2, keepdims=True, initial=0.0), RESIDUE)
+        N, H = self.quotient.N, self.quotient.H
+        w, J = w @ self.seen.T, self.quotient.J + self.seen @ self.injection @ H
+        terms = np.abs(w) @ np.abs(N), np.abs(v) @ np.abs(H) + np.abs(w) @ np.abs(J)
+        sizes = (one.max(axis=2, keepdims=True, initial=0.0) for one in terms)
+        p, q = (above_rounding(one, size, RESIDUE) for one, size in zip((w @ N, v @ H - w @ J), sizes, strict=True))
+        return p, q
 
 
 def _by_parts(q: Matrix, parts: NDArray[np.int_]) -> Matrix:

@@ -142,7 +142,7 @@ def split_blocks(A: Matrix, C: Matrix, spaces: list[DetectionSpace]) -> Blocks:
     read = np.linalg.pinv(np.hstack([D, rest]))
     read = above_rounding(read, np.abs(read).max(axis=1, keepdims=True, initial=0.0), RESIDUE)
     reads = np.split(read, np.cumsum([space.outputs.shape[1] for space in spaces]).astype(int))
-    confining = sum((space.confining @ own for space, own in zip(spaces, reads, strict=False)), np.zeros((n, p)))
+    confining = sum((space.confining @ part for space, part in zip(spaces, reads, strict=False)), np.zeros((n, p)))
     pairs = [(space.basis.T @ A @ space.basis, space.outputs.T @ C @ space.basis) for space in spaces]
     R = complement(np.hstack([np.zeros((n, 0)), *(space.basis for space in spaces)]))
     pairs.append((R.T @ (A - confining @ C) @ R, reads[-1] @ C @ R))

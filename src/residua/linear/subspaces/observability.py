@@ -15,6 +15,7 @@ from residua.linear.poles.zero_structure import scatter_of
 from residua.linear.subspaces.quotient import observable_split, without_rounding
 from residua.linear.subspaces.rank import RankDecision, spectral_norm
 from residua.linear.systems.scaling import scaling
+from residua.linear.systems.state_space import StateSpace
 
 _EPS = float(np.finfo(float).eps)
 #: How much of ``norm(A)`` the staircase may drop in the caller's coordinates before it is called a failure.
@@ -58,7 +59,7 @@ class ObservabilityForm:
 
 @dataclass(frozen=True, eq=False)
 class Detectability:
-    """Whether every mode that the outputs do not see dies out by itself; true or false as a condition.
+    """The decay of the modes that the outputs do not see; true as a condition where all die out by themselves.
 
     Attributes
     ----------
@@ -189,6 +190,26 @@ def observability_form(A: ArrayLike, C: ArrayLike) -> ObservabilityForm:
     Ct[:, k:] = 0.0
     modes, uncertainty = form.hidden_modes
     return ObservabilityForm(Q, At, Ct, k, form.decisions, modes, uncertainty, residual, form.size)
+
+
+def without_unobservable(system: StateSpace) -> StateSpace:
+    """Return the system without the states that no output sees; its transfer matrix is unchanged.
+
+    The kept states are an orthonormal basis, in balanced units, of the observable quotient, so that hidden
+    unstable modes go away without being cancelled numerically.
+    """
+    system = system.explicit()
+    form = staircase(system.A, system.C)
+    k = form.n_observable
+    if k == system.n_states:
+        return system
+    Q = form.Q[:, :k]
+    return system.replaced(
+        A=Q.T @ form.A @ Q,
+        B=Q.T @ (system.B / form.states[:, None]),
+        C=(system.C * form.states) @ Q,
+        states=None,
+    )
 
 
 def pair(A: ArrayLike, C: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -1,4 +1,4 @@
-"""What is left of a system when everything that unknown inputs reach unseen is divided out: one staircase for all.
+"""The quotient of a system by everything that unknown inputs reach unseen: one staircase for all.
 
 Zeros, hidden modes, the existence of observers, and which fault a residual can see are read from it.
 """
@@ -146,11 +146,11 @@ def quotient(
     R = np.zeros((len(P), B.shape[1])) if R is None else R
     proper, decisions = True, []
     while True:
-        _, unseen, rest, decision = _row_split(D, tolerance)
+        _, _, unseen, rest, decision = _split(D, tolerance)
         decisions.append(decision)
         B1, D, B, lost, R = B @ unseen, D @ rest, B @ rest, R @ unseen, R @ rest
         proper = proper and bool(np.linalg.norm(lost) <= BALANCED_RANK * max(1.0, float(np.linalg.norm(R))))
-        W, U, decision = _column_split(B1, tolerance)
+        W, U, _, _, decision = _split(B1, tolerance)
         decisions.append(decision)
         if not W.shape[1]:
             return Quotient(A, B, C, D, N, P, R, proper, decisions, tolerance)
@@ -165,7 +165,7 @@ def observable_split(A: Matrix, C: Matrix, tolerance: float = BALANCED_RANK) -> 
     n = len(A)
     seen, hidden, rows, decisions = np.zeros((n, 0)), np.eye(n), C, []
     while hidden.shape[1]:
-        _, rest, reading, decision = _row_split(rows @ hidden, tolerance)
+        _, _, rest, reading, decision = _split(rows @ hidden, tolerance)
         decisions.append(decision)
         if not reading.shape[1]:
             break
@@ -179,29 +179,12 @@ def without_rounding(M: NDArray) -> Matrix:
     return above_rounding(M, 1.0, NEGLIGIBLE)
 
 
-def _decided(s: Matrix, tolerance: float) -> RankDecision:
-    return RankDecision(int(np.count_nonzero(s > tolerance)), s, tolerance)
-
-
-def _row_split(M: Matrix, tolerance: float) -> tuple[Matrix, Matrix, Matrix, RankDecision]:
-    """Return bases, as columns, of the left null space, the null space and the row space of a matrix."""
+def _split(M: Matrix, tolerance: float) -> tuple[Matrix, Matrix, Matrix, Matrix, RankDecision]:
+    """Return bases, as columns: the range of a matrix and its complement, the null space and its complement."""
     rows, columns = M.shape
-    if not M.size:
-        return np.eye(rows), np.eye(columns), np.zeros((columns, 0)), _decided(np.zeros(0), tolerance)
-    U, s, Vh = np.linalg.svd(M)
-    U, Vh = without_rounding(U), without_rounding(Vh)
-    decision = _decided(s, tolerance)
-    k = decision.rank
-    return U[:, k:], Vh[k:].T, Vh[:k].T, decision
-
-
-def _column_split(M: Matrix, tolerance: float) -> tuple[Matrix, Matrix, RankDecision]:
-    """Return bases of the range of a matrix and of its complement."""
-    if not M.size:
-        return np.zeros((len(M), 0)), np.eye(len(M)), _decided(np.zeros(0), tolerance)
-    U, s, _ = np.linalg.svd(M)
-    decision, U = _decided(s, tolerance), without_rounding(U)
-    return U[:, : decision.rank], U[:, decision.rank :], decision
+    U, s, Vh = np.linalg.svd(M) if M.size else (np.eye(rows), np.zeros(0), np.eye(columns))
+    U, Vh, k = without_rounding(U), without_rounding(Vh), int(np.count_nonzero(s > tolerance))
+    return U[:, :k], U[:, k:], Vh[k:].T, Vh[:k].T, RankDecision(k, s, tolerance)
 
 
 def explicit(

@@ -18,7 +18,7 @@ from residua.linear.systems.scaling import scaling
 
 @dataclass(frozen=True, eq=False)
 class DescriptorProperty:
-    """Whether a descriptor system is observable (or controllable), and which condition fails; a bool as a condition.
+    """The observability or controllability of a descriptor system, and the condition that fails; a bool as a condition.
 
     Attributes
     ----------
