@@ -62,15 +62,16 @@ def _commands() -> dict[str, list[str]]:
     """Return the options of each command."""
     from typer.main import get_command
 
-    from residua.cli.app import app, command
+    from residua.cli import app
 
-    group: Any = get_command(app)
-    context = group.make_context("residua", ["--help"], resilient_parsing=True)
-    found = {}
-    for name in group.list_commands(context):
-        command = group.get_command(context, name)
-        found[f"residua {name}"] = sorted(text for part in command.params for text in part.opts if text.startswith("-"))
-    return found
+    try:
+        commands = {name: app.command(name, []) for name in app.COMMANDS}  # imported when they are called
+    except AttributeError:
+        commands = get_command(app.app).commands  # pyright: ignore[reportAttributeAccessIssue]  # an earlier tree
+    return {
+        f"residua {name}": sorted(f" {text}" for part in one.params for text in part.opts if text.startswith("-"))
+        for name, one in commands.items()
+    }
 
 
 def main() -> None:

@@ -50,8 +50,13 @@ class Module:
 
     @cached_property
     def tree(self) -> ast.Module:
-        """Its syntax tree."""
-        return ast.parse(self.text)
+        """Its syntax tree; of the module of a folder, with the imports of its stub as those for types."""
+        tree = ast.parse(self.text)
+        stub = self.path.with_suffix(".pyi")
+        if stub.exists():
+            block = "\n    ".join(["if TYPE_CHECKING:", *stub.read_text(encoding="utf-8").splitlines()])
+            tree.body += ast.parse(block).body
+        return tree
 
     @cached_property
     def nodes(self) -> list[ast.AST]:
@@ -103,7 +108,9 @@ class Module:
 
     @cached_property
     def offered(self) -> list[str]:
-        """Texts in its ``__all__``."""
+        """Texts in its ``__all__``, or the names that its stub imports."""
+        if self.path.with_suffix(".pyi").exists():
+            return [alias.name for node in self.nodes if isinstance(node, ast.ImportFrom) for alias in node.names]
         for node in self.tree.body:
             if isinstance(node, ast.Assign) and "__all__" in [getattr(t, "id", "") for t in node.targets]:
                 texts = (n.value for n in ast.walk(node.value) if isinstance(n, ast.Constant))

@@ -3,34 +3,6 @@
 ``residua.cluster.spark`` needs the extra ``spark``, ``residua.cluster.workers`` one of ``ray``, ``dask``, ``workers``.
 """
 
-from typing import TYPE_CHECKING
-
 from residua.facade import hand_on
 
-if TYPE_CHECKING:
-    from residua.cluster.event_table import EVENT_COLUMNS
-    from residua.cluster.packed_rows import PackedRows, packed_table, shard_of
-    from residua.cluster.shard import Aside, Shard, Taken
-    from residua.cluster.travelling import monitor_of_text, text_of_monitor
-
-__all__ = [
-    "EVENT_COLUMNS",
-    "Aside",
-    "PackedRows",
-    "Shard",
-    "Taken",
-    "monitor_of_text",
-    "packed_table",
-    "shard_of",
-    "text_of_monitor",
-]
-
-hand_on(
-    __name__,
-    {
-        "residua.cluster.event_table": ("EVENT_COLUMNS",),
-        "residua.cluster.packed_rows": ("PackedRows", "packed_table", "shard_of"),
-        "residua.cluster.shard": ("Aside", "Shard", "Taken"),
-        "residua.cluster.travelling": ("monitor_of_text", "text_of_monitor"),
-    },
-)
+hand_on(__name__)
