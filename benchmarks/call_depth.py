@@ -36,14 +36,16 @@ HEADER = ("calls", "files", "SciPy or C at frame", "deepest frame")
 def plant(seed: int) -> rs.Plant:
     """Return the vertical take-off aircraft in other units, with a disturbance, noise and two faults."""
     p = rs.library.vtol()
-    B = p.Bu if hasattr(p, "Bu") else p.B  # the name in earlier trees
+    B = getattr(p, "Bu", None)  # the name in earlier trees
+    B = p.B if B is None else B
     disturbed = rs.Plant(p.A * (1 + seed / 8), B, p.C, name="vtol").with_disturbances(B[:, [1]])
     return disturbed.with_faults({"f1": B[:, 0]}).with_noise(process=1.0, measurement=0.1)
 
 
 def singular(p: rs.Plant) -> rs.Plant:
     """Return a plant whose last state obeys an algebraic equation."""
-    B = p.Bu if hasattr(p, "Bu") else p.B
+    B = getattr(p, "Bu", None)
+    B = p.B if B is None else B
     return rs.Plant(p.A, B, p.C, E=np.diag([1.0, 1, 1, 0]), name="singular")
 
 

@@ -234,7 +234,7 @@ def figures(house: House) -> dict[str, str]:
         f"{bodies[int(0.95 * len(bodies))]}, {bodies[-1]}",
         'docstring summaries with "what"': f"{sum('what' in _words(s) for s in summaries)} of {len(summaries)}",
         "... that begin with what, which, whether, how, where, when": str(
-            sum(_words(summary)[:1] and _words(summary)[0] in QUESTIONS for summary in summaries)
+            sum(not QUESTIONS.isdisjoint(_words(summary)[:1]) for summary in summaries)
         ),
         "modules with one importer": str(len(single_importers(house))),
         "imports inside functions": str(sum(one.how == "function" for one in house.imports)),

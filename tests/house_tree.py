@@ -10,7 +10,6 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import get_args
 
 SOURCE = Path(__file__).resolve().parent.parent / "src"
 
@@ -102,7 +101,7 @@ class Module:
     @cached_property
     def summaries(self) -> list[str]:
         """First paragraphs of its docstrings."""
-        documented = (n for n in self.nodes if isinstance(n, (ast.Module, ast.ClassDef, *get_args(Function))))
+        documented = (n for n in self.nodes if isinstance(n, ast.Module | ast.ClassDef | Function))
         texts = (ast.get_docstring(node) for node in documented)
         return [text.split("\n\n")[0].replace("\n", " ") for text in texts if text]
 
