@@ -1,22 +1,54 @@
 """Public calls, options, attributes and command options that an earlier tree had and this one has not.
 
 Everything that a module offers in ``__all__`` counts, with the parameters of its functions and classes and the public
-members of its classes; and every option of every command::
+members of its classes; and every option of every command. Each is printed with what takes its place, and those without
+a place are an error::
 
-    PYTHONPATH=src python benchmarks/public_calls.py ../before/src
+    PYTHONPATH=src python benchmarks/public_calls.py ../before/src --csv docs/data/public_calls.csv
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
 import importlib
 import inspect
 import json
 import os
 import pkgutil
+import re
 import subprocess
 import sys
+from pathlib import Path
 from typing import Any
+
+INTERNAL = "inside of the package; nothing outside needs it"
+#: What takes the place of names that are gone, by patterns of their names; the first that fits counts.
+REPLACED = {
+    r"Fleet\.run\((u|y)\)": "Fleet.update(u, y) for blocks, Fleet.run(recordings) for whole recordings",
+    r"Plant\.Bu$": "Plant.B",
+    r"Plant\.Du$": "Plant.D",
+    r"\(rtol\)$": "one tolerance for all ranks; a decision within a factor of 1,000 of it is marked near",
+    r"treatment_of": INTERNAL,
+    r"Alarm\.doubt": "Alarm.word: good match, either, poor match, too early, with its reason",
+    r"diagnosis\.(CLOSE_|NO_FIT)|sure_of": "Alarm.word",
+    r"decide\.\w+(Test|Names)$": "the settings class, whose fitted(...) returns it; the class stands in the same file",
+    r"\bformerly\)?": "names that were never released",
+    r"ParityRelations\.size": "ParityRelations.plant.balanced, where time is even",
+    r"PerfectObserver\.series": INTERNAL,
+    r"fit_table": "fit_lines",
+    r"identify\.drift_treatment": "identify.drifting_channels, and the treatment option of each method",
+    r"drifts\.(Drifts|drifting_channels|drifts_in)|given_residuals": "the same name in residua.identify",
+    r"linear\.(Detectability|ObservabilityForm|RankDecision)|UnknownInputExistence": "its fields near and undecided",
+    r"linear\.recursion": "residua.linear.systems.recursion",
+    r"with_poles_of": INTERNAL,
+    r"older_files|facade\.": INTERNAL,
+    r"robust\.bounds\.": "the same name in residua.linear",
+    r"residua (learn|identify) --delay$": "--delays INPUT=ROWS,...",
+    r"residua learn --average": "learn chooses averages by itself",
+    r"residua learn --persistence": "learn chooses its test for --false-alarm-rate",
+    r"residua codes --rows": "--structure",
+}
 
 
 def offered() -> dict[str, list[str]]:
@@ -78,6 +110,7 @@ def main() -> None:
     """Print what is gone."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("before", nargs="?", help="source tree of an earlier package")
+    parser.add_argument("--csv", type=Path, help="file to write as well")
     options = parser.parse_args()
     now = offered()
     if options.before is None:
@@ -86,14 +119,18 @@ def main() -> None:
     environment = {**os.environ, "PYTHONPATH": options.before}
     answer = subprocess.run([sys.executable, __file__], env=environment, stdout=subprocess.PIPE, check=True)
     before: dict[str, list[str]] = json.loads(answer.stdout)
-    gone = 0
+    rows = []
     for name, parts in before.items():
-        lost = [name] if name not in now else [name + part for part in parts if part not in now[name]]
-        gone += len(lost)
-        for one in lost:
-            print(one)
-    count = [sum(1 + len(parts) for parts in tree.values()) for tree in (before, now)]
-    print(f"{gone} of {count[0]} names, parameters and members are gone; there are {count[1]} now")
+        for lost in [name] if name not in now else [name + part for part in parts if part not in now[name]]:
+            place = next((text for pattern, text in REPLACED.items() if re.search(pattern, lost)), "")
+            rows.append((lost, place))
+            print(f"{lost:<70} {place or 'NOTHING'}")
+    counts = [sum(1 + len(parts) for parts in tree.values()) for tree in (before, now)]
+    print(f"{len(rows)} of {counts[0]} names, parameters and members are gone; there are {counts[1]} now")
+    if options.csv is not None:
+        with options.csv.open("w", encoding="utf-8", newline="") as file:
+            csv.writer(file, lineterminator="\n").writerows([("gone", "in its place"), *rows])
+    sys.exit(any(not place for _, place in rows))
 
 
 if __name__ == "__main__":
