@@ -9,14 +9,16 @@ from __future__ import annotations
 import argparse
 import ast
 import csv
+import re
 import statistics
 import sys
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))  # as a module of the folder above, and by pytest
 
-from house_tree import SOURCE, House, Module, body_lines
+from house_tree import SOURCE, Function, House, Module, body_lines
 
 #: Lines of code below which a module with one importer is a fragment, lines of the longest body of a function (a screen
 #: and a half), and lines of a module up to which something may go home into it.
@@ -35,6 +37,8 @@ TOLERANCE = 1e-3
 #: Functions that decide a rank with the singular values as evidence, and those that decide it without.
 DECIDED = frozenset({"decide_rank", "range_basis", "null_basis", "left_null_basis"})
 UNDECIDED = frozenset({"matrix_rank", "null_space", "orth"})
+#: Words that a docstring summary does not begin with.
+QUESTIONS = frozenset({"what", "which", "whether", "how", "where", "when"})
 #: One kind of test, one method and one command, whose names show how many files a new one touches.
 A_TEST, A_METHOD, A_COMMAND = ("PeakThreshold", "peak"), "structured_bank", "suggest"
 
@@ -135,11 +139,7 @@ def mixins(house: House) -> list[str]:
 
 def offered(house: House) -> list[str]:
     """Return the functions that the facade of the designs offers."""
-    facade = house.modules["residua.design"].tree
-    for node in ast.walk(facade):
-        if isinstance(node, ast.Assign) and any(isinstance(t, ast.Name) and t.id == "__all__" for t in node.targets):
-            return [name for name in ast.literal_eval(node.value) if name[0].islower()]
-    return []
+    return [name for name in house.modules["residua.design"].offered if name[0].islower()]
 
 
 def methods(house: House) -> list[str]:
@@ -163,24 +163,108 @@ def files_naming(house: House, *names: str) -> list[Module]:
     return out
 
 
-def figures(house: House) -> dict[str, str]:
-    """Return the figures as text, by what they are of."""
+def private_helpers(house: House) -> tuple[int, int]:
+    """Return the number of private functions and methods that their module names once, and of all."""
+    uses = [m.uses[f.name] for m in house.modules.values() for f in m.functions if _is_private(f.name)]
+    return uses.count(1), len(uses)
+
+
+def unused_options(house: House) -> list[str]:
+    """Return the optional parameters that no call of the package passes, of functions that only the package calls."""
     modules = list(house.modules.values())
-    bodies = [body_lines(f) for m in modules for f in m.functions]
+    calls: dict[str, list[ast.Call]] = defaultdict(list)
+    for module in modules:
+        for node in module.nodes:
+            if isinstance(node, ast.Call):
+                calls[getattr(node.func, "id", getattr(node.func, "attr", ""))].append(node)
+    uses = sum((m.uses for m in modules), Counter())
+    defined = Counter(f.name for m in modules for f in m.functions)
+    offered_names = {name for m in modules for name in m.offered}
+    out = []
+    for module in modules:
+        public = {id(f) for c in module.classes if c.name in offered_names for f in ast.walk(c)}
+        for function in module.functions:
+            name, found = function.name, calls[function.name]
+            if defined[name] > 1 or uses[name] != len(found) or not found:
+                continue  # a function that is handed on is called where nobody sees it
+            if name in offered_names or (id(function) in public and not name.startswith("_")):
+                continue
+            passed = {option for option in _options(function) if _passed(option, function, found)}
+            out += [f"{module.name}.{name}({option})" for option in _options(function) if option not in passed]
+    return out
+
+
+def _options(function: Function) -> list[str]:
+    names = [arg.arg for arg in (*function.args.posonlyargs, *function.args.args)]
+    pairs = zip(function.args.kwonlyargs, function.args.kw_defaults, strict=True)
+    return names[len(names) - len(function.args.defaults) :] + [arg.arg for arg, value in pairs if value is not None]
+
+
+def _passed(option: str, function: Function, calls: list[ast.Call]) -> bool:
+    """Return True if one of the calls may give the option a value."""
+    names = [arg.arg for arg in (*function.args.posonlyargs, *function.args.args) if arg.arg not in ("self", "cls")]
+    place = names.index(option) if option in names else len(names) + 1000
+    return any(
+        len(call.args) > place
+        or any(isinstance(arg, ast.Starred) for arg in call.args)
+        or any(word.arg in (None, option) for word in call.keywords)
+        for call in calls
+    )
+
+
+def _is_private(name: str) -> bool:
+    return name.startswith("_") and not name.startswith("__")
+
+
+def figures(house: House) -> dict[str, str]:
+    """Return the figures as text, by what they are of; those of rooms and kinds only for this house."""
+    modules = list(house.modules.values())
+    bodies = sorted(body_lines(f) for m in modules for f in m.functions)
+    code = sum(m.code_lines for m in modules)
+    summaries = [summary for m in modules for summary in m.summaries]
+    once, helpers = private_helpers(house)
+    common = {
+        "files": str(len(modules)),
+        "lines of code": str(code),
+        "lines of docstrings": str(sum(m.docstring_lines for m in modules)),
+        "comments in 100 lines of code": f"{100 * sum(m.comments for m in modules) / code:.1f}",
+        "private helpers with one use": f"{once} of {helpers}",
+        "options of inner functions that nobody passes": str(len(unused_options(house))),
+        "body of a function: median, 95 %, longest": f"{statistics.median(bodies):g}, "
+        f"{bodies[int(0.95 * len(bodies))]}, {bodies[-1]}",
+        'docstring summaries with "what"': f"{sum('what' in _words(s) for s in summaries)} of {len(summaries)}",
+        "... that begin with what, which, whether, how, where, when": str(
+            sum(not QUESTIONS.isdisjoint(_words(summary)[:1]) for summary in summaries)
+        ),
+        "modules with one importer": str(len(single_importers(house))),
+        "imports inside functions": str(sum(one.how == "function" for one in house.imports)),
+        "circles of imports at the top": _sizes(house.circles("top")),
+    }
+    return common | (_of_this_house(house, modules) if house.is_residua else {})
+
+
+def _words(text: str) -> list[str]:
+    return re.findall(r"[a-z]+", text.lower())
+
+
+def _of_this_house(house: House, modules: list[Module]) -> dict[str, str]:
+    """Return the figures of the rules of this house, and the lines of code and files of each room."""
+    rooms: dict[str, list[Module]] = defaultdict(list)
+    for m in modules:
+        rooms[m.room if m.room in {x.name.split(".")[1] for x in modules if x.name.count(".") > 1} else "loose"].append(
+            m
+        )
+    sizes = {
+        f"{room}/": f"{sum(m.code_lines for m in inside)} in {len(inside)} files" for room, inside in rooms.items()
+    }
     literals = [value for m in modules for value in tolerances(m)]
     named = [pair for m in modules for pair in named_tolerances(m)]
     ranks = [name for m in modules for name in rank_decisions(m)]
     tests = files_naming(house, *A_TEST)
     per_method = [len(files_naming(house, name)) for name in methods(house)]
-    return {
-        "files": str(len(modules)),
-        "lines of code": str(sum(m.code_lines for m in modules)),
-        "lines of docstrings": str(sum(m.docstring_lines for m in modules)),
-        "modules with one importer": str(len(single_importers(house))),
-        f"... in one room, under {FRAGMENT} lines": str(len(single_importers(house, FRAGMENT))),
-        "imports inside functions": str(sum(one.how == "function" for one in house.imports)),
-        "circles of imports at the top": _sizes(house.circles("top")),
-        "... with those for types": _sizes(house.circles("top", "type")),
+    return sizes | {
+        f"modules with one importer in their room, under {FRAGMENT} lines": str(len(single_importers(house, FRAGMENT))),
+        "circles of imports, those for types too": _sizes(house.circles("top", "type")),
         "... without facades": _sizes(_without_facades(house)),
         "isinstance on kinds of judges": _places(modules, isinstance_of_judges),
         "tests by None on kinds of judges": _places(modules, none_of_judges),
@@ -189,8 +273,6 @@ def figures(house: House) -> dict[str, str]:
         "named tolerances": str(len(named)),
         "places that decide a rank": str(len(ranks)),
         "... without evidence": str(sum(name not in DECIDED for name in ranks)),
-        f"function bodies over {SCREEN} lines": str(sum(n > SCREEN for n in bodies)),
-        "median and longest body of a function": f"{statistics.median(bodies):g}, {max(bodies)}",
         "classes with one heir that nobody else names": str(len(mixins(house))),
         f"files that name a kind of test ({A_TEST[0]})": f"{len(tests)} in {len({m.room for m in tests})} rooms",
         "files that name a method, median and most": f"{statistics.median(per_method):g}, {max(per_method)}",
@@ -208,7 +290,9 @@ def _without_facades(house: House) -> list[list[str]]:
 
 
 def _sizes(circles: list[list[str]]) -> str:
-    return f"{len(circles)} of {', '.join(str(len(c)) for c in circles)} modules" if circles else "0"
+    sizes = sorted(len(circle) for circle in circles)
+    span = f"{sizes[0]} to {sizes[-1]}" if len(sizes) > 4 else ", ".join(map(str, sizes))
+    return f"{len(sizes)} of {span} modules" if sizes else "0"
 
 
 def _places(modules: list[Module], find: Callable[[Module], Iterator[object]]) -> str:
@@ -225,7 +309,8 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     columns = [figures(House(source)) for source in options.sources]
     names = options.names or [str(source) for source in options.sources]
-    lines = [["figure", *names], *([key, *(c[key] for c in columns)] for key in columns[0])]
+    keys = list(dict.fromkeys(key for column in columns for key in column))
+    lines = [["figure", *names], *([key, *(c.get(key, "") for c in columns)] for key in keys)]
     widths = [max(len(line[k]) for line in lines) for k in range(len(lines[0]))]
     for line in lines:
         print("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip())

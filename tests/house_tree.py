@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import io
 import tokenize
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -49,8 +49,13 @@ class Module:
 
     @cached_property
     def tree(self) -> ast.Module:
-        """Its syntax tree."""
-        return ast.parse(self.text)
+        """Its syntax tree; of the module of a folder, with the imports of its stub as those for types."""
+        tree = ast.parse(self.text)
+        stub = self.path.with_suffix(".pyi")
+        if stub.exists():
+            block = "\n    ".join(["if TYPE_CHECKING:", *stub.read_text(encoding="utf-8").splitlines()])
+            tree.body += ast.parse(block).body
+        return tree
 
     @cached_property
     def nodes(self) -> list[ast.AST]:
@@ -86,6 +91,37 @@ class Module:
             if token.type not in _LAYOUT:
                 lines |= set(range(token.start[0], token.end[0] + 1))
         return len(lines - _docstring_lines(self.nodes))
+
+    @cached_property
+    def comments(self) -> int:
+        """Lines that hold a comment."""
+        tokens = tokenize.generate_tokens(io.StringIO(self.text).readline)
+        return sum(token.type == tokenize.COMMENT for token in tokens)
+
+    @cached_property
+    def summaries(self) -> list[str]:
+        """First paragraphs of its docstrings."""
+        documented = (n for n in self.nodes if isinstance(n, ast.Module | ast.ClassDef | Function))
+        texts = (ast.get_docstring(node) for node in documented)
+        return [text.split("\n\n")[0].replace("\n", " ") for text in texts if text]
+
+    @cached_property
+    def offered(self) -> list[str]:
+        """Texts in its ``__all__``, or the names that its stub imports."""
+        if self.path.with_suffix(".pyi").exists():
+            return [alias.name for node in self.nodes if isinstance(node, ast.ImportFrom) for alias in node.names]
+        for node in self.tree.body:
+            if isinstance(node, ast.Assign) and "__all__" in [getattr(t, "id", "") for t in node.targets]:
+                texts = (n.value for n in ast.walk(node.value) if isinstance(n, ast.Constant))
+                return [text for text in texts if isinstance(text, str)]
+        return []
+
+    @cached_property
+    def uses(self) -> Counter[str]:
+        """How often it reads each name or attribute, or imports it from another module."""
+        found = Counter(node.id for node in self.nodes if isinstance(node, ast.Name))
+        found.update(node.attr for node in self.nodes if isinstance(node, ast.Attribute))
+        return found
 
     @cached_property
     def names(self) -> frozenset[str]:
@@ -146,9 +182,12 @@ class House:
 
     def __init__(self, source: Path = SOURCE) -> None:
         root = source / "residua" if (source / "residua").is_dir() else source
+        self.is_residua = (root / "design").is_dir() and (root / "decide").is_dir()
         self.modules: dict[str, Module] = {}
         for path in sorted(root.rglob("*.py")):
-            parts = ["residua", *path.relative_to(root).with_suffix("").parts]
+            if "tests" in path.parts[len(root.parts) :]:
+                continue  # other packages keep their tests inside
+            parts = ["residua" if self.is_residua else root.name, *path.relative_to(root).with_suffix("").parts]
             name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
             self.modules[name] = Module(name, path, path.read_text(encoding="utf-8"))
 

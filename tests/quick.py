@@ -124,7 +124,9 @@ class Repository:
         for path in self.python:
             module = module_of(path)
             package = module if path.endswith("__init__.py") else module.rpartition(".")[0]
-            result[path] = names_of((self.root / path).read_text(encoding="utf-8"), package)
+            stub = (self.root / path).with_suffix(".pyi")  # the names that the module of a folder hands on
+            text = "\n".join(file.read_text(encoding="utf-8") for file in (self.root / path, stub) if file.exists())
+            result[path] = names_of(text, package)
         return result
 
     def defined(self, module: str, name: str, seen: frozenset[tuple[str, str]] = frozenset()) -> set[str]:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from house_report import figures, main, mixins, single_importers
+from house_report import figures, main, mixins, single_importers, unused_options
 from house_tree import House
 
 FILES = {
@@ -67,15 +67,15 @@ def test_every_figure_is_what_one_counts(source: Path) -> None:
     assert found["lines of code"] == str(1 + 0 + 14 + 4 + 0 + 4 + 2 + 2)
     assert found["lines of docstrings"] == "8"
     assert found["modules with one importer"] == "3"
-    assert found["... in one room, under 60 lines"] == "1"
+    assert found["modules with one importer in their room, under 60 lines"] == "1"
     assert found["imports inside functions"] == "1"
     assert found["circles of imports at the top"] == "0"
-    assert found["... with those for types"] == "1 of 2 modules"
+    assert found["circles of imports, those for types too"] == "1 of 2 modules"
     assert found["isinstance on kinds of judges"] == "1 in 1 files"
     assert found["tests by None on kinds of judges"] == "1 in 1 files"
     assert (found["tolerance literals"], found["... distinct"], found["named tolerances"]) == ("3 in 2 files", "2", "1")
     assert (found["places that decide a rank"], found["... without evidence"]) == ("1", "1")
-    assert found["median and longest body of a function"] == "1, 3"
+    assert found["body of a function: median, 95 %, longest"] == "1, 3, 3"
 
 
 def test_fragments_and_mixins_are_named(source: Path) -> None:
@@ -92,3 +92,45 @@ def test_the_table_of_two_trees(source: Path, tmp_path: Path, capsys: pytest.Cap
     lines = table.read_text(encoding="utf-8").splitlines()
     assert lines[:2] == ["figure,before,after", "files,8,8"]
     assert capsys.readouterr().out.splitlines()[1].split() == ["files", "8", "8"]
+
+
+def test_weight_and_language_are_counted(tmp_path: Path) -> None:
+    (tmp_path / "package").mkdir()
+    (tmp_path / "package" / "one.py").write_text(
+        '''"""What a module is for."""  # a comment
+__all__ = ["Public", "called"]
+
+
+def called(x, scale=1):
+    """Return what is asked for."""
+    return _twice(x) + _once(x, 2) + _twice(x) + inner(x)
+
+
+def _twice(x, *, unused=1):
+    """Return twice the value."""
+    return x * unused
+
+
+def _once(x, power=1):
+    return x**power
+
+
+def inner(x, offset=0):
+    return x + offset
+
+
+class Public:
+    def method(self, x, option=None):
+        """Whether it holds."""
+        return x is option
+''',
+        encoding="utf-8",
+    )
+    house = House(tmp_path / "package")
+    found = figures(house)
+    assert found["private helpers with one use"] == "1 of 2"
+    assert found['docstring summaries with "what"'] == "2 of 4"
+    assert found["... that begin with what, which, whether, how, where, when"] == "2"
+    assert found["comments in 100 lines of code"] == f"{100 / 12:.1f}"
+    assert unused_options(house) == ["package.one._twice(unused)", "package.one.inner(offset)"]
+    assert "... structured_bank" not in found  # a figure of this house alone

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import ast
 import sys
-from collections.abc import Iterable, Mapping
 from importlib import import_module
 from importlib.machinery import PathFinder
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -42,25 +43,31 @@ class _Facade(ModuleType):
         return sorted({*self._places, *self._modules})
 
 
-def hand_on(facade: str, names: Mapping[str, tuple[str, ...]], modules: Iterable[str] = ()) -> None:
-    """Let a module pass on names that other modules define, each imported on first use.
+def hand_on(facade: str) -> None:
+    """Let a module pass on the names that its stub imports, each imported on first use.
 
-    So an import reads only the files that it needs. And importing a file never waits for a room that waits for this
-    file: as no imports run in a circle, threads that import at the same time meet no half-made module.
+    The stub ``__init__.pyi`` lies beside the module, and type checkers read it too. ``from room.file import name`` in
+    it hands on a name; ``from room import file`` a whole module, if ``room`` is the package or the module itself. So an
+    import reads only the files that it needs. And importing a file never waits for a room that waits for this file: as
+    no imports run in a circle, threads that import at the same time meet no half-made module.
 
     Parameters
     ----------
     facade : str
         The module's own name.
-    names : mapping
-        By the module that defines them. They are in the module's ``__all__`` too, and imported for type checkers.
-    modules : iterable of str
-        Whole modules that are handed on, each by the last part of its name.
     """
-    made = sys.modules[facade]
-    made.__dict__["_places"] = {name: place for place, some in names.items() for name in some}
-    made.__dict__["_modules"] = {module.rpartition(".")[2]: module for module in modules}
-    made.__class__ = _Facade
-    for name in made.__dict__["_places"]:
-        if isinstance(made.__dict__.get(name), ModuleType):  # that another thread has imported just before
-            del made.__dict__[name]
+    room = sys.modules[facade]
+    stub = ast.parse(Path(str(room.__file__)).with_suffix(".pyi").read_text(encoding="utf-8"))
+    pairs = [
+        (alias.name, str(node.module)) for node in stub.body if isinstance(node, ast.ImportFrom) for alias in node.names
+    ]
+    modules = {name: f"{place}.{name}" for name, place in pairs if place in ("residua", facade)}
+    places = {name: place for name, place in pairs if name not in modules}
+    for name in places:
+        if isinstance(room.__dict__.get(name), ModuleType):  # that another thread has imported just before
+            del room.__dict__[name]
+    room.__dict__.update(_places=places, _modules=modules, __all__=sorted({*places, *modules}))
+    room.__class__ = _Facade
+
+
+__all__ = ["hand_on"]

@@ -1,0 +1,1 @@
+from residua.demos.outcome import Outcome as Outcome
