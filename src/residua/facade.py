@@ -57,10 +57,10 @@ def hand_on(facade: str, names: Mapping[str, tuple[str, ...]], modules: Iterable
     modules : iterable of str
         Whole modules that are handed on, each by the last part of its name.
     """
-    made = sys.modules[facade]
-    made.__dict__["_places"] = {name: place for place, some in names.items() for name in some}
-    made.__dict__["_modules"] = {module.rpartition(".")[2]: module for module in modules}
-    made.__class__ = _Facade
-    for name in made.__dict__["_places"]:
-        if isinstance(made.__dict__.get(name), ModuleType):  # that another thread has imported just before
-            del made.__dict__[name]
+    room = sys.modules[facade]
+    room.__dict__["_places"] = {name: place for place, some in names.items() for name in some}
+    room.__dict__["_modules"] = {module.rpartition(".")[2]: module for module in modules}
+    room.__class__ = _Facade
+    for name in room.__dict__["_places"]:
+        if isinstance(room.__dict__.get(name), ModuleType):  # that another thread has imported just before
+            del room.__dict__[name]
