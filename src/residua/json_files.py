@@ -68,11 +68,11 @@ def check_checksum(content: Mapping[str, Any], source: str) -> bool:
     FileFormatError
         If the checksum is another one.
     """
-    told = content.get(CHECKSUM)
-    if told is None and CHECKSUM in content:
+    recorded = content.get(CHECKSUM)
+    if recorded is None and CHECKSUM in content:
         return False
     try:
-        same = told == checksum(content)
+        same = recorded == checksum(content)
     except (ValueError, RecursionError):  # a number beyond all numbers, which dumps never wrote
         same = False
     if not same:

@@ -99,8 +99,8 @@ def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     head = "".join(f'<th style="{_CELL}left">{escaped(name)}</th>' for name in header)
     body = "".join(f"<tr>{''.join(map(_cell, row))}</tr>" for row in whole[:_ROWS])
     more = f"<p>and {len(whole) - _ROWS} more rows</p>" if len(whole) > _ROWS else ""
-    made = f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody>"
-    return f'<table style="font-size:inherit;border-collapse:collapse">{made}</table>{more}' if whole else ""
+    content = f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody>"
+    return f'<table style="font-size:inherit;border-collapse:collapse">{content}</table>{more}' if whole else ""
 
 
 def _cell(value: object) -> str:

@@ -125,12 +125,12 @@ def _kept_states(E: NDArray, X: NDArray, direct: NDArray, terms: NDArray) -> tup
     r = X.shape[1]
     # A state that an input reaches at once is not a function of xi, and has no useful derivative.
     reached = np.abs(direct).max(axis=1, initial=0.0) > ROUNDING * np.maximum(terms.max(initial=0.0), TINY)
-    own = [i for i in np.flatnonzero(~reached) if np.any(E[:, i])]
-    if not len(own) or not r:
+    candidates = [i for i in np.flatnonzero(~reached) if np.any(E[:, i])]
+    if not len(candidates) or not r:
         return [None] * r, np.eye(r)
-    R, pivots = scipy.linalg.qr(X[own].T, mode="r", pivoting=True)
+    R, pivots = scipy.linalg.qr(X[candidates].T, mode="r", pivoting=True)
     size = np.abs(np.diag(R))
     count = int(np.count_nonzero(size > _DISTINCT * size[0]))
-    chosen = sorted(own[i] for i in pivots[:count])
+    chosen = sorted(candidates[i] for i in pivots[:count])
     rest = scipy.linalg.null_space(X[chosen]).T[: r - count] if count < r else np.zeros((0, r))
     return [*chosen, *([None] * (r - count))], np.vstack([X[chosen], rest])

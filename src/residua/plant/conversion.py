@@ -94,21 +94,21 @@ def system_labels(system: Any, kind: str, count: int) -> tuple[str, ...] | None:
     return None
 
 
-def system_step(own: Any, given: float | None, system: Any) -> float:
+def system_step(step: Any, given: float | None, system: Any) -> float:
     """Return the step; SciPy's continuous systems carry ``dt=None``, python-control's ``dt=0``."""
     module = type(system).__module__.partition(".")[0]
-    if own is None and module == "scipy":
-        own = 0.0
-    if own is None or own is True:
+    if step is None and module == "scipy":
+        step = 0.0
+    if step is None or step is True:
         if given is None:
-            if own is True:
+            if step is True:
                 raise ModelError("the system is sampled with an unstated step (dt=True): give dt= in seconds")
             raise ModelError(
                 "the system does not say its time base (dt=None): give dt= in seconds, or dt=0 for continuous"
             )
-        if own is True and given == 0:
+        if step is True and given == 0:
             raise ModelError("the system is sampled (dt=True): dt must be a positive step in seconds")
         return given
-    if given is not None and given != own:
-        raise ModelError(f"dt={given} contradicts the system's own dt={own}")
-    return float(own)
+    if given is not None and given != step:
+        raise ModelError(f"dt={given} contradicts the system's own dt={step}")
+    return float(step)

@@ -106,12 +106,12 @@ def realize_input_output(
     """
     # a continuous model in the unit of time that balances its powers
     unit = 1.0 if model.is_discrete else unit_of_variable(model.H, model.right_side())
-    own = model if unit == 1.0 else model._in_other_time(1 / unit)
-    whole = observer_form(own.H, own.right_side(), own.outputs, own.dt, rtol)
-    part, error = _smallest_part(own, whole, rtol, tolerance)
+    scaled = model if unit == 1.0 else model._in_other_time(1 / unit)
+    whole = observer_form(scaled.H, scaled.right_side(), scaled.outputs, scaled.dt, rtol)
+    part, error = _smallest_part(scaled, whole, rtol, tolerance)
     poles, moved = modes_with_uncertainty(part.system.A)
     size = max(spectral_norm(part.system.A), float(np.abs(part.removed).max(initial=0.0)))
-    lost = lost_modes(part.removed, part.uncertainty, poles, moved, own.dt, size)
+    lost = lost_modes(part.removed, part.uncertainty, poles, moved, scaled.dt, size)
     if lost:
         raise ModelError(
             f"mode {describe_modes(unit * np.array(lost))} is in the equations but no input, disturbance or fault "
@@ -133,10 +133,10 @@ def _smallest_part(
     """
     right = model.right_side()
     points = response_points(whole.poles(), model.dt)
-    wanted, terms = model.transfer(points), polynomial_terms(model.H, right, points)
+    response, terms = model.transfer(points), polynomial_terms(model.H, right, points)
 
     def missed(system: StateSpace) -> float:
-        return response_error(system.evaluate(points), wanted, terms)
+        return response_error(system.evaluate(points), response, terms)
 
     part = reachable_part(whole)
     error, order = missed(part.system), part.system.n_states

@@ -114,13 +114,13 @@ def dumps_plant(plant: Plant) -> str:
     if plant.E is not None:
         matrices.append(f"E = {_matrix(plant.E)}")
     blocks = [head, *_channels(plant)]
-    made = plant.identification
-    if made is not None:
-        lines = ["[identification]", f"method = {_text(made.method)}", f"rows = {made.rows}"]
-        for key, channels in (("coloured", made.coloured), ("weak_inputs", made.weak_inputs)):
+    record = plant.identification
+    if record is not None:
+        lines = ["[identification]", f"method = {_text(record.method)}", f"rows = {record.rows}"]
+        for key, channels in (("coloured", record.coloured), ("weak_inputs", record.weak_inputs)):
             lines += [f"{key} = {_texts(channels)}"] if channels else []
-        if made.uncertain_gains:
-            lines.append(f"uncertain_gains = [{', '.join(map(_texts, made.uncertain_gains))}]")
+        if record.uncertain_gains:
+            lines.append(f"uncertain_gains = [{', '.join(map(_texts, record.uncertain_gains))}]")
         blocks.append(lines)
     blocks.append(matrices)
     for name, b, d in zip(plant.disturbances, plant.Bd.T, plant.Dd.T, strict=True):

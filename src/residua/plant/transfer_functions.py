@@ -76,8 +76,8 @@ def input_output_from_transfer_functions(
     roots = [_roots(np.ones(1)), *(_roots(h[::-1]) for h, _ in rows)]
     kept, moved = map(np.concatenate, zip(*roots, strict=True))
     lost = []
-    for modes, own in map(_roots, denominators):
-        lost += lost_modes(modes, own, kept, moved, step, float(np.abs(modes).max(initial=0.0)))
+    for modes, doubt in map(_roots, denominators):
+        lost += lost_modes(modes, doubt, kept, moved, step, float(np.abs(modes).max(initial=0.0)))
     if lost:
         raise ModelError(
             f"mode {describe_modes(lost)} is in a denominator but cancels against the numerator, and it is not "
@@ -88,8 +88,8 @@ def input_output_from_transfer_functions(
     model = InputOutputModel(H, N, dt=step, rtol=rtol, **(labels | options))
     poles = np.concatenate([np.zeros(0, complex), *(np.roots(den).astype(complex) for den in denominators)])
     points = response_points(poles, step)
-    wanted = [[np.polyval(num, points) / np.polyval(den, points) for num, den in row] for row in entries]
-    response = np.array(wanted, dtype=complex).reshape(m, k, len(points)).transpose(2, 0, 1)
+    exact = [[np.polyval(num, points) / np.polyval(den, points) for num, den in row] for row in entries]
+    response = np.array(exact, dtype=complex).reshape(m, k, len(points)).transpose(2, 0, 1)
     check_response(
         response_error(model.transfer(points), response, np.abs(response)),
         tolerance,

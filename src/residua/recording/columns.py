@@ -149,10 +149,14 @@ class ReadOptions:
 
 def settled_step(read: float | None, options: ReadOptions, source: str, texts: Sequence[str] = ()) -> float:
     """Return the step common to times, caller and plant; ``texts``: columns that may hold dates."""
-    asked, own = options.dt, options.plant.dt if options.plant else 0.0
+    requested, sampled = options.dt, options.plant.dt if options.plant else 0.0
     known = [
         (value, what)
-        for value, what in ((read, "its times are"), (asked, "dt= says"), (own or None, "the plant is sampled at"))
+        for value, what in (
+            (read, "its times are"),
+            (requested, "dt= says"),
+            (sampled or None, "the plant is sampled at"),
+        )
         if value is not None
     ]
     if not known:
@@ -167,4 +171,4 @@ def settled_step(read: float | None, options: ReadOptions, source: str, texts: S
                 f"{source}: the steps do not agree: {first} {step:g} s apart, {what} {value:g} s; "
                 "resample the recording, or discretize the plant at its step"
             )
-    return float(own or step)
+    return float(sampled or step)

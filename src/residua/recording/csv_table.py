@@ -242,12 +242,12 @@ def _head(text: str, decimal: str) -> tuple[tuple[str, ...], str, int, int]:
 def _first_line(lines: list[str]) -> tuple[int, str]:
     """Return the number of the line with the names, or with the first data, and a separator that a line declares."""
     above = next(i for i, line in enumerate(lines) if line.strip())
-    said = _SEPARATOR.fullmatch(lines[above].strip(" "))
-    if said:
+    declaration = _SEPARATOR.fullmatch(lines[above].strip(" "))
+    if declaration:
         above = next((i for i, line in enumerate(lines) if i > above and line.strip()), above)
     while above + 1 < len(lines) and _is_comment(lines[above]) and _is_comment(lines[above + 1]):
         above += 1  # of several lines of comment the last one may name the columns
-    return above, said[1] if said else ""
+    return above, declaration[1] if declaration else ""
 
 
 def _is_comment(line: str) -> bool:

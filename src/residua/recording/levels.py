@@ -104,7 +104,7 @@ def units_of(channels: Sequence[str], values: Values, mean: Values, spread: Valu
         Where that is from, in words.
     """
     shown = values[:: rows_apart(len(values))]
-    told: dict[int, str] = {}
+    remarks: dict[int, str] = {}
     factors: list[float] = []
     fahrenheit, perhaps = False, {}
     for i, channel in enumerate(channels):
@@ -112,24 +112,24 @@ def units_of(channels: Sequence[str], values: Values, mean: Values, spread: Valu
         if len(column) < 2 or not spread[i] > 0:
             continue
         low, high = np.quantile(column, (0.01, 0.99))
-        level, own = (float(one[0]) for one in level_and_spread(column[:, None]))
-        if own > 0:
-            factors.append(own / float(spread[i]))
+        level, width = (float(one[0]) for one in level_and_spread(column[:, None]))
+        if width > 0:
+            factors.append(width / float(spread[i]))
         nearest = float(np.clip(mean[i], low, high))
         was = mean[i], spread[i]
         note = (
-            f"{channel!r} is unlike {reference}: {_figures(level, own)}, against {_figures(*was)} "
+            f"{channel!r} is unlike {reference}: {_figures(level, width)}, against {_figures(*was)} "
             "there; is it in other units, at another operating point, or at fault from the beginning?"
         )
-        warm = bool(_fahrenheit(level, own, *was))
+        warm = bool(_fahrenheit(level, width, *was))
         fahrenheit |= warm
-        multiple = _multiple(level, own, *was) and _outside(nearest, own, *was)
-        if own > 0 and (own > _OTHER_SPREAD * spread[i] or _far(nearest, 0.0, *was) or warm or multiple):
-            told[i] = note
-        elif own > 0 and _fahrenheit(level, own, *was, _LIKE_BESIDE) and _outside(nearest, own, *was):
+        multiple = _multiple(level, width, *was) and _outside(nearest, width, *was)
+        if width > 0 and (width > _OTHER_SPREAD * spread[i] or _far(nearest, 0.0, *was) or warm or multiple):
+            remarks[i] = note
+        elif width > 0 and _fahrenheit(level, width, *was, _LIKE_BESIDE) and _outside(nearest, width, *was):
             perhaps[i] = note
-    told |= perhaps if fahrenheit else {}
-    return [told[i] for i in sorted(told)] or _times_ten(factors, reference)
+    remarks |= perhaps if fahrenheit else {}
+    return [remarks[i] for i in sorted(remarks)] or _times_ten(factors, reference)
 
 
 def _times_ten(factors: Sequence[float], reference: str) -> list[str]:

@@ -115,12 +115,12 @@ class Tally:
         if not self.counts:
             return ()
         marks = sorted(self.counts.items(), key=lambda one: -one[1].total())
-        told = [
+        parts = [
             f"{echo(mark, 40)} {some([f'{_times(n)} in {echo(name, 40)}' for name, n in found.most_common()], _TOLD)}"
             for mark, found in marks[:_TOLD]
         ]
         more = [counted(len(marks) - _TOLD, "other mark")] if len(marks) > _TOLD else []
-        return (f"taken as missing values: {'; '.join([*told, *more])}",)
+        return (f"taken as missing values: {'; '.join([*parts, *more])}",)
 
 
 def _times(count: int) -> str:

@@ -257,10 +257,10 @@ def _from_headless(table: CsvTable, options: ReadOptions, source: str) -> Record
     block = np.column_stack(list(table.numbers(table.names, options.marks, tally).values()))
     block = block.T if options.transpose else block
     columns = matrix_columns(block, "column", (), options.matrix_names, source)
-    made = _from_arrays(columns, options, source, first_row=table.above + 1)
+    recording = _from_arrays(columns, options, source, first_row=table.above + 1)
     named = "named as asked" if options.matrix_names is not None else f"called column1 to column{block.shape[1]}"
     header = f"no header: every line is data, the columns are {named}"
-    return replace(made, notes=(header, *tally.notes, *made.notes))
+    return replace(recording, notes=(header, *tally.notes, *recording.notes))
 
 
 def reads_as_number(table: CsvTable, name: str, marks: Marks) -> bool:

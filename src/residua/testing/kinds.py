@@ -67,11 +67,11 @@ def check_test(settings: TestSettings, *, generator: ResidualGenerator | None = 
     _made(lambda: monitor.fit(*_recording(generator, rng, _FITTED), force=True))
     _check_frozen(monitor.norm_test)
     quiet = monitor.run(*_recording(generator, rng, _FITTED))
-    asked = monitor.false_alarm_rate
-    if quiet.false_alarm_fraction > _TOLERATED * asked + 0.01:  # pyright: ignore[reportAttributeAccessIssue]
+    rate = monitor.false_alarm_rate
+    if quiet.false_alarm_fraction > _TOLERATED * rate + 0.01:  # pyright: ignore[reportAttributeAccessIssue]
         raise AccuracyError(
             f"{quiet.false_alarm_fraction:.2g} of other fault-free samples are in alarm, "  # pyright: ignore
-            f"{asked:g} was requested"
+            f"{rate:g} was requested"
         )
     _check_running(monitor, generator, rng)
 
@@ -133,14 +133,14 @@ def check_isolation(
         _check_statement(isolation.statement(alarm, Clock(step=generator.dt), isolation.samples))
 
 
-def _check_statement(said: object) -> None:
+def _check_statement(statement: object) -> None:
     """Raise if the statement about an alarm cannot be shown."""
-    if not isinstance(said, Statement):
-        raise AccuracyError(f"statement must return a residua.decide.Statement, got {type(said).__name__}")
-    if not isinstance(said.headline, str) or not said.headline:
-        raise AccuracyError(f"the headline of a statement must be a sentence, got {echo(said.headline)}")
+    if not isinstance(statement, Statement):
+        raise AccuracyError(f"statement must return a residua.decide.Statement, got {type(statement).__name__}")
+    if not isinstance(statement.headline, str) or not statement.headline:
+        raise AccuracyError(f"the headline of a statement must be a sentence, got {echo(statement.headline)}")
     for name in ("sentences", "lines"):
-        texts = getattr(said, name)
+        texts = getattr(statement, name)
         if not isinstance(texts, tuple) or not all(isinstance(text, str) for text in texts):
             raise AccuracyError(f"the {name} of a statement must be a tuple of texts, got {echo(texts)}")
 
@@ -178,9 +178,9 @@ def _made(make: Any) -> Any:
         raise AccuracyError(f"a monitor cannot be made with it: {error}") from error
 
 
-def _check_frozen(made: object) -> None:
-    if not is_dataclass(made) or not type(made).__dataclass_params__.frozen:  # pyright: ignore
-        raise AccuracyError(f"{type(made).__name__} must be a frozen dataclass: @dataclass(frozen=True)")
+def _check_frozen(value: object) -> None:
+    if not is_dataclass(value) or not type(value).__dataclass_params__.frozen:  # pyright: ignore
+        raise AccuracyError(f"{type(value).__name__} must be a frozen dataclass: @dataclass(frozen=True)")
 
 
 def _check_running(monitor: Monitor, generator: ResidualGenerator, rng: np.random.Generator) -> Decisions:
@@ -228,7 +228,7 @@ def _check_shapes(found: Decisions, samples: int) -> None:
         raise AccuracyError("nothing can be over the threshold where nothing is decided")
 
 
-def _check_same(whole: Decisions, parts: list[Decisions], told: str, plant: int = 0) -> None:
+def _check_same(whole: Decisions, parts: list[Decisions], occasion: str, plant: int = 0) -> None:
     """Check that parts give the same result as the whole, to the last bit."""
     for place, name in ((whole.tested, "tested"), (whole.named, "named")):
         for one in fields(place):
@@ -236,4 +236,4 @@ def _check_same(whole: Decisions, parts: list[Decisions], told: str, plant: int 
             if isinstance(value, np.ndarray):
                 joined = np.concatenate([getattr(getattr(part, name), one.name)[plant] for part in parts])
                 if not np.array_equal(joined, value[0], equal_nan=value.dtype.kind == "f"):
-                    raise AccuracyError(f"{told} does not give the same {one.name} to the last bit")
+                    raise AccuracyError(f"{occasion} does not give the same {one.name} to the last bit")

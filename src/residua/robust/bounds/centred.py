@@ -161,8 +161,8 @@ class _Expansion:
         self.owned = [np.flatnonzero(np.array(system.channels) == i) for i in self.moving]
         self.half, self.count = half[self.moving], len(half)
         self.width = half[list(system.channels)]
-        self.loops = [self.Bp[:, own] @ self.Cq[own] for own in self.owned]
-        self.directs = [self.Dzp[:, own] @ self.Cq[own] for own in self.owned]
+        self.loops = [self.Bp[:, channels] @ self.Cq[channels] for channels in self.owned]
+        self.directs = [self.Dzp[:, channels] @ self.Cq[channels] for channels in self.owned]
         (p, m), k = self.Dzw.shape, len(self.Cq)
         D = np.block([[self.Dzw, self.Dzp], [np.zeros((k, m + k))]])
         both = StableSystem(
@@ -183,8 +183,8 @@ class _Expansion:
         """Return the bound; its parts are infinite where small gains prove nothing."""
         around = self.qp * self.width
         gain, blame = float(spectral_radius(around)), np.zeros(self.count)
-        for i, own in zip(self.moving, self.owned, strict=True):
-            blame[i] = (around.sum(axis=0) + around.sum(axis=1))[own].sum()
+        for i, channels in zip(self.moving, self.owned, strict=True):
+            blame[i] = (around.sum(axis=0) + around.sum(axis=1))[channels].sum()
         none = CentredBound(np.inf, np.inf, np.inf, blame, gain)
         if not gain < 1:
             return none
@@ -196,14 +196,14 @@ class _Expansion:
         linear, second = self._linear([z for z, _ in first]), self._second(seen)
         front = sum((h * self._front(i) for i, h in enumerate(self.half)), np.zeros_like(self.zp))
         rest, blame = front * self.width * away, np.zeros(self.count)
-        for i, own, row in zip(self.moving, self.owned, second, strict=True):
-            blame[i] = np.linalg.norm(rest[:, own], axis=0).sum() + row.sum()
+        for i, channels, row in zip(self.moving, self.owned, second, strict=True):
+            blame[i] = np.linalg.norm(rest[:, channels], axis=0).sum() + row.sum()
         both, last = float(np.triu(second).sum()), float(np.linalg.norm(rest.sum(axis=1)))
         return CentredBound(float(self.unit * linear), float(self.unit * both), float(self.unit * last), blame, gain)
 
     def _first(self, i: int) -> tuple[Real, Real]:
         """Return the response of ``z`` to a parameter, to first order, and the norms of that of ``q``."""
-        own, p = self.owned[i], len(self.Cz)
+        channels, p = self.owned[i], len(self.Cz)
         zero = np.zeros_like(self.A)
         A = np.block([[self.A, zero], [self.loops[i], self.A]])
         C = np.block([[self.directs[i], self.Cz], [np.zeros_like(self.Cq), self.Cq]])
@@ -211,27 +211,27 @@ class _Expansion:
         for H, _ in response_blocks(A, np.vstack([self.Bw, np.zeros_like(self.Bw)]), C, 2 * self.terms):
             z.append(H[:, :p])
             q += np.linalg.norm(H[:, p:], axis=2).sum(axis=0)
-        missed = self.tail * (self.qw[own].sum() + self.qp[:, own].sum(axis=1)) + RESPONSE_ROUNDING * (
-            self.qp[:, own] @ self.qw[own]
+        missed = self.tail * (self.qw[channels].sum() + self.qp[:, channels].sum(axis=1)) + RESPONSE_ROUNDING * (
+            self.qp[:, channels] @ self.qw[channels]
         )
         return np.concatenate(z), q + missed
 
     def _front(self, i: int) -> Matrix:
         """Return the norms of ``T_zp Phi T_qp`` for one parameter, shape (outputs, channels)."""
-        own = self.owned[i]
+        channels = self.owned[i]
         A = np.block([[self.A, np.zeros_like(self.A)], [self.loops[i], self.A]])
         norms = np.zeros_like(self.zp)
         C = np.hstack([self.directs[i], self.Cz])
         for H, _ in response_blocks(A, np.vstack([self.Bp, np.zeros_like(self.Bp)]), C, 2 * self.terms):
             norms += np.abs(H).sum(axis=0)
-        tail = self.tail * (self.zp[:, own].sum(axis=1)[:, None] + self.qp[own].sum(axis=0))
-        return norms + tail + RESPONSE_ROUNDING * (self.zp[:, own] @ self.qp[own])
+        tail = self.tail * (self.zp[:, channels].sum(axis=1)[:, None] + self.qp[channels].sum(axis=0))
+        return norms + tail + RESPONSE_ROUNDING * (self.zp[:, channels] @ self.qp[channels])
 
     def _linear(self, first: list[Real]) -> float:
         """Bound ``T_zw w + T_zp Phi T_qw w`` over the corners."""
         missed = self.tail
-        for h, own in zip(self.half, self.owned, strict=True):
-            zp, qw = self.zp[:, own], self.qw[own]
+        for h, channels in zip(self.half, self.owned, strict=True):
+            zp, qw = self.zp[:, channels], self.qw[channels]
             missed += h * float(np.linalg.norm(self.tail * (qw.sum() + zp.sum(axis=1)) + RESPONSE_ROUNDING * (zp @ qw)))
         centre = np.zeros_like(first[0])
         centre[: self.terms] = self.zw
@@ -252,13 +252,13 @@ class _Expansion:
                 reached = max(reached, *(_peak(one) for one in H))
         return reached + added + missed
 
-    def _second(self, seen: list[Real]) -> Matrix:
+    def _second(self, norms: list[Real]) -> Matrix:
         """Return the norms of all products of two parameters, at their half widths; symmetric."""
-        out = np.zeros((len(seen), len(seen)))
-        for i in range(len(seen)):
+        out = np.zeros((len(norms), len(norms)))
+        for i in range(len(norms)):
             for j in range(i + 1):
                 size = sum(np.linalg.norm(H, axis=(1, 2)).sum() for H in self._of_two(i, j))
-                missed = self._missed_of_two(i, seen[j]) + (self._missed_of_two(j, seen[i]) if i != j else 0.0)
+                missed = self._missed_of_two(i, norms[j]) + (self._missed_of_two(j, norms[i]) if i != j else 0.0)
                 out[i, j] = out[j, i] = self.half[i] * self.half[j] * (size + missed)
         return out
 
@@ -277,12 +277,11 @@ class _Expansion:
 
     def _missed_of_two(self, i: int, norms: Real) -> float:
         """Bound the tail and the rounding of the response of ``z`` to a parameter that reads ``q`` of first order."""
-        own = self.owned[i]
+        channels = self.owned[i]
         # either the last factor is cut off, or one of those that made q
-        made = norms[own].sum() + self.zp[:, own].sum(axis=1) * (self.qw.sum() + self.qp[own].sum())
-        return float(
-            np.linalg.norm(self.tail * made + RESPONSE_ROUNDING * (self.zp[:, own] @ (self.qp[own] @ self.qw)))
-        )
+        factors = norms[channels].sum() + self.zp[:, channels].sum(axis=1) * (self.qw.sum() + self.qp[channels].sum())
+        rounding = RESPONSE_ROUNDING * (self.zp[:, channels] @ (self.qp[channels] @ self.qw))
+        return float(np.linalg.norm(self.tail * factors + rounding))
 
 
 def _solved(gains: Matrix, once: Real) -> Real | None:

@@ -187,11 +187,11 @@ def expand(response: MemberResponse, low: Real, high: Real) -> Expansion:
 
 def _squares(c: Centre, t: Series, sign: int) -> tuple[Real, Real, Real]:
     """Return bounds of ``|T v_j|^2``, upper or lower, and half of gradient and Hessian of the last at the centre."""
-    own = np.arange(c.T.shape[2])
-    s, d = c.T[:, own, own], c.radii
-    gradient = s[:, :, None] * np.real(t.first[:, own, own])
+    diagonal = np.arange(c.T.shape[2])
+    s, d = c.T[:, diagonal, diagonal], c.radii
+    gradient = s[:, :, None] * np.real(t.first[:, diagonal, diagonal])
     hessian = np.real(t.first.conj().transpose(0, 2, 3, 1) @ t.first.swapaxes(1, 2))
-    hessian = hessian + s[:, :, None, None] * np.real(t.second[:, own, own])
+    hessian = hessian + s[:, :, None, None] * np.real(t.second[:, diagonal, diagonal])
     third = (2 * c.T * t.third + 2 * t.one * t.more + t.more**2).sum(axis=1)
     lost = ((2 * (c.T + t.one + t.more) + t.rounding) * t.rounding).sum(axis=1)
     # 2 g'e + e'He for |e_i| <= d_i is no smaller than this, and exact for diagonal H
@@ -206,14 +206,14 @@ def _squares(c: Centre, t: Series, sign: int) -> tuple[Real, Real, Real]:
 
 def _mixed(c: Centre, t: Series) -> Real:
     """Return upper bounds of ``|(T v_j)^H (T v_k)|``, j != k."""
-    own = np.arange(c.T.shape[2])
-    s, top = c.T[:, own, own], t.first[:, own]
+    diagonal = np.arange(c.T.shape[2])
+    s, top = c.T[:, diagonal, diagonal], t.first[:, diagonal]
     first = np.abs(s[:, :, None, None] * top + s[:, None, :, None] * top.swapaxes(1, 2).conj())
     more = t.more + t.rounding
-    once = s[:, :, None] * (more + t.rounding)[:, own]
+    once = s[:, :, None] * (more + t.rounding)[:, diagonal]
     bounds = (first * c.radii[:, None, None, :]).sum(axis=3) + once + once.swapaxes(1, 2)
     bounds = bounds + (t.one + more).swapaxes(1, 2) @ (t.one + more)
-    bounds[:, own, own] = 0.0
+    bounds[:, diagonal, diagonal] = 0.0
     return bounds
 
 
@@ -304,9 +304,9 @@ def centre(response: MemberResponse, low: Real, high: Real) -> Centre:
         back = np.linalg.inv(basis)
         factor = -2j * (z + 1) if response.dt else -1j
         driven, seen = factor * R @ basis, back @ R @ response.Bp
-        own = back @ driven + (1j * np.eye(n) if response.dt else 0)
+        modal = back @ driven + (1j * np.eye(n) if response.dt else 0)
         upper = np.concatenate([M22, response.Cq @ driven], axis=2)
-        M22 = np.concatenate([upper, np.concatenate([seen, own], axis=2)], axis=1)
+        M22 = np.concatenate([upper, np.concatenate([seen, modal], axis=2)], axis=1)
         M12 = np.concatenate([M12, factor * left @ basis], axis=2)
         M21 = np.concatenate([M21, back @ right], axis=1)
         select = np.vstack([select, np.repeat(np.eye(low.shape[1])[-1:], n, axis=0)])

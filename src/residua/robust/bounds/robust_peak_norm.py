@@ -417,7 +417,7 @@ def _visit(system: UncertainSystem, points: Matrix) -> tuple[NDArray[np.float64]
     """Return an output that some unit input attains, for every member, and the largest spectral radius."""
     p, m = system.Dzw.shape
     T = system.balanced_states()
-    own = list(system.channels)
+    channels = list(system.channels)
     A0, Bp, Cq = system.A / T[:, None] * T, system.Bp / T[:, None], system.Cq * T
     Bw, Cz = system.Bw / T[:, None], system.Cz * T
     n = len(A0)
@@ -425,7 +425,7 @@ def _visit(system: UncertainSystem, points: Matrix) -> tuple[NDArray[np.float64]
     step = max(1, _CHUNK // max(_TERMS // 8 * p * m, 64 * n * n, 1))
     for start in range(0, len(points), step):
         part = points[start : start + step]
-        F = part[:, own][:, :, None] * Cq
+        F = part[:, channels][:, :, None] * Cq
         A, C = A0 + Bp @ F, Cz + system.Dzp @ F
         modes = np.linalg.eigvals(A) if n else np.zeros((len(part), 1))
         rho = np.abs(modes).max(axis=1)

@@ -86,8 +86,8 @@ def scaled_problem(system: UncertainSystem) -> ScaledProblem:
     the rank of what they do together.
     """
     low, width = system.low, system.high - system.low
-    own = np.array(system.channels, dtype=int)
-    shift = low[own][:, None] * system.Cq
+    channels = np.array(system.channels, dtype=int)
+    shift = low[channels][:, None] * system.Cq
     A, Cz = system.A + system.Bp @ shift, system.Cz + system.Dzp @ shift
     reached = reached_middle(system)
     T, unit, rate = reached.middle.units[:, None] * root(reached.Q, _FLOOR), reached.unit, reached.rate
@@ -96,7 +96,7 @@ def scaled_problem(system: UncertainSystem) -> ScaledProblem:
     scale = np.concatenate([np.ones(n), np.full(len(Cz), np.sqrt(rate) / unit)])
     left, right, groups, owners = [np.zeros((len(scale), 0))], [np.zeros((0, n))], [], []
     for i in range(system.n_parameters):
-        mine = np.flatnonzero(own == i)
+        mine = np.flatnonzero(channels == i)
         effect = np.vstack([back @ system.Bp[:, mine], system.Dzp[:, mine]]) * scale[:, None]
         U, s, Vh = np.linalg.svd(width[i] * effect @ (system.Cq[mine] @ T), full_matrices=False)
         keep = s > max(_INDEPENDENT * s.max(initial=0.0), 1e-15)
@@ -274,11 +274,11 @@ def verified_star(system: UncertainSystem, problem: ScaledProblem, star: CommonE
     shares[[0, *(1 + i for i in problem.owners), -1]] = star.shares
     shares /= max(float(shares.sum()), 1.0)
     middle = system.member((system.low + system.high) / 2)
-    own, half = np.array(system.channels, dtype=int), (system.high - system.low) / 2
+    channels, half = np.array(system.channels, dtype=int), (system.high - system.low) / 2
     # what the next state and the output are sums of: the middle of the set, and half widths of parameters
-    seen = [half[i] * system.Cq[own == i] for i in range(system.n_parameters)]
-    terms = [middle.A, *(system.Bp[:, own == i] @ C for i, C in enumerate(seen))]
-    outputs = [middle.C, *(system.Dzp[:, own == i] @ C for i, C in enumerate(seen))]
+    readings = [half[i] * system.Cq[channels == i] for i in range(system.n_parameters)]
+    terms = [middle.A, *(system.Bp[:, channels == i] @ C for i, C in enumerate(readings))]
+    outputs = [middle.C, *(system.Dzp[:, channels == i] @ C for i, C in enumerate(readings))]
     size = float(np.trace(star.Q)) / max(len(star.Q), 1)
     for added in _ADDED:
         Q = problem.T @ (star.Q + added * size * star.spare) @ problem.T.T

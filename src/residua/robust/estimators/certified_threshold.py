@@ -152,11 +152,11 @@ def certified_threshold(
         return replace(norm, worst=worst, bound=float(max(norm.bound, _ROUNDED * scale))), scale
 
     try:
-        own, scale = bound(plant.disturbances, rtol=_COUNTS)
-        others, reached = {}, own.attained > _DECOUPLED * scale
+        disturbance, scale = bound(plant.disturbances, rtol=_COUNTS)
+        others, reached = {}, disturbance.attained > _DECOUPLED * scale
         for name in dict.fromkeys((*faults, *sized)) if reached or sized else ():
             # what leaks matters by what it adds to the threshold, and hardly if it is only reported
-            close: dict[str, Any] = {"atol": _COUNTS * own.bound / sized[name]} if name in sized else _ONLY_TOLD
+            close: dict[str, Any] = {"atol": _COUNTS * disturbance.bound / sized[name]} if name in sized else _ONLY_TOLD
             others[name], unit = bound((name,), **close)
             reached |= name in sized and others[name].attained > _DECOUPLED * unit
     except DesignError:
@@ -165,9 +165,9 @@ def certified_threshold(
     if not reached:
         bounded = f" and the bounded faults ({', '.join(sized)})" if sized else ""
         why = (
-            f"they cancel in it, and what is left of them, {own.attained:.2g}, is rounding (their parts of it are of "
-            f"the order of {scale:.2g}): they are decoupled from it, or it weighs outputs without disturbances too "
-            "much; a threshold of that would mean false alarms"
+            f"they cancel in it, and what is left of them, {disturbance.attained:.2g}, is rounding (their parts of it "
+            f"are of the order of {scale:.2g}): they are decoupled from it, or it weighs outputs without disturbances "
+            "too much; a threshold of that would mean false alarms"
         )
         raise DesignError(
             f"the disturbances{bounded} do not reach this residual: "
@@ -175,8 +175,8 @@ def certified_threshold(
             "disturbances, with_disturbances(..., output=...), or test the residual by a threshold that is fitted to "
             "data, residua.decide.NormThreshold()"
         )
-    value = own.bound + sum(size * others[name].bound for name, size in sized.items())
-    return CertifiedThreshold(value, own, others, sized, left_out(loop))
+    value = disturbance.bound + sum(size * others[name].bound for name, size in sized.items())
+    return CertifiedThreshold(value, disturbance, others, sized, left_out(loop))
 
 
 def check_uncertain(loop: object) -> None:
@@ -251,35 +251,35 @@ def certified_thresholds(
     [('Luenberger observer', 0.22, 0.22)]
     """
     check_uncertain(loop)
-    made = generator.generator if isinstance(generator, Bank) else generator
+    source = generator.generator if isinstance(generator, Bank) else generator
     chosen = checked_sizes(loop, sizes)
-    if made.plant.inputs:
+    if source.plant.inputs:
         raise ModelError(
             "this generator reads control inputs; a closed loop has none: design on loop.nominal, whose only signals "
             "are its outputs"
         )
-    if made.plant.outputs != loop.nominal.outputs:
+    if source.plant.outputs != loop.nominal.outputs:
         raise ModelError(
-            f"this generator reads the outputs {', '.join(made.plant.outputs)}, the loop has "
+            f"this generator reads the outputs {', '.join(source.plant.outputs)}, the loop has "
             f"{', '.join(loop.nominal.outputs)}: they must be the same, in the same order"
         )
     out = {}
-    for member in made.members:
+    for member in source.members:
         others = [name for name in loop.nominal.faults if name not in member.faults]
-        part, T = _part(made, list(member.residuals))
+        part, T = _part(source, list(member.residuals))
         sized = {name: size for name, size in chosen.items() if name in others}
         out[member.name] = certified_threshold(loop, part, T, faults=others, sizes=sized, method=method)
     return out
 
 
-def _part(made: ResidualGenerator, rows: list[int]) -> tuple[StateSpace, ArrayLike | None]:
+def _part(generator: ResidualGenerator, rows: list[int]) -> tuple[StateSpace, ArrayLike | None]:
     """Return the filter of some residuals without the states that do not reach them: those of other members."""
-    part = made.system.explicit().select(outputs=rows)
+    part = generator.system.explicit().select(outputs=rows)
     reaching = np.any(part.C, axis=0)
     for _ in range(part.n_states):
         reaching = reaching | np.any(part.A[reaching], axis=0)
     kept = np.flatnonzero(reaching)
-    T = None if made.state_map is None else np.asarray(made.state_map)[kept]
+    T = None if generator.state_map is None else np.asarray(generator.state_map)[kept]
     return StateSpace(part.A[np.ix_(kept, kept)], part.B[kept], part.C[:, kept], part.D, dt=part.dt), T
 
 

@@ -188,12 +188,12 @@ class GeneticSearch:
     ) -> tuple[Matrix, NDArray[np.float64]]:
         """Return the next generation, ranked; its random numbers are those of its number, wherever it is bred."""
         rng = np.random.default_rng([self.seed, number])
-        own = np.arange(len(points))
-        mates = self._mates(rng, len(own))
-        better, worse = points[np.minimum(own, mates)], points[np.maximum(own, mates)]
-        crossed = rng.random(len(own)) < self.crossover
+        ranks = np.arange(len(points))
+        mates = self._mates(rng, len(ranks))
+        better, worse = points[np.minimum(ranks, mates)], points[np.maximum(ranks, mates)]
+        crossed = rng.random(len(ranks)) < self.crossover
         children = np.where(crossed[:, None], _crossed(rng, better, worse), points)
-        mutated = (rng.random(len(own)) < self.mutation) | ~crossed
+        mutated = (rng.random(len(ranks)) < self.mutation) | ~crossed
         children = box.inside(children)
         children = np.where(mutated[:, None], _mutated(rng, children, box), children)
         new = box(children)
@@ -204,8 +204,8 @@ class GeneticSearch:
         """Return the rank of a mate for every rank, never the same."""
         chances = np.cumsum(self.selection * (1 - self.selection) ** np.arange(count))
         drawn = np.minimum(np.searchsorted(chances / chances[-1], rng.random(count), side="right"), count - 1)
-        own = np.arange(count)
-        return np.where(drawn == own, (own + rng.integers(1, count, size=count)) % count, drawn)
+        ranks = np.arange(count)
+        return np.where(drawn == ranks, (ranks + rng.integers(1, count, size=count)) % count, drawn)
 
 
 def _crossed(rng: np.random.Generator, a: Matrix, b: Matrix) -> Matrix:

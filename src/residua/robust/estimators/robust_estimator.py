@@ -150,7 +150,7 @@ def search_estimator(task: Task, family: EstimatorFamily, tell: Progress) -> tup
     Where no threshold is certified for one as slow as it may be, a faster one is searched; a note tells of that.
     """
     failure: NoCertificateError | None = None
-    tried: list[float] = []
+    times: list[float] = []
     for radius in task.radii:
         try:
             cost, best, values = _sought(task, family, radius, tell)
@@ -158,20 +158,20 @@ def search_estimator(task: Task, family: EstimatorFamily, tell: Progress) -> tup
             if failure is None:
                 raise
             break  # none is as fast: what counts is why the slower ones have failed
-        tried.append(float(task.loop.nominal.dt * np.log(0.02) / np.log(radius)))  # seconds to settle to 2 per cent
+        times.append(float(task.loop.nominal.dt * np.log(0.02) / np.log(radius)))  # seconds to settle to 2 per cent
         tell(f"{family.target}: certificate", 0, 1)
         try:
-            made = _certified(task, cost, best, values)
+            estimator = _certified(task, cost, best, values)
         except NoCertificateError as error:
             failure = failure or error
             continue
-        return made, "" if failure is None else (
-            f"settles in {tried[-1]:.3g} s: no threshold was certified for one that may take {tried[0]:.3g} s, the "
+        return estimator, "" if failure is None else (
+            f"settles in {times[-1]:.3g} s: no threshold was certified for one that may take {times[0]:.3g} s, the "
             "default; settling= sets it"
         )
     raise NoCertificateError(
         f"no threshold for {family.target!r} was certified over the set, for estimators that settle within "
-        f"{', '.join(f'{t:.3g}' for t in tried)} s ({str(failure).partition(': ')[0]}): narrow the set, give a shorter "
+        f"{', '.join(f'{t:.3g}' for t in times)} s ({str(failure).partition(': ')[0]}): narrow the set, give a shorter "
         "or longer settling=, or decouple fewer faults (decouple=)"
     ) from failure
 

@@ -79,8 +79,8 @@ class RobustL1Bank(Bank):
     def __str__(self) -> str:
         lines = [super().__str__()] + [str(one) for one in self.estimators.values()]
         common = left_out(self.loop)  # which every member has in its notes
-        own = [note for note in self.generator.evidence.notes if not note.endswith(common)]
-        lines += [f"note: {note}" for note in (*common, *own)]
+        notes = [note for note in self.generator.evidence.notes if not note.endswith(common)]
+        lines += [f"note: {note}" for note in (*common, *notes)]
         for one in self.estimators.values():
             parts = []
             for fault, size in one.leakage.items():
@@ -287,12 +287,12 @@ def robust_l1_bank(
 
 def _radii(loop: UncertainPlant, settling: float | None) -> tuple[float, ...]:
     """Return the spectral radii up to which estimators count; ever faster ones where that is left open."""
-    own = float(spectral_radius(loop.nominal.A))
-    if not own < 1:
-        raise DesignError(f"the nominal loop is not stable (spectral radius {own:.6g}): nothing is bounded in it")
+    radius = float(spectral_radius(loop.nominal.A))
+    if not radius < 1:
+        raise DesignError(f"the nominal loop is not stable (spectral radius {radius:.6g}): nothing is bounded in it")
     if settling is None:
         fastest = 0.02 ** (1 / _LEAST_SETTLING)
-        return tuple(dict.fromkeys(max(own**power, fastest) for power in _POWERS))
+        return tuple(dict.fromkeys(max(radius**power, fastest) for power in _POWERS))
     if not (isinstance(settling, Real) and np.isfinite(settling) and settling > 0):
         raise SettingError(f"settling must be a positive time in seconds, got {settling!r}")
     if settling < loop.nominal.dt * (1 - SAME):

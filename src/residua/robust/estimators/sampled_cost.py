@@ -224,6 +224,6 @@ def sampled_cost(
         for z in frequencies:
             x = np.linalg.solve((z.real if abs(z.imag) < 1e-15 else z) * one - member.A, b)
             faults.append((seen @ x + N @ d, driven @ x + T @ b - L @ d))
-        own = float(spectral_radius(member.A))
-        parts.append(_MemberParts(member.A, B, seen, driven, T @ B - L @ D, N @ D, faults, own))
+        slowest = float(spectral_radius(member.A))
+        parts.append(_MemberParts(member.A, B, seen, driven, T @ B - L @ D, N @ D, faults, slowest))
     return SampledCost(family, weights, len(plant.disturbances), radius, frequencies, tuple(parts))

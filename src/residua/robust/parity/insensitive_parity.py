@@ -507,8 +507,8 @@ def _fitted(
     gains = bare.largest_gains()
     scale, noise_free = _fitted_scale(e[usable], gains, data, bare.scale)
     running = bare if noise_free else replace(bare, scale=scale, rest=REST)
-    own = running.block(running.initial_state(plants), data)[1].statistic.reshape(plants * time, -1)
-    statistic = own.copy()
+    whole = running.block(running.initial_state(plants), data)[1].statistic.reshape(plants * time, -1)
+    statistic = whole.copy()
     for held, kept, _ in () if noise_free else seen.held_out():
         turn = replace(running, scale=_fitted_scale(e[kept], gains, data, bare.scale)[0])
         for p, part in enumerate(seen.parts):
@@ -518,11 +518,11 @@ def _fitted(
                 begin = max(0, first - bare.settle - reach)
                 values = turn.block(turn.initial_state(1), data[p : p + 1, begin:last])[1].statistic[0]
                 statistic[part][first:last] = values[first - begin :]
-    own, statistic = np.nan_to_num(own), np.nan_to_num(statistic)
+    whole, statistic = np.nan_to_num(whole), np.nan_to_num(statistic)
     held = {"persistence": 1, "release": 1, "window": bare.memory}
     promises = [
         promise_of(observed(one, seen.full, seen.usable, seen.parts, np.inf, own=kept, **held), rate)
-        for one, kept in zip(statistic.T, own.T, strict=True)
+        for one, kept in zip(statistic.T, whole.T, strict=True)
     ]
     thresholds = np.array([one.threshold for one in promises])
     return replace(running, thresholds=thresholds), promises, count

@@ -89,34 +89,34 @@ def equations_of(model: Model, values: Mapping[str, float], changes: Mapping[str
 
 def _evaluated(model: Model, values: Mapping[str, float]) -> InputOutputModel:
     """Return the equations for some values of the parameters."""
-    made = model(**values)
-    if isinstance(made, Plant):
-        made = InputOutputModel.from_plant(made)
-    if not isinstance(made, InputOutputModel):
-        raise ModelError(f"the model must return a Plant or an InputOutputModel, got {type(made).__name__}")
-    if not made.dt:
+    equations = model(**values)
+    if isinstance(equations, Plant):
+        equations = InputOutputModel.from_plant(equations)
+    if not isinstance(equations, InputOutputModel):
+        raise ModelError(f"the model must return a Plant or an InputOutputModel, got {type(equations).__name__}")
+    if not equations.dt:
         raise ModelError(
             "the model returns a continuous plant; what depends on the data is evaluated sample by sample: let it "
             "return the sampled plant, plant.discretize(dt)"
         )
-    return made
+    return equations
 
 
 def _weights(
-    made: InputOutputModel, nominal: InputOutputModel, order: int, where: str
+    varied: InputOutputModel, nominal: InputOutputModel, order: int, where: str
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the weights of samples of outputs and inputs, the newest sample of every equation last."""
     for what in ("inputs", "outputs", "dt"):
-        if getattr(made, what) != getattr(nominal, what):
+        if getattr(varied, what) != getattr(nominal, what):
             raise ModelError(f"the model has other {what} with {where}: they must not depend on the parameters")
-    degrees = made.H.row_degrees
+    degrees = varied.H.row_degrees
     if degrees != nominal.H.row_degrees:
         raise DesignError(
             f"with {where} the equations are of orders {', '.join(map(str, degrees))}, nominally of "
             f"{', '.join(map(str, nominal.H.row_degrees))}: a state gets in or out of view there; choose other nominal "
             "values, or return an InputOutputModel of one structure"
         )
-    H, G = made.H.padded(max(order, made.H.degree)), made.G.padded(max(order, made.H.degree))
+    H, G = varied.H.padded(max(order, varied.H.degree)), varied.G.padded(max(order, varied.H.degree))
     out_H, out_G = (np.zeros((len(degrees), order + 1, M.shape[2])) for M in (H, G))
     for i, k in enumerate(degrees):
         out_H[i, order - k :], out_G[i, order - k :] = H[: k + 1, i], -G[: k + 1, i]

@@ -417,9 +417,9 @@ def model_spread(
            [0.14]])
     """
     family = plant_family(plants)
-    own = generator.plant
+    reference = generator.plant
     for i, one in enumerate(family):
-        if (one.inputs, one.outputs, one.dt) != (own.inputs, own.outputs, generator.dt):
+        if (one.inputs, one.outputs, one.dt) != (reference.inputs, reference.outputs, generator.dt):
             raise ModelError(f"model {i} has other inputs, outputs or another step than the generator")
     expected = ExpectedSignals(inputs, disturbances, None, correlation_time, noise)
     spread = [expected.driven(one).spread_of(generator.system, f"model {i}") for i, one in enumerate(family)]

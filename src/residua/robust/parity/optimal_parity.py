@@ -270,8 +270,8 @@ def _output_sizes(model: RelationModel, sizes: NDArray[np.float64]) -> NDArray[n
     of_rows, of_columns = part_numbers(coupled)
     of_outputs = of_rows[n : n + plant.n_outputs]
     of_signals = of_columns[n + balanced.free[0].shape[1] :][: len(sizes)]
-    own = balanced.units.inputs[len(plant.inputs) :]
-    expected = np.log(sizes / np.concatenate([own[nd:], own[:nd]]))
+    units = balanced.units.inputs[len(plant.inputs) :]
+    expected = np.log(sizes / np.concatenate([units[nd:], units[:nd]]))
     return np.exp([expected[of_signals == i].mean() if i in of_signals else 0.0 for i in of_outputs])
 
 
@@ -359,15 +359,15 @@ def _made(
     """Return the relations as a generator of the plant, with the faults that they do not see."""
     perfect = bool(np.isinf(indices[0]))
     model = task.model
-    made = relations_of(model.plant, rows).with_poles(poles, method=_METHOD, notes=model.notes)
-    seen = {name for name in task.names if made.structure[:, made.faults.index(name)].any()}
+    relations = relations_of(model.plant, rows).with_poles(poles, method=_METHOD, notes=model.notes)
+    seen = {name for name in task.names if relations.structure[:, relations.faults.index(name)].any()}
     blind = tuple(name for name in task.names if name not in seen)
     notes = ("what counts as disturbance is decoupled exactly",) if perfect else ()
     conditions = {} if perfect else {"faults for disturbances (index)": float(indices[0])}
-    evidence = made.evidence.extended(
-        conditions=conditions, notes=notes, references=(*made.evidence.references, _REFERENCE)
+    evidence = relations.evidence.extended(
+        conditions=conditions, notes=notes, references=(*relations.evidence.references, _REFERENCE)
     )
-    return OptimalParity(replace(made, evidence=evidence), indices, gains, blind)
+    return OptimalParity(replace(relations, evidence=evidence), indices, gains, blind)
 
 
 def variant_columns(

@@ -174,14 +174,14 @@ def select_equations(
     if eta.shape not in ((), (n,)) or not np.isfinite(eta).all() or np.any(eta <= 0):
         raise SettingError(f"thresholds must be {n} positive numbers, one per residual, got {thresholds!r}")
     respond = _steady(generator, inputs) if recording is None else _over(generator, recording)
-    own = generator.plant
+    reference = generator.plant
 
     def response(changed: Mapping[str, float]) -> NDArray[np.float64]:
         plant = relation_model(model(**{**values, **changed})).plant
-        if (plant.inputs, plant.outputs, plant.dt) != (own.inputs, own.outputs, generator.dt):
+        if (plant.inputs, plant.outputs, plant.dt) != (reference.inputs, reference.outputs, generator.dt):
             raise ModelError(
                 f"the model has the signals {', '.join((*plant.inputs, *plant.outputs))} and dt={plant.dt:g}, the "
-                f"relations {', '.join((*own.inputs, *own.outputs))} and dt={generator.dt:g}"
+                f"relations {', '.join((*reference.inputs, *reference.outputs))} and dt={generator.dt:g}"
             )
         return respond(plant)
 

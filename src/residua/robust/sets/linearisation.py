@@ -146,9 +146,9 @@ def uncertain_plant_from_parameters(
         rounding = _stacked_from(_rounding([nominal, *ends], 0.0))
         slopes[i] = np.where(np.abs(slope) * (p.high - p.low) > 2 * rounding, slope, 0.0)
     affine = nominal, known, *_channels_of(slopes, nominal)
-    made = make_uncertain_plant(*affine)
-    points = visited_values(made, _INSIDE, seed)
-    comparison = _compare(made, [evaluate(v) for v in points], points, rtol)
+    uncertain = make_uncertain_plant(*affine)
+    points = visited_values(uncertain, _INSIDE, seed)
+    comparison = _compare(uncertain, [evaluate(v) for v in points], points, rtol)
     return make_uncertain_plant(*affine, linearisation=comparison, function=function)
 
 
@@ -218,12 +218,12 @@ def _rounding(plants: Sequence[Plant], rtol: float) -> dict[str, Matrix]:
     return {name: rtol * size + _ROUNDED * beside[name] for name, size in sizes.items()}
 
 
-def _compare(made: UncertainPlant, plants: list[Plant], points: NDArray[np.float64], rtol: float) -> Linearisation:
+def _compare(uncertain: UncertainPlant, plants: list[Plant], points: NDArray[np.float64], rtol: float) -> Linearisation:
     """Compare the members of an affine form with the plants that they stand for."""
     for plant in plants:
-        _stacked(plant, made.nominal)
+        _stacked(plant, uncertain.nominal)
     real = [_all_matrices(plant) for plant in plants]
-    ours = [_all_matrices(made.member(v)) for v in points]
+    ours = [_all_matrices(uncertain.member(v)) for v in points]
     rounding = _rounding(plants, rtol)
     deviation, kept, relative, where, exact = {}, {}, 0.0, 0, True
     for name in (*_MOVING, *_FIXED):
@@ -236,7 +236,7 @@ def _compare(made: UncertainPlant, plants: list[Plant], points: NDArray[np.float
         off = np.where(off > rounding[name], off, 0.0)
         if name in _FIXED:
             # relative to the largest of its column, in even units of the rows
-            nominal, most = np.abs(_all_matrices(made.nominal)[name]), off.max(axis=0)
+            nominal, most = np.abs(_all_matrices(uncertain.nominal)[name]), off.max(axis=0)
             rows = np.maximum(nominal, most).max(axis=1, keepdims=True)
             columns, moved = ((M / np.where(rows > 0, rows, 1.0)).max(axis=0) for M in (nominal, most))
             # a column that is zero in the nominal plant moves by all that it is
@@ -247,7 +247,7 @@ def _compare(made: UncertainPlant, plants: list[Plant], points: NDArray[np.float
         worst = (off / np.where(spread > 0, spread, np.finfo(float).tiny)).reshape(len(points), -1).max(axis=1)
         if worst.max() > relative:
             relative, where = float(worst.max()), int(np.argmax(worst))
-    values = dict(zip(made.names, (float(v) for v in points[where]), strict=True))
+    values = dict(zip(uncertain.names, (float(v) for v in points[where]), strict=True))
     return Linearisation(exact, deviation, relative, values, len(points), kept)
 
 
@@ -309,8 +309,8 @@ def uncertain_plant_from_plants(plants: Iterable[Plant]) -> UncertainPlant:
         coordinates[:, i] = along
         slopes[i] = np.where(varies, axis.reshape(unit.shape) * unit, 0.0)
     affine = nominal, tuple(known), *_channels_of(slopes, nominal)
-    made = make_uncertain_plant(*affine)
-    check = _compare(made, list(family), coordinates, 1e-9)
+    uncertain = make_uncertain_plant(*affine)
+    check = _compare(uncertain, list(family), coordinates, 1e-9)
     if not check.exact:
         raise AccuracyError(
             f"the box of principal axes misses the plants by {check._share()} an entry's range: the entries of the "

@@ -88,16 +88,16 @@ def close_loop(plant: UncertainPlant, controller: StateSpace) -> UncertainPlant:
             f"the nominal loop is not stable: pole {describe_modes(unstable[:1])}; the controller gives u = +Cc xc, so "
             "that its sign must be in Cc or Bc"
         )
-    own = tuple(f"controller {name}" if name in p.states else name for name in controller.states)
-    if len({*p.states, *own}) < len(A):
-        own = tuple(f"controller state {i + 1}" for i in range(len(own)))
+    labels = tuple(f"controller {name}" if name in p.states else name for name in controller.states)
+    if len({*p.states, *labels}) < len(A):
+        labels = tuple(f"controller state {i + 1}" for i in range(len(labels)))
     loop = Plant(
         A,
         np.zeros((len(A), 0)),
         np.hstack([p.C, p.D @ Cc]),
         dt=p.dt,
         outputs=p.outputs,
-        states=p.states + own,
+        states=p.states + labels,
         name=f"{p.name} in closed loop",
         units={k: v for k, v in p.units.items() if k in (*p.outputs, *p.states)},
         description=p.description,
@@ -133,12 +133,12 @@ def fitting_controller(p: Plant, controller: StateSpace) -> StateSpace:
     return controller.select(outputs=p.inputs if named_out else None, inputs=p.outputs if named_in else None)
 
 
-def _by_name(own: tuple[str, ...], of_plant: tuple[str, ...], what: str, theirs: str) -> bool:
+def _by_name(channels: tuple[str, ...], of_plant: tuple[str, ...], what: str, theirs: str) -> bool:
     """Tell whether channels are wired by name; in order where no name is shared, and an error in between."""
-    odd = [name for name in own if name not in of_plant]
-    if not odd or len(odd) == len(own):
+    odd = [name for name in channels if name not in of_plant]
+    if not odd or len(odd) == len(channels):
         return not odd
-    missing = [name for name in of_plant if name not in own]
+    missing = [name for name in of_plant if name not in channels]
     raise ModelError(
         f"the controller's {what} {', '.join(map(repr, odd))} are no {theirs} of the plant, while the others are (not "
         f"named: {', '.join(map(repr, missing))}): name them all as the plant does, or none, to wire them in order"

@@ -412,12 +412,12 @@ class UncertainPlant:
         """
         of = self.member if self.function is None else self.function
         bounds = {p.name: (p.low, p.nominal, p.high) for p in self.parameters}
-        made = type(self).from_parameters(lambda values: of(values).discretize(dt), bounds)
-        before, after = self.linearisation, made.linearisation
+        sampled = type(self).from_parameters(lambda values: of(values).discretize(dt), bounds)
+        before, after = self.linearisation, sampled.linearisation
         if self.function is not None or before is None or before.exact or after is None:
-            return made
-        made.__dict__["linearisation"] = replace(after, exact=False, before=before)
-        return made
+            return sampled
+        sampled.__dict__["linearisation"] = replace(after, exact=False, before=before)
+        return sampled
 
     def __getstate__(self) -> dict[str, Any]:
         # functions of users are seldom importable, and their results are all here

@@ -161,9 +161,9 @@ class UncertainSystem:
         low_, high_ = bounds(low, high)
         if channels is None and k != len(low_):
             raise ModelError(f"{k} channels for {len(low_)} parameters: say with channels= which belongs to which")
-        own = tuple(range(k) if channels is None else map(int, channels))
-        if len(own) != k or any(not 0 <= i < len(low_) for i in own):
-            raise ModelError(f"channels must hold {k} numbers from 0 to {len(low_) - 1}, got {own}")
+        owners = tuple(range(k) if channels is None else map(int, channels))
+        if len(owners) != k or any(not 0 <= i < len(low_) for i in owners):
+            raise ModelError(f"channels must hold {k} numbers from 0 to {len(low_) - 1}, got {owners}")
         self.__dict__.update(
             A=A_,
             Bp=Bp_,
@@ -174,7 +174,7 @@ class UncertainSystem:
             Dzw=frozen(np.zeros((r, m))) if Dzw is None else matrix(Dzw, "Dzw", (r, m), what="outputs x inputs"),
             low=low_,
             high=high_,
-            channels=own,
+            channels=owners,
             parameters=arrays.names(parameters, len(low_), "f", "parameters"),
             dt=arrays.sample_step(dt),
         )
