@@ -15,7 +15,8 @@ from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.linear import StateSpace
 from residua.linear.subspaces.rank import decide_rank
-from residua.monitor.diagnosis import Diagnosis, NamingFacts, RecordingFacts, ThresholdFacts
+from residua.monitor.diagnosis import Diagnosis
+from residua.monitor.diagnosis_facts import NamingFacts, RecordingFacts, ThresholdFacts
 from residua.plant import Plant
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from operator import attrgetter
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -27,9 +28,9 @@ FIELDS = {
     "alarm": "alarm",
     "usable": "decided",
     "scores": "scores",
-    "member_statistics": "member_statistics",
-    "fired": "fired",
-    "code": "code",
+    "member_statistics": "parts.statistics",
+    "fired": "parts.fired",
+    "code": "parts.code",
 }
 
 
@@ -57,7 +58,7 @@ def run(monitor: rs.Monitor, u: np.ndarray, y: np.ndarray) -> rs.Diagnosis:
 def same(parts: list[Decisions], whole: rs.Diagnosis, plant: int = 0) -> None:
     for theirs, ours in FIELDS.items():
         joined = np.concatenate([getattr(part, theirs)[plant] for part in parts])
-        expected = getattr(whole, ours)
+        expected = attrgetter(ours)(whole)
         assert joined.shape == expected.shape, ours
         assert np.array_equal(joined, expected, equal_nan=joined.dtype.kind == "f"), ours
 
@@ -138,7 +139,7 @@ def test_the_pattern_that_stood_the_longest_is_read() -> None:
     alarm = found.main_alarm
     assert alarm is not None
     assert alarm.reading is not None
-    stretch = found.code[alarm.start : alarm.stop]
+    stretch = found.parts.code[alarm.start : alarm.stop]
     rows, counts = np.unique(stretch[stretch.any(axis=1)], axis=0, return_counts=True)
     assert tuple(rows[counts.argmax()]) == alarm.reading.pattern
     assert alarm.read_share == pytest.approx(counts.max() / counts.sum(), abs=0.02)
@@ -166,7 +167,7 @@ def test_readings_of_a_fleet_are_those_of_the_code() -> None:
 def test_the_whole_bank_keeps_the_rate_asked_for(seed: int, dedicated: bool) -> None:
     monitor = make(seed, dedicated=dedicated, rate=0.02, samples=40_000)
     found = run(monitor, *recording(sampled_plant(seed), 40_000, seed=5))
-    each = found.fired[found.decided].mean(axis=0)
+    each = found.parts.fired[found.decided].mean(axis=0)
     assert each == pytest.approx(0.02 / 4, abs=0.0035)
     assert 0.01 < found.false_alarm_fraction < 0.023
     assert found.false_alarm_fraction <= each.sum()
@@ -177,7 +178,7 @@ def test_without_data_the_noise_model_gives_every_threshold() -> None:
     test = NormThreshold(persistence=1, false_alarm_rate=0.01)
     monitor = rs.Monitor(hand_made_bank(plant), test=test)
     found = run(monitor, *recording(plant, 40_000, seed=5))
-    exceeded = (found.member_statistics > found.member_thresholds)[found.decided].mean(axis=0)
+    exceeded = (found.parts.statistics > found.parts.thresholds)[found.decided].mean(axis=0)
     np.testing.assert_allclose(exceeded, 0.0025, atol=0.001)
     assert isinstance(monitor.norm_test, BankTest)
     assert "1/4 of the rate of the whole bank" in monitor.norm_test.basis
@@ -216,16 +217,16 @@ def test_the_statistics_are_the_norms_of_the_whitened_members() -> None:
     found = run(monitor, *recording(sampled_plant(1), 300))
     test = monitor.norm_test
     assert isinstance(test, BankTest)
-    q = (found.residuals - found.center) @ found.whitening
+    q = (found.residuals - found.test.center) @ found.test.whitening
     q[~found.decided] = 0.0
     for m, (a, b) in enumerate(test.columns):
         sums = np.array([q[max(0, k - 4) : k + 1, a:b].sum(axis=0) for k in range(300)])
         expected = np.linalg.norm(sums, axis=1) / np.sqrt(5)
-        np.testing.assert_allclose(found.member_statistics[found.decided, m], expected[found.decided])
-    ratio = (found.member_statistics / found.member_thresholds).max(axis=1)
+        np.testing.assert_allclose(found.parts.statistics[found.decided, m], expected[found.decided])
+    ratio = (found.parts.statistics / found.parts.thresholds).max(axis=1)
     assert np.array_equal(ratio, found.statistic, equal_nan=True)
     assert found.threshold == 1.0
-    assert np.array_equal(found.alarm, found.fired.any(axis=1))
+    assert np.array_equal(found.alarm, found.parts.fired.any(axis=1))
 
 
 # ------------------------------------------------------------- cutting, saving, fleets
@@ -259,8 +260,8 @@ def test_step_equals_run_to_the_last_bit(gaps: bool) -> None:
         now = monitor.step(u[k], y[k])
         assert now.statistic == whole.statistic[k] or np.isnan(whole.statistic[k])
         assert (now.alarm, now.decided, now.missing) == (whole.alarm[k], whole.decided[k], whole.missing[k])
-        assert now.fired == tuple(np.array(whole.members)[whole.fired[k]])
-        assert now.reading == (codes.read(whole.code[k]) if now.alarm else None)
+        assert now.fired == tuple(np.array(whole.members)[whole.parts.fired[k]])
+        assert now.reading == (codes.read(whole.parts.code[k]) if now.alarm else None)
         if now.candidates and now.decided:
             assert now.candidates[0].score == whole.scores[k, codes.groups.index(now.candidates[0].faults)]
 
@@ -291,7 +292,7 @@ def test_a_fleet_gives_what_each_plant_alone_gives() -> None:
     assert isinstance(together, list)
     for one, many in zip(alone, together, strict=True):
         for name in FIELDS.values():
-            a, b = getattr(one, name), getattr(many, name)
+            a, b = attrgetter(name)(one), attrgetter(name)(many)
             assert np.array_equal(a, b, equal_nan=a.dtype.kind == "f"), name
         assert one.alarms == many.alarms
 
@@ -373,7 +374,7 @@ def test_a_bank_can_be_tested_as_a_whole() -> None:
         found = run(monitor, *recording(plant, faults={"y1 sensor": 2.0}))
         assert found.fault_detected
         assert found.members == ()
-        assert found.fired.shape == (1500, 0)
+        assert found.parts.fired.shape == (1500, 0)
         assert found.main_alarm is not None
         assert found.main_alarm.reading is None
 
@@ -386,8 +387,8 @@ def test_columns_and_alarm_files_tell_what_fired(tmp_path: Path) -> None:
     found = run(monitor, *recording(sampled_plant(0), faults={"y2 sensor": 2.0}))
     columns = found.columns()
     for m, member in enumerate(found.members):
-        assert np.array_equal(columns[f"fired {member}"], found.fired[:, m])
-        assert np.array_equal(columns[f"statistic {member}"], found.member_statistics[:, m], equal_nan=True)
+        assert np.array_equal(columns[f"fired {member}"], found.parts.fired[:, m])
+        assert np.array_equal(columns[f"statistic {member}"], found.parts.statistics[:, m], equal_nan=True)
     found.write_alarms(tmp_path / "alarms.jsonl")
     line = json.loads((tmp_path / "alarms.jsonl").read_text().splitlines()[-1])
     assert line["code"]["answer"] == "exact"

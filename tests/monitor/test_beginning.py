@@ -134,7 +134,7 @@ def test_no_text_states_the_first_crossing_as_the_beginning(leak: rs.Diagnosis) 
 
 
 def test_times_are_told_by_the_clock_of_the_recording(leak: rs.Diagnosis) -> None:
-    assert leak.origin.startswith("2026-03-29T00:30")
+    assert leak.recording.origin.startswith("2026-03-29T00:30")
     assert leak.main_alarm is not None
     raised = datetime(2026, 3, 29, 0, 30).timestamp() + leak.main_alarm.raised
     told = f"{datetime.fromtimestamp(raised):%Y-%m-%d %H:%M:%S}"
@@ -176,10 +176,10 @@ def test_a_band_holds_the_share_that_is_said(leak: rs.Diagnosis) -> None:
         found = monitor.run(other.u, other.y)
         assert isinstance(found, rs.Diagnosis)
         assert (found.test.band_share, found.test.averaged) == (0.999, test.window)
-        rows = np.where(found.decided[:, None], found.residuals, np.nan)[100:] - found.center
+        rows = np.where(found.decided[:, None], found.residuals, np.nan)[100:] - found.test.center
         sums = np.cumsum(rows, axis=0)
         means = rows if test.window == 1 else (sums[test.window :] - sums[: -test.window]) / test.window
-        outside = np.mean(np.abs(means) > found.band, axis=0)
+        outside = np.mean(np.abs(means) > found.test.band, axis=0)
         assert np.all(outside < 2e-3 * (1 if test.window == 1 else 2)), outside
         assert np.all(outside > 0.2e-3), outside
 

@@ -64,7 +64,7 @@ def test_the_numbers_are_those_of_the_certificates(bank: rs.design.RobustL1Bank,
     found = run(monitor, measured({one: 10 * bank.smallest_faults[one]}))
     assert found.named[:2] == ((one,), (other,))
     leaky, own = bank.estimators[other], bank.estimators[one]
-    peaks = np.nanmax(found.member_statistics[found.alarms[0].start : found.alarms[0].stop], axis=0)
+    peaks = np.nanmax(found.parts.statistics[found.alarms[0].start : found.alarms[0].stop], axis=0)
     needed = (peaks[1] - leaky.certificate.disturbances.bound) / leaky.leakage[one]
     allowed = (peaks[0] + own.certificate.disturbances.bound) / own.sensitivity.bound
     assert needed <= 10 * bank.smallest_faults[one] <= allowed

@@ -64,7 +64,7 @@ def test_every_alarm_has_the_size_over_its_judged_window(make) -> None:
     assert (size.fault, size.unit) == (FAULT, "m")
     over = np.flatnonzero((found.statistic > found.threshold) & found.decided)
     last = over[(over >= alarm.start) & (over < alarm.stop)][-1]
-    rows = np.arange(max(alarm.start, last - found.window + 1), last + 1)
+    rows = np.arange(max(alarm.start, last - found.naming.window + 1), last + 1)
     rows = rows[found.decided[rows]]
     assert size.mean == pytest.approx(found.estimates[FAULT][rows].mean())
     assert size.last == found.estimates[FAULT][rows[-1]]
@@ -82,8 +82,8 @@ def test_a_bank_names_and_the_estimator_sizes() -> None:
     assert f"estimated size {found.candidates[0].size:.3g} (m)" in str(found)
     without = rs.Monitor(hand_made_bank(plant()), test=NormThreshold(window=10)).fit(*recording(plant(), 4000, seed=99))
     same = run(without, *recording(plant(), faults={FAULT: 3.0}))
-    np.testing.assert_allclose(found.member_statistics, same.member_statistics, rtol=1e-9)
-    assert np.array_equal(found.fired, same.fired), "the estimator takes no part in alarms"
+    np.testing.assert_allclose(found.parts.statistics, same.parts.statistics, rtol=1e-9)
+    assert np.array_equal(found.parts.fired, same.parts.fired), "the estimator takes no part in alarms"
     assert same.estimates == {}
     assert same.main_alarm is not None
     assert same.main_alarm.sizes == ()
@@ -145,7 +145,7 @@ def test_a_bank_with_its_estimator_is_saved(tmp_path: Path) -> None:
     monitor.save(tmp_path / "m.json")
     rest = rs.Monitor.load(tmp_path / "m.json").update(u[700:], y[700:])
     assert np.array_equal(rest.residuals[0], whole.residuals[700:])
-    assert np.array_equal(rest.fired[0], whole.fired[700:])
+    assert np.array_equal(rest.fired[0], whole.parts.fired[700:])
 
 
 def test_units_are_those_of_the_component() -> None:

@@ -456,7 +456,7 @@ def test_recordings_by_plant_give_the_diagnoses_of_a_monitor(kind: str) -> None:
         assert isinstance(alone, rs.Diagnosis)
         assert one.alarms == alone.alarms
         assert np.array_equal(one.statistic, alone.statistic, equal_nan=True)
-        assert one.source == plant
+        assert one.recording.source == plant
     assert found["a"].alarms
     assert fleet.snapshot() == before
 

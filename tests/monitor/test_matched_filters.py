@@ -172,7 +172,7 @@ def test_gertler_names_the_fault_dates_it_and_sizes_it(fault: int, tmp_path: Pat
     assert (alarm.began.earliest or 0.0) <= 100 <= alarm.began.latest
     assert f"arrived {alarm.onset:g} s" in text
     assert "±" in text
-    content = alarm.to_dict(window=found.window)
+    content = alarm.to_dict(window=found.naming.window)
     assert content["arrival"] == alarm.onset
     assert not content["short"]
     assert content["sizes"][0]["deviation"] == told.deviation

@@ -123,7 +123,7 @@ def test_a_fleet_gives_what_each_plant_alone_gives() -> None:
         assert np.array_equal(one.statistic, many.statistic, equal_nan=True)
         assert np.array_equal(one.scores, many.scores, equal_nan=True)
         assert one.alarms == many.alarms
-        assert one.recording.resets == many.resets
+        assert one.recording.resets == many.recording.resets
 
 
 def test_it_finds_and_names_the_fault() -> None:

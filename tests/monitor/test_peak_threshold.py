@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from operator import attrgetter
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -145,7 +146,7 @@ def test_there_is_no_false_alarm_and_no_cross_talk(seed: int) -> None:
     fault = FAULTS[seed % 3]
     found = run(monitor, recording(drifts={fault: (25.0, 0.5)}, seed=seed))
     assert [c.faults for c in found.candidates[:1]] == [(fault,)]
-    assert found.fired[:, [k for k in range(3) if FAULTS[k] != fault]].sum() == 0
+    assert found.parts.fired[:, [k for k in range(3) if FAULTS[k] != fault]].sum() == 0
     assert 25.0 < (found.onset or 0.0) < 26.0
 
 
@@ -161,10 +162,10 @@ def test_every_alarm_is_that_of_the_moving_maximum(window: int, gaps: bool) -> N
     judged = np.where(found.decided[:, None], found.residuals, np.nan)
     for m, name in enumerate(MEMBERS):
         peaks = peak_over_window(judged[:, m], window)
-        assert np.array_equal(found.fired[:, m], peaks > BANK.thresholds[name])
-        assert np.array_equal(found.member_statistics[:, m], np.abs(judged[:, m]), equal_nan=True)
-    assert np.array_equal(found.code, found.fired)
-    assert found.fired.any(axis=0).tolist() == [True, bool(gaps) and found.fired[:, 1].any(), True]
+        assert np.array_equal(found.parts.fired[:, m], peaks > BANK.thresholds[name])
+        assert np.array_equal(found.parts.statistics[:, m], np.abs(judged[:, m]), equal_nan=True)
+    assert np.array_equal(found.parts.code, found.parts.fired)
+    assert found.parts.fired.any(axis=0).tolist() == [True, bool(gaps) and found.parts.fired[:, 1].any(), True]
     assert found.n_missing > 0 if gaps else found.n_missing == 0
 
 
@@ -226,7 +227,7 @@ def test_fit_does_not_change_what_is_certified() -> None:
     assert np.array_equal(after.whitening, np.eye(3))
     assert not after.center.any()
     shares = run(monitor, recording(30.0, seed=5))
-    largest = 100 * np.nanmax(shares.member_statistics, axis=0) / after.thresholds
+    largest = 100 * np.nanmax(shares.parts.statistics, axis=0) / after.thresholds
     told = ", ".join(f"{s:.3g} % of that of {name}" for s, name in zip(largest, MEMBERS, strict=True))
     assert after.basis == f"{before.basis}; {int(shares.decided.sum())} fault-free samples reached {told}"
     assert shares.settings["threshold"].endswith(f"({after.basis})")
@@ -287,10 +288,10 @@ def test_three_drifts_are_three_faults_with_their_times(drifted: rs.Diagnosis) -
         start = THREE[fault.faults[0]][0]
         assert start < fault.since < start + 1.0
         m = MEMBERS.index(fault.member)
-        assert fault.since == drifted.time[drifted.fired[:, m].argmax()]
+        assert fault.since == drifted.time[drifted.parts.fired[:, m].argmax()]
         assert fault.until is None
     assert alarm.present[0].since == alarm.onset
-    only_at_the_end = float(drifted.fired[alarm.start :].all(axis=1).mean())
+    only_at_the_end = float(drifted.parts.fired[alarm.start :].all(axis=1).mean())
     assert alarm.read_share == pytest.approx(only_at_the_end)
 
 
@@ -319,7 +320,7 @@ def test_a_fault_that_goes_is_told_with_its_end() -> None:
     assert second.faults == ("TMPC sensor",)
     assert second.since == pytest.approx(30.5, abs=0.5)
     assert second.until == pytest.approx(41.0, abs=1.0)
-    last = np.flatnonzero(found.fired[:, 2])[-1]
+    last = np.flatnonzero(found.parts.fired[:, 2])[-1]
     assert second.until == found.time[last + 1]
     assert f"TMPC sensor, its member fired from {second.since:.6g} s until {second.until:.6g} s" in str(found)
 
@@ -328,7 +329,7 @@ def test_a_drift_that_flickers_is_one_alarm_with_what_comes_later() -> None:
     """The threshold is crossed back and forth at first, then a second sensor drifts: the first keeps its first time."""
     monitor = rs.Monitor(BANK, test=PeakThreshold(window=5))
     found = run(monitor, recording(60.0, drifts={FAULTS[0]: (20.0, 0.03), FAULTS[1]: (40.0, 0.5)}, seed=3))
-    edges = np.flatnonzero(np.diff(found.fired[:, 0].astype(int)) == 1)
+    edges = np.flatnonzero(np.diff(found.parts.fired[:, 0].astype(int)) == 1)
     assert len(edges) > 3, "it flickers"
     main = found.main_alarm
     assert main is not None
@@ -351,7 +352,7 @@ def test_a_bank_by_noise_names_a_fault_that_comes_late_too() -> None:
     assert found.main_alarm.reading is not None
     assert found.main_alarm.reading.together == ((plant.faults[0],), (plant.faults[2],))
     assert found.present[1].since == pytest.approx(1300.0, abs=6.0)
-    stood = (found.code[found.main_alarm.start :] == [True, False, False, False]).all(axis=1).mean()
+    stood = (found.parts.code[found.main_alarm.start :] == [True, False, False, False]).all(axis=1).mean()
     assert stood > 0.6
 
 
@@ -377,7 +378,7 @@ def test_step_tells_the_same_as_run() -> None:
         now = monitor.step(None, y[k])
         assert now.statistic == whole.statistic[k] or np.isnan(whole.statistic[k])
         assert (now.alarm, now.decided) == (whole.alarm[k], whole.decided[k])
-        assert now.fired == tuple(np.array(MEMBERS)[whole.fired[k]])
+        assert now.fired == tuple(np.array(MEMBERS)[whole.parts.fired[k]])
         seen = [replace(p, until=None) for p in whole.present if p.since <= whole.time[k] + 1e-9] if now.alarm else []
         assert [p.faults for p in now.present] == [p.faults for p in seen]
         assert [p.since for p in now.present] == pytest.approx([p.since for p in seen], abs=1e-9)
@@ -405,8 +406,9 @@ def test_a_saved_monitor_goes_on_bit_for_bit(tmp_path: Path, thresholds: Any, at
     loaded.save(tmp_path / "again.json")
     assert (tmp_path / "again.json").read_text() == (tmp_path / "m.json").read_text()
     rest = loaded.update(None, y[at:])
+    names = {"fired": "parts.fired", "code": "parts.code", "member_statistics": "parts.statistics"}
     for name in ("statistic", "alarm", "fired", "code", "scores", "member_statistics"):
-        theirs, ours = getattr(rest, name)[0], getattr(whole, name)[at:]
+        theirs, ours = getattr(rest, name)[0], attrgetter(names.get(name, name))(whole)[at:]
         assert np.array_equal(theirs, ours, equal_nan=theirs.dtype.kind == "f"), name
     last = loaded.step(None, y[-1])
     assert [p.since for p in last.present] == pytest.approx([p.since for p in whole.present], abs=1e-9)
@@ -464,7 +466,7 @@ def test_a_plant_without_inputs_is_watched_by_its_outputs_alone() -> None:
     fleet = monitor.run(None, np.stack([y, recording()]))
     assert isinstance(fleet, list)
     assert [d.fault_detected for d in fleet] == [True, False]
-    assert np.array_equal(fleet[0].fired, whole.fired)
+    assert np.array_equal(fleet[0].parts.fired, whole.parts.fired)
     timed = monitor.run(None, y, time=5.0 + 0.01 * np.arange(len(y)))
     assert isinstance(timed, rs.Diagnosis)
     assert timed.onset == pytest.approx((whole.onset or 0.0) + 5.0)
@@ -518,4 +520,4 @@ def test_frames_of_outputs_alone_are_matched_by_name() -> None:
     found = rs.Monitor(BANK).run(frame)
     assert isinstance(found, rs.Diagnosis)
     assert [p.faults[0] for p in found.present] == list(THREE)
-    assert np.array_equal(run(rs.Monitor(BANK), frame[["XNL", "XNH", "TMPC"]]).fired, found.fired)
+    assert np.array_equal(run(rs.Monitor(BANK), frame[["XNL", "XNH", "TMPC"]]).parts.fired, found.parts.fired)

@@ -62,7 +62,7 @@ def share(monitor: rs.Monitor, member: int, *, gap: bool) -> float:
     found = monitor.run(None, y if gap else y[BEFORE:])
     assert isinstance(found, rs.Diagnosis)
     assert found.decided[-1]
-    return float(found.member_statistics[-1, member] / found.member_thresholds[member])
+    return float(found.parts.statistics[-1, member] / found.parts.thresholds[member])
 
 
 @pytest.mark.parametrize("gap", [False, True], ids=["start", "gap"])

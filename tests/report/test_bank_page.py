@@ -122,13 +122,13 @@ def test_readings_have_one_of_four_words(
 
 def test_the_code_table_shows_what_fired(one: rs.Diagnosis) -> None:
     table = code_table(one)
-    assert one.codes is not None
+    assert one.naming.codes is not None
     rows = re.findall(r"<tr>(.*?)</tr>", table, flags=re.DOTALL)[1:]
     assert len(rows) == 5 + 1
     marks = [re.findall(r'<td class="(on|off)( differs)?"', row) for row in rows]
     fired = [mark == "on" for mark, _ in marks[-1]]
     assert fired == [True, False, True, True, True]
-    for code, row in zip(one.codes.codes.T, marks, strict=False):
+    for code, row in zip(one.naming.codes.codes.T, marks, strict=False):
         assert [mark == "on" for mark, _ in row] == code.tolist()
         assert [bool(off) for _, off in row] == [a != b for a, b in zip(code, fired, strict=True)]
     assert re.findall(r"(\d) of 5", table) == ["3", "5", "3", "3", "3"]
@@ -141,9 +141,9 @@ def test_the_charts_have_every_member(one: rs.Diagnosis) -> None:
     members = [c for c in charts if c["kind"] == "member"]
     assert [c["label"] for c in members] == list(one.members)
     for m, chart in enumerate(members):
-        assert chart["threshold"] == one.member_thresholds[m]
+        assert chart["threshold"] == one.parts.thresholds[m]
         drawn = np.array([np.nan if v is None else v for v in chart["y"][0]], dtype=float)
-        np.testing.assert_allclose(drawn, one.member_statistics[:, m], rtol=1e-3)
+        np.testing.assert_allclose(drawn, one.parts.statistics[:, m], rtol=1e-3)
     (ratio,) = [c for c in charts if c["kind"] == "statistic"]
     assert ratio["threshold"] == 1.0
 
@@ -170,8 +170,8 @@ def test_estimates_are_drawn_with_their_units(sized: rs.Diagnosis) -> None:
 def test_nothing_of_a_bank_is_taken_as_html(sized: rs.Diagnosis) -> None:
     generator = sized.generator
     members = tuple(replace(m, name=f"{NASTY} {k}") for k, m in enumerate(generator.members))
-    assert sized.codes is not None
-    nasty = replace(sized.codes, members=tuple(m.name for m in members))
+    assert sized.naming.codes is not None
+    nasty = replace(sized.naming.codes, members=tuple(m.name for m in members))
     alarms = tuple(replace(a, reading=nasty.read(a.reading.pattern)) for a in sized.alarms if a.reading)
     page = render([Section("", with_changes(sized, codes=nasty, alarms=alarms))], "t")
     reader, plain = read(page), read(render([Section("", sized)], "t"))

@@ -214,7 +214,7 @@ def test_an_edited_text_says_so() -> None:
     content = json.loads(found("default").to_json())
     content["whole"]["recording"]["source"], content["checksum"] = "elsewhere", None
     made = rs.Diagnosis.from_json(json.dumps(content))
-    assert made.source == "elsewhere"
+    assert made.recording.source == "elsewhere"
     assert made.notes[0] == EDITED
 
 

@@ -40,12 +40,12 @@ def test_the_last_row_of_the_page_is_the_score_of_the_same_samples():
     d = tank_diagnosis(window=alarm.stop - alarm.start)  # the window of the last score is now the whole alarm
     assert d.main_alarm is not None
     assert (d.main_alarm.start, d.main_alarm.stop) == (alarm.start, alarm.stop) == (alarm.start, len(d.time))
-    assert np.linalg.norm(d.center @ d.whitening) > 1
+    assert np.linalg.norm(d.test.center @ d.test.whitening) > 1
     known = judged_signatures(d)
     observed = observed_residual(d, known)
     assert observed is not None
     np.testing.assert_allclose(known.correlation(observed), d.scores[-1], atol=1e-10)
-    mean = (d.residuals[alarm.start : alarm.stop].mean(axis=0) - d.center) @ d.whitening
+    mean = (d.residuals[alarm.start : alarm.stop].mean(axis=0) - d.test.center) @ d.test.whitening
     assert np.linalg.norm(observed) == pytest.approx(np.linalg.norm(mean))
 
 
@@ -59,8 +59,8 @@ def test_the_judged_signatures_are_drawn_with_their_angles(signature):
     d = tank_diagnosis(signature=signature)
     known = judged_signatures(d)
     assert known.labels == tuple(" or ".join(group) for group in d.groups)
-    assert [B.shape for B in known.bases] == [B.shape for B in d.signatures]
-    np.testing.assert_allclose(known.similarity(), cosines(d.signatures), atol=1e-12)
+    assert [B.shape for B in known.bases] == [B.shape for B in d.naming.signatures]
+    np.testing.assert_allclose(known.similarity(), cosines(d.naming.signatures), atol=1e-12)
     for B in known.bases:
         np.testing.assert_allclose(B.T @ B, np.eye(B.shape[1]), atol=1e-12)
 
@@ -70,11 +70,13 @@ def test_the_drawn_space_is_the_whitened_one_turned_towards_the_residuals():
     known = judged_signatures(d)
     root = known.whitening
     np.testing.assert_allclose(root, root.T, atol=1e-12 * np.abs(root).max())
-    np.testing.assert_allclose(root @ root, d.whitening @ d.whitening.T, rtol=1e-10)
+    np.testing.assert_allclose(root @ root, d.test.whitening @ d.test.whitening.T, rtol=1e-10)
     assert np.linalg.eigvalsh(root).min() > 0
     assert known.whitened
     r = np.array([0.3, -1.1])
-    scores = [np.linalg.norm(r @ d.whitening @ B) / np.linalg.norm(r @ d.whitening) for B in d.signatures]
+    scores = [
+        np.linalg.norm(r @ d.test.whitening @ B) / np.linalg.norm(r @ d.test.whitening) for B in d.naming.signatures
+    ]
     np.testing.assert_allclose(known.correlation(root @ r), scores, atol=1e-12)
 
 

@@ -21,7 +21,7 @@ from residua.decide.isolation import Scores
 from residua.decide.test import Block, Tested
 from residua.kernels import kernel
 from residua.linear.systems.recursion import best_path, compiled
-from residua.monitor.plant_records import SELDOM, copied, mapped, takes_no_memory, written_rows
+from residua.monitor.plant_records import SELDOM, copied, records_and_block, takes_no_memory, written_rows
 from residua.monitor.running import Decisions, State, run_reference
 from residua.monitor.specification import Specification
 from residua.monitor.start_estimate import MOVED_FROM
@@ -289,24 +289,30 @@ class Job:
         self._run, self._signals, self._rows, self._threads, self._joined = run, (u, y), rows, threads, joined
         self.out: dict[str, Any] = outputs
         self._left = np.zeros(len(y), dtype=np.int64)  # samples; written, and read, only where it has to be
-        self._is_fresh, self._parts = True, _Parts(0, 1, 0)
+        self._is_fresh = True
+        self._parts: _Parts | None = None
         self.is_done, self.is_borrowed, self.then = False, True, []
 
     @property
     def is_begun(self) -> bool:
         """True if a plant has been run."""
-        return self.is_done or not self._is_fresh or self._parts.any_has_run
+        return self.is_done or not self._is_fresh or (self._parts is not None and self._parts.any_has_run)
 
     def perform(self) -> None:
         """Do the rest."""
         while not self.is_done:
-            if not self._parts:
+            if self._parts is None:
                 self._parts = _Parts(len(self._left), self._threads, len(self._run.spec.A))
             outputs = tuple(self.out[name] for name in OUTPUTS)
             kernel, block = self._run.kernel, (*self._signals, outputs, self._rows, self._left, self._is_fresh)
             self._parts.run(lambda *part, kernel=kernel, block=block: kernel.run(*block, *part, self._joined))
-            if self._run.wants_another_round(*self._parts.told()):
-                self._is_fresh, self._parts = False, _Parts(0, 1, 0)
+            stopped, wants_gains, noted = self._parts.told()
+            if noted:
+                self._run.take_in(self._parts.notes())
+            if wants_gains:
+                self._run.make_room(("spread",))
+            if stopped:
+                self._is_fresh, self._parts = False, None
                 continue
             for step in self.then:
                 step()
@@ -322,7 +328,8 @@ class Job:
 
     def wait(self) -> None:
         """Wait for the threads that run plants, and let no other one begin."""
-        self._parts.wait()
+        if self._parts is not None:
+            self._parts.wait()
 
 
 class _Parts:
@@ -330,14 +337,11 @@ class _Parts:
 
     def __init__(self, plants: int, threads: int, states: int) -> None:
         count = 1 if plants < 2 * threads else threads
-        self._ends = list(pairwise([plants * k // count for k in range(count + 1)])) if plants else []
+        self._ends = list(pairwise([plants * k // count for k in range(count + 1)]))
         self._receipts = np.zeros((count, 4), dtype=np.int64)
         self._notes = np.empty((count, _NOTES, _NOTE_HEAD + states))
         #: When a part is over, by the thread that runs it; ``None``: the calling one does. The first to write it does.
         self._claims: dict[int, threading.Event | None] = {}
-
-    def __bool__(self) -> bool:
-        return bool(self._ends)
 
     @property
     def any_has_run(self) -> bool:
@@ -348,6 +352,9 @@ class _Parts:
 
         ``run`` takes the first plant of a part, the one after its last, a receipt and room for notes.
         """
+        if len(self._ends) == 1:
+            self._run(run, 0)
+            return
         for k in range(1, len(self._ends)):
             try:
                 threading.Thread(target=self._help, args=(run, k)).start()
@@ -381,12 +388,16 @@ class _Parts:
             if is_over is not None:
                 is_over.wait()
 
-    def told(self) -> tuple[bool, bool, NDArray[np.float64]]:
-        """Return whether plants stopped, whether gains are wanted, and the notes of all parts, a row each."""
-        _, stopped, wants_gains, noted = self._receipts.sum(axis=0).tolist()
-        noted = self._receipts[:, _NOTED].tolist() if noted else []
-        parts = [notes[:count] for notes, count in zip(self._notes, noted, strict=False)]
-        return stopped > 0, wants_gains > 0, np.concatenate(parts or [self._notes[0, :0]])
+    def told(self) -> tuple[int, int, int]:
+        """Return the number of plants that stopped, of parts that want gains, and of notes."""
+        first, *others = self._receipts.tolist()
+        _, stopped, wants_gains, noted = first if not others else map(sum, zip(first, *others, strict=True))
+        return stopped, wants_gains, noted
+
+    def notes(self) -> NDArray[np.float64]:
+        """Return the notes of all parts, a row each."""
+        counts = self._receipts[:, _NOTED]
+        return np.concatenate([notes[:count] for notes, count in zip(self._notes, counts, strict=True)])
 
 
 class FusedRun:
@@ -429,6 +440,9 @@ class FusedRun:
         self.steps = plan.names and self.plants == 1
         #: The state, the kernel on its arrays, and its outputs of single samples: changed together, at once.
         self._on: tuple[State, Any, dict[str, NDArray | None] | None] = (state, self._runner(state), None)
+        self._block: NDArray[np.uint8] = np.zeros(0, dtype=np.uint8)
+        self._known: tuple[State, list[NDArray]] | None = None
+        self._last = np.empty(0)  # the residual that single samples are written to
 
     @property
     def state(self) -> State:
@@ -459,20 +473,36 @@ class FusedRun:
             runner.bind(tuple(one[name] for name in OUTPUTS))
         self._on = (state, runner, one)
 
-    def _make_room(self, names: Iterable[str]) -> None:
+    def make_room(self, names: Iterable[str]) -> None:
         """Allocate fields that are usually zero: with missing values, a Kalman filter needs its covariance."""
         self._use(with_room(self._on[0], names), self._on[2])
 
-    def take(self, state: State) -> None:
-        """Copy another state of as many plants."""
-        own = self._on[0]
-        if any(takes_no_memory(getattr(own.filter, n)) != takes_no_memory(getattr(state.filter, n)) for n in SELDOM):
-            self._use(copied(state), self._on[2])
-            return
-        for name in ("filter", "test", "count") if not self.plan.names else ("filter", "test", "count", "isolation"):
-            mapped(_overwrite, getattr(own, name), getattr(state, name))
+    @staticmethod
+    def on_copy(spec: Specification, plan: Plan, state: State, inputs: int | None) -> FusedRun:
+        """Return a run on a copy of a state, in one block of memory, which another one can follow."""
+        (records,), block = records_and_block([state])
+        run = FusedRun(spec, plan, records, inputs)
+        run._block = block
+        return run
+
+    def follow(self, other: FusedRun) -> FusedRun:
+        """Return a run with a copy of the state of another one, both on copies: itself, if it has the same room."""
+        own, new = self._memory(), other._memory()
+        if len(own) != len(new) or any(one.shape != values.shape for one, values in zip(own, new, strict=True)):
+            return FusedRun.on_copy(self.spec, self.plan, other.state, self._inputs)
+        for one, values in zip(own, new, strict=True):
+            one[...] = values
         if not self.plan.names:
-            self._on = (replace(own, isolation=state.isolation), *self._on[1:])
+            self._on = (replace(self.state, isolation=other.state.isolation), *self._on[1:])
+        return self
+
+    def _memory(self) -> list[NDArray]:
+        """Return the memory of the state, looked up once for a state."""
+        state = self._on[0]
+        if self._known is None or self._known[0] is not state:
+            seldom = (getattr(state.filter, name) for name in SELDOM)
+            self._known = (state, [self._block, *(one for one in seldom if _has_room(one))])
+        return self._known[1]
 
     @property
     def has_room_for_starts(self) -> bool:
@@ -488,15 +518,7 @@ class FusedRun:
         gone = {name: np.broadcast_to(one.dtype.type(0), one.shape) for name, one in room.items()}
         self._use(replace(state, filter=replace(state.filter, **gone)))
 
-    def wants_another_round(self, stopped: bool, wants_gains: bool, notes: NDArray[np.float64]) -> bool:
-        """Make the room for which plants have stopped, and return whether any has."""
-        if len(notes):
-            self._take_in(notes)
-        if wants_gains:
-            self._make_room(("spread",))
-        return stopped
-
-    def _take_in(self, notes: NDArray[np.float64]) -> None:
+    def take_in(self, notes: NDArray[np.float64]) -> None:
         """Write the values for which the kernel had no room: restarts of plants, and starts in progress."""
         state, n = self._on[0], self._on[0].filter.x.shape[1]
         kind = [("row", "i8"), ("resets", "i8"), ("broken", "i8"), ("starting", "i8"), ("moved", "f8")]
@@ -554,28 +576,23 @@ class FusedRun:
         Raises a Python error unless u and y are arrays of floats with one number per channel.
         """
         if self._on[2] is None:
-            self._use(self._on[0], self.outputs(1, 1))
+            one = self.outputs(1, 1)
+            self._last = _there(one["residuals"])[0, 0]
+            self._use(self._on[0], one)
         told = self._on[1].step(u, y)
         if told[0] & _IS_LEFT:
-            self._make_room(("spread",))
+            self.make_room(("spread",))
             told = self._on[1].step(u, y)
         return told
 
     def last_residual(self) -> NDArray[np.float64]:
         """Return the residual of the last step."""
-        return self._on[2]["residuals"][0, 0].copy()  # pyright: ignore[reportOptionalSubscript]
+        return self._last.copy()
 
     def last_decisions(self) -> Decisions:
         """Return the decisions of the last step."""
         assert self._on[2] is not None
         return decisions_of({name: None if values is None else values.copy() for name, values in self._on[2].items()})
-
-
-def _overwrite(own: NDArray, new: NDArray) -> NDArray:
-    """Copy an array into another one, unless both are one broadcast number."""
-    if not takes_no_memory(own):
-        own[...] = new
-    return own
 
 
 def decisions_of(outputs: dict[str, Any]) -> Decisions:

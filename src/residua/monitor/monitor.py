@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from threading import RLock
 from typing import Any
-from weakref import WeakSet
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,7 +29,7 @@ from residua.monitor.fault_learning import (
 from residua.monitor.fit_check import FitCheck
 from residua.monitor.fitted_thresholds import check_held_out, fitted_test
 from residua.monitor.inputs import Signals, plant_signals, settling_samples, several_signals, signals
-from residua.monitor.online import Online, checked_keep, run_whole
+from residua.monitor.online import Online, checked_keep, own_lock, run_whole
 from residua.monitor.outcome import Recorded, compared_outputs, diagnosis_from, settings_of
 from residua.monitor.plausible_values import (
     TIMES,
@@ -171,7 +168,6 @@ class Monitor(Guessed, Shown):
         self.plausible = checked_plausible(plausible, (*generator.plant.inputs, *generator.plant.outputs))
         self.start = checked_start(start)
         self._ranges: NDArray[np.float64] | None = None
-        self._lock = _own_lock(self)
         self.notes: tuple[str, ...] = ()
         self._generator: ResidualGenerator | None = None
         self._test: ResidualTest | None = None
@@ -181,6 +177,7 @@ class Monitor(Guessed, Shown):
         self._normal: NDArray[np.float64] | None = None
         self._running: tuple[Specification, Specification] | None = None
         self._online = Online(len(generator.plant.inputs))
+        self._lock = own_lock(self)
         if generator.system.is_discrete:
             if dt is not None and abs(dt - generator.dt) > SAME * dt:
                 raise ModelError(f"the generator has dt={generator.dt:g} s, dt={dt:g} s was given")
@@ -641,7 +638,8 @@ class Monitor(Guessed, Shown):
 
     def __setstate__(self, content: dict[str, Any]) -> None:
         """Restore everything but the lock."""
-        self.__dict__.update(content, _lock=_own_lock(self))
+        self.__dict__.update(content)
+        self._lock = own_lock(self)
 
     def _watched(self, generator: ResidualGenerator) -> Watched:
         return Watched(generator, self._isolation.parts(generator), self._certified)
@@ -700,24 +698,3 @@ class Monitor(Guessed, Shown):
     def _parts(self) -> list[str]:
         rows = settings_of(self._specification(), self.generator).items() if self.is_fitted else ()
         return [table(["setting", ""], rows), *(self._check._parts() if self._check else ())]
-
-
-_monitors: WeakSet[Monitor] = WeakSet()
-
-
-def _own_lock(monitor: Monitor) -> RLock:
-    """Return the lock of a monitor, which gets another one in a process that is forked."""
-    _monitors.add(monitor)
-    return RLock()
-
-
-def _after_fork() -> None:
-    """Let go of what threads held that are not in this process: a block of theirs has left the state as it was."""
-    for monitor in _monitors:
-        vars(monitor).update(_lock=RLock())
-        if "_online" in vars(monitor):
-            monitor._online.is_within = False
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_after_fork)

@@ -6,8 +6,11 @@ its middle leaves the state as it was.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
+from threading import RLock
 from typing import Any
+from weakref import WeakSet
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,11 +114,8 @@ class Online:
         wanted = OUTPUTS if keep is None else (*keep, *_OF_MEMBERS)
         if keep is not None and not run.plan.names:
             wanted = (*wanted, "residuals", "ready", "usable")
-        after = self._now[2]
-        if after is None:
-            after = FusedRun(spec, run.plan, copied(run.state), self.inputs)
-        else:
-            after.take(run.state)
+        spare = self._now[2]
+        after = FusedRun.on_copy(spec, run.plan, run.state, self.inputs) if spare is None else spare.follow(run)
         decisions = after.block(data, after.outputs(data.shape[0], data.shape[1], wanted))
         self._now = (None, after, run)
         return decisions, after.state
@@ -142,10 +142,29 @@ class Online:
             plan, before = plan_of(spec), self.state
             if plan is None:
                 return None
-            state = copied(initial_state(spec, plants) if before is None else before)
-            run = FusedRun(spec, plan, state, self.inputs)
+            run = FusedRun.on_copy(spec, plan, initial_state(spec, plants) if before is None else before, self.inputs)
             self._now = (None, run, None)
         return run
+
+
+_monitors: WeakSet[Any] = WeakSet()
+
+
+def own_lock(monitor: Any) -> RLock:
+    """Return the lock of a monitor, which gets another one in a process that is forked."""
+    _monitors.add(monitor)
+    return RLock()
+
+
+def _after_fork() -> None:
+    """Let go of what threads held that are not in this process: a block of theirs has left the state as it was."""
+    for monitor in _monitors:
+        vars(monitor).update(_lock=RLock())
+        monitor._online.is_within = False
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_after_fork)
 
 
 def run_whole(
@@ -231,4 +250,4 @@ def _none() -> Any:
     return None
 
 
-__all__ = ["KEPT", "PIECE", "UNDER_WAY", "Online", "checked_keep", "run_whole"]
+__all__ = ["KEPT", "PIECE", "UNDER_WAY", "Online", "checked_keep", "own_lock", "run_whole"]

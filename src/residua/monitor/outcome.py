@@ -13,7 +13,8 @@ from residua.decide.member_bounds import MemberBounds
 from residua.design import ResidualGenerator
 from residua.design.core.evidence import AFFINE_FORM
 from residua.monitor.alarms import alarms_of, explainer_of, with_beginnings, with_words
-from residua.monitor.diagnosis import Diagnosis, NamingFacts, PartSeries, RecordingFacts, ThresholdFacts
+from residua.monitor.diagnosis import Diagnosis
+from residua.monitor.diagnosis_facts import NamingFacts, PartSeries, RecordingFacts, ThresholdFacts
 from residua.monitor.fault_learning import learnt_table
 from residua.monitor.fit_check import FitCheck
 from residua.monitor.inputs import settling_reason

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields, is_dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -37,10 +38,18 @@ def mapped(change: Callable[..., Any], *wholes: Any) -> Any:
     first = wholes[0]
     if isinstance(first, np.ndarray):
         return change(*wholes)
-    if not is_dataclass(first) or isinstance(first, type):
+    names = _names(type(first))
+    if names is None:
         return first
-    parts = {one.name: mapped(change, *(getattr(whole, one.name) for whole in wholes)) for one in fields(first)}
-    return type(first)(**parts)
+    if len(wholes) == 1:  # as a rule, and with every sample where an alarm stands
+        return type(first)(**{name: mapped(change, getattr(first, name)) for name in names})
+    return type(first)(**{name: mapped(change, *(getattr(whole, name) for whole in wholes)) for name in names})
+
+
+@cache
+def _names(cls: type[Any]) -> tuple[str, ...] | None:
+    """Return the names of the fields of a dataclass; ``None`` for any other class."""
+    return tuple(one.name for one in fields(cls)) if is_dataclass(cls) else None
 
 
 def copied(whole: Any) -> Any:
@@ -90,9 +99,15 @@ def as_records(wholes: list[Any]) -> list[Any]:
 
     Arrays that are broadcast from one number stay so; those of :data:`SELDOM` are copied, or become so.
     """
+    return records_and_block(wholes)[0]
+
+
+def records_and_block(wholes: list[Any]) -> tuple[list[Any], NDArray[np.uint8]]:
+    """Return dataclasses as records, and the block of these."""
     named = [pair for whole in wholes for pair in _arrays(whole)]
     views: list[NDArray] = [_seldom(one) if name in SELDOM and one.size else one for name, one in named]
     which = [k for k, (name, one) in enumerate(named) if name not in SELDOM and one.size]
+    block = np.zeros(0, dtype=np.uint8)
     if which:
         arrays = [named[k][1] for k in which]
         offsets, size = _offsets(arrays)
@@ -101,7 +116,7 @@ def as_records(wholes: list[Any]) -> list[Any]:
             views[k] = np.ndarray(one.shape, one.dtype, block.data, offset, (stride, *_inner_strides(one)))
             views[k][...] = one
     rebuilt = iter(one if one.size else one.copy() for one in views)
-    return [mapped(lambda one: one if takes_no_memory(one) else next(rebuilt), whole) for whole in wholes]
+    return [mapped(lambda one: one if takes_no_memory(one) else next(rebuilt), whole) for whole in wholes], block
 
 
 def _seldom(array: NDArray) -> NDArray:
@@ -156,6 +171,7 @@ __all__ = [
     "bytes_of_record",
     "copied",
     "mapped",
+    "records_and_block",
     "rows_of",
     "stacked_plants",
     "takes_no_memory",
