@@ -81,7 +81,7 @@ def test_the_rules_name_metrics_that_are_there():
     _, rules = blocks("live-page", "yaml")
     view = FakeView.of({"north": "leak"})
     view.sinks.append({"name": "jsonl x", "kind": "jsonl", "good": True, "text": "", "behind": 0})
-    from residua.live.metrics import metrics_text
+    from residua.live.view import metrics_text
 
     text = metrics_text(view).decode()
     for name in set(re.findall(r"residua_\w+", rules)):

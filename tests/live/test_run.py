@@ -19,7 +19,7 @@ from residua.errors import DataError
 from residua.live.config import load_settings
 from residua.live.delivery import Delivery, Sink
 from residua.live.events import Event
-from residua.live.run import MOST_BYTES, MOST_MESSAGES, Run
+from residua.live.run import MOST_BYTES, Run
 from residua.live.source import Message, MessageQueue, RunStoppedError
 from residua.live.store import Changes, StoreAwayError, StoreError
 from residua.live.watched_plant import Steps
@@ -213,13 +213,20 @@ def test_a_full_queue_waits_and_a_closed_one_refuses() -> None:
     thread.join()
 
 
-def test_what_is_committed_together_is_bounded_in_bytes_too() -> None:
-    inbox = MessageQueue(MOST_MESSAGES, MOST_BYTES)
-    for k in range(5):
-        inbox.put(Message(None, b"x" * 1000, float(k)))
-    assert [one.arrived for one in inbox.take(10, 0.0, 2000)] == [0.0, 1.0]
-    assert [one.arrived for one in inbox.take(10, 0.0, 1)] == [2.0]  # one alone, however large
-    assert len(inbox.take(10, 0.0)) == 2
+def test_a_queue_is_full_of_messages_or_of_bytes_and_forgets_those_that_come_again() -> None:
+    queue = MessageQueue(10, 5000)
+    queue.give(Message(None, b"x" * 1000, float(k)) for k in range(5))  # without waiting for room
+    assert queue.full
+    assert queue.heavy
+    queue.drop(lambda message: message.arrived % 2 == 0.0)
+    assert not queue.full
+    assert [one.arrived for one in queue.take(10, 0.0, 2000)] == [1.0, 3.0]  # bounded in bytes too
+    queue.give(Message(None, b"x" * 1000, float(k)) for k in range(3))
+    assert [one.arrived for one in queue.take(10, 0.0, 1)] == [0.0]  # one alone, however large
+    assert len(queue.take(10, 0.0)) == 2
+    queue.give([Message(None, 1.0, 0.0)] * 10)
+    assert queue.full
+    assert not queue.heavy
 
 
 BROKEN = {

@@ -20,8 +20,7 @@ from starlette.routing import Route
 from starlette.types import Message, Receive, Scope, Send
 
 from residua.live.events import Event
-from residua.live.metrics import CONTENT_TYPE, metrics_text
-from residua.live.view import View
+from residua.live.view import CONTENT_TYPE, View, metrics_text
 from residua.report.live_page import live_page, live_policy
 
 #: Plants on one page of the overview, at most, and where nothing is said.
