@@ -32,7 +32,7 @@ IGNORED = "everything ignored"
 #: A term this far below what it is made of, or below the largest of its input, is rounding.
 _NO_TERM = 1e-9
 #: Terms are at least this part of the largest of their input: where nothing has to cancel, rounding is all there is.
-_LEAST_TERM = 1e-7
+_LEAST_TERM = 1e-5
 #: Complex numbers in the largest arrays: what caches hold.
 _AT_ONCE = 400_000
 #: Leaks by the entry of the evidence, and the conditions that say how they were measured, if they were.
