@@ -30,16 +30,21 @@ def remainders(M: NDArray) -> NDArray[np.int64]:
     return out
 
 
+def _modular(M: NDArray[np.int64]) -> nmod_mat:
+    rows, columns = M.shape
+    return nmod_mat(rows, columns, M.ravel().tolist(), PRIME)
+
+
 def rank(M: NDArray[np.int64]) -> int:
     """Return the rank of a matrix modulo the prime."""
-    return nmod_mat(*M.shape, M.ravel().tolist(), PRIME).rank() if M.size else 0
+    return _modular(M).rank() if M.size else 0
 
 
 def left_null(M: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return rows that span the left null space modulo the prime."""
     if not M.size:
         return np.eye(len(M), dtype=np.int64)
-    X, count = nmod_mat(*M.T.shape, M.T.ravel().tolist(), PRIME).nullspace()
+    X, count = _modular(M.T).nullspace()
     return np.array([[int(x) for x in row] for row in X.tolist()], dtype=np.int64)[:, :count].T
 
 

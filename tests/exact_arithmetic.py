@@ -16,7 +16,8 @@ _BITS = 240  # seventy digits
 
 
 def _matrix(M: NDArray) -> acb_mat:
-    return acb_mat(*M.shape, M.ravel().tolist())
+    rows, columns = M.shape
+    return acb_mat(rows, columns, M.ravel().tolist())
 
 
 def response(system: rs.StateSpace, z: complex) -> acb_mat:

@@ -414,7 +414,7 @@ class InputOutputModel(FaultFacts, Shown):
         return self._with(Gf=self.Gf.beside(extra), fault_list=(*self.fault_list, *faults))
 
 
-def polynomial_text(coefficients: NDArray[np.float64], variable: str, *, digits: int = 5) -> str:
+def polynomial_text(coefficients: NDArray[np.float64], variable: str) -> str:
     """Return a polynomial as text, highest power first.
 
     Parameters
@@ -422,8 +422,6 @@ def polynomial_text(coefficients: NDArray[np.float64], variable: str, *, digits:
     coefficients : ndarray, shape (degree + 1,)
         Lowest power first.
     variable : str
-    digits : int
-        Significant digits of each coefficient.
 
     Returns
     -------
@@ -435,7 +433,7 @@ def polynomial_text(coefficients: NDArray[np.float64], variable: str, *, digits:
     'z^2 - 0.9 z + 0.2'
     """
     parts = [(float(value), _power(variable, k)) for k, value in reversed(list(enumerate(coefficients))) if value != 0]
-    return _sum((value < 0, _monomial(abs(value), power, digits)) for value, power in parts)
+    return _sum((value < 0, _monomial(abs(value), power)) for value, power in parts)
 
 
 def equation_text(
@@ -467,8 +465,8 @@ def _sum(terms: Iterable[tuple[bool, str]]) -> str:
     return out or "0"
 
 
-def _monomial(size: float, power: str, digits: int = 5) -> str:
-    number = f"{size:.{digits}g}"
+def _monomial(size: float, power: str) -> str:
+    number = f"{size:.5g}"
     if not power:
         return number
     return power if number == "1" else f"{number} {power}"

@@ -155,11 +155,17 @@ def _core(root: Entry) -> Plant:
     for group, count, letter in (("states", n, "x"), ("inputs", m, "u"), ("outputs", p, "y")):
         keys = CHANNEL_KEYS[:2] if group == "states" else CHANNEL_KEYS
         table = root.table(group, keys)
-        names = table.texts("names", count, _each(group))
+        each = f"one per {group[:-1]}"
+        names = table.texts("names", count, each)
         channels[group] = names
         labels = names or tuple(f"{letter}{i + 1}" for i in range(count))
-        units |= _units(table, labels, group)
-        values = table.by_channel("operating_point", labels, _each(group)) if group != "states" else None
+        if isinstance(table.data.get("units"), dict):
+            entry = table.table("units", labels)
+            units |= {name: entry.text(name) for name in entry.data}
+        else:
+            listed_units = table.texts("units", len(labels), each) or ()
+            units |= {name: unit for name, unit in zip(labels, listed_units, strict=False) if unit}
+        values = table.by_channel("operating_point", labels, each) if group != "states" else None
         points[group] = tuple(np.zeros(count) if values is None else values)
     dt = root.number("dt", 0.0)
     if dt < 0:
@@ -197,27 +203,15 @@ def _identification(root: Entry) -> Identification | None:
     )
 
 
-def _units(table: Entry, labels: tuple[str, ...], group: str) -> dict[str, str]:
-    value = table.data.get("units", [])
-    if isinstance(value, dict):
-        entry = table.table("units", labels)
-        return {name: entry.text(name) for name in value}
-    units = table.texts("units", len(labels), _each(group)) or ()
-    return {name: unit for name, unit in zip(labels, units, strict=False) if unit}
-
-
 def _with_fault(plant: Plant, entry: Entry) -> Plant:
     kind = entry.choice("kind", KINDS, "component")
-    channel = None
     if kind == "actuator" and "input" in entry:
-        channel = _channel(entry, "input", plant.inputs)
+        channel = _channel(entry, "input", plant.inputs, ("state", "output"))
         state, output = plant.B[:, channel], plant.D[:, channel]
-        _only(entry, "input", ("state", "output"))
         label = plant.inputs[channel]
     elif kind == "sensor" and isinstance(entry.data.get("output"), str):
-        channel = _channel(entry, "output", plant.outputs)
+        channel = _channel(entry, "output", plant.outputs, ("state", "input"))
         state, output = np.zeros(plant.n_states), np.eye(plant.n_outputs)[channel]
-        _only(entry, "output", ("state", "input"))
         label = plant.outputs[channel]
     else:
         if "input" in entry:
@@ -300,17 +294,15 @@ def _covariance(entry: Entry, key: str, channels: tuple[str, ...], each: str) ->
     return entry.by_channel(key, channels, each)
 
 
-def _channel(entry: Entry, key: str, known: tuple[str, ...]) -> int:
+def _channel(entry: Entry, key: str, known: tuple[str, ...], excluded: tuple[str, ...]) -> int:
+    """Return the channel of a fault, which says how it enters: other entries on that are excluded."""
     name = entry.text(key)
     if name not in known:
         raise entry.error(key, f"unknown {key}{suggestion(name, known)}; known: {listed(known)}")
-    return known.index(name)
-
-
-def _only(entry: Entry, key: str, excluded: tuple[str, ...]) -> None:
     for other in excluded:
         if other in entry:
             raise entry.error(other, f"not together with {key} = {echo(entry.data[key])}, which says how it enters")
+    return known.index(name)
 
 
 def _pointing(entry: Entry, make: Callable[[], Plant]) -> Plant:
@@ -319,10 +311,6 @@ def _pointing(entry: Entry, make: Callable[[], Plant]) -> Plant:
         return make()
     except (ModelError, np.linalg.LinAlgError) as error:
         raise FileFormatError(f"{entry.source}: {entry.where()}: {error}") from error
-
-
-def _each(group: str) -> str:
-    return f"one per {group[:-1]}"
 
 
 def _required(entry: Entry, key: str, rows: int | None, columns: int | None, each: str) -> NDArray:

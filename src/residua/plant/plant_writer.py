@@ -17,22 +17,6 @@ from residua.plant.noise import noise_factors
 from residua.plant.plant import Plant
 from residua.plant.plant_file import FORMAT, loads_plant
 
-#: Attributes that must be restored bit for bit.
-ARRAYS = ("A", "C", "E", "B", "D", "Bd", "Dd", "Bf", "Df", "Bw", "Dw")
-VALUES = (
-    "dt",
-    "name",
-    "description",
-    "states",
-    "inputs",
-    "outputs",
-    "disturbances",
-    "fault_list",
-    "operating_point",
-    "units",
-    "identification",
-)
-
 
 def save_plant(plant: Plant, path: str | Path) -> Path:
     """Write a plant file; see :func:`dumps_plant`.
@@ -137,14 +121,14 @@ def dumps_plant(plant: Plant) -> str:
 
 def differences(one: Plant, other: Plant) -> list[str]:
     """Return the names of the attributes in which two plants differ, to the last bit."""
-    out = [key for key in VALUES if getattr(one, key) != getattr(other, key)]
-    return out + [key for key in ARRAYS if not _same_bits(getattr(one, key), getattr(other, key))]
+    return [key for key in Plant.__dataclass_fields__ if not _same(getattr(one, key), getattr(other, key))]
 
 
-def _same_bits(M: NDArray | None, N: NDArray | None) -> bool:
-    if M is None or N is None:
-        return M is N
-    return M.shape == N.shape and M.tobytes() == N.tobytes()
+def _same(one: object, other: object) -> bool:
+    """Tell whether two values are equal, arrays to the last bit."""
+    if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
+        return one.shape == other.shape and one.tobytes() == other.tobytes()
+    return not isinstance(one, np.ndarray) and not isinstance(other, np.ndarray) and one == other
 
 
 def _channels(plant: Plant) -> list[list[str]]:
@@ -180,11 +164,11 @@ def _fault(plant: Plant, i: int) -> list[str]:
     ]
     if fault.kind == "actuator":
         for j, name in enumerate(plant.inputs):
-            if _same_bits(b, plant.B[:, j]) and _same_bits(d, plant.D[:, j]):
+            if _same(b, plant.B[:, j]) and _same(d, plant.D[:, j]):
                 return [*lines, f"input = {_text(name)}"]
     if fault.kind == "sensor" and not _matters(b):
         for j, name in enumerate(plant.outputs):
-            if _same_bits(d, np.eye(plant.n_outputs)[j]):
+            if _same(d, np.eye(plant.n_outputs)[j]):
                 return [*lines, f"output = {_text(name)}"]
     return lines + _vectors(plant, b, d)
 
@@ -205,7 +189,7 @@ def _noise(plant: Plant) -> list[str]:
     try:
         W, V = (_variances(M @ M.T) for M in (plant.Bw, plant.Dw))
         Bw, Dw = noise_factors(np.diag(W), np.diag(V))
-        if _same_bits(Bw, plant.Bw) and _same_bits(Dw, plant.Dw):
+        if _same(Bw, plant.Bw) and _same(Dw, plant.Dw):
             return [f"{key} = {_row(values)}" for key, values in (("process", W), ("measurement", V)) if values.any()]
     except ModelError:
         pass

@@ -73,13 +73,14 @@ def _mapped(archive: zipfile.ZipFile, part: zipfile.ZipInfo, source: str) -> NDA
     if part.compress_type != zipfile.ZIP_STORED or not part.filename.endswith(".npy"):
         raise FileFormatError(f"{source}: its arrays are compressed")
     shape, fortran, dtype, start = _header(archive, part, source)
-    file = archive.fp
+    file, path = archive.fp, archive.filename
     assert file is not None
+    assert path is not None
     file.seek(part.header_offset)
     header = file.read(30)
     sizes = [int.from_bytes(header[k : k + 2], "little") for k in (26, 28)]  # of the name and the extra entries
-    raw = np.memmap(archive.filename, np.uint8, "r", part.header_offset + 30 + sum(sizes), (part.file_size,))
-    if header[:4] != _ZIP[0] or zlib.crc32(raw) != part.CRC or not shape:
+    raw = np.memmap(path, np.uint8, "r", part.header_offset + 30 + sum(sizes), (part.file_size,))
+    if header[:4] != _ZIP[0] or zlib.crc32(raw.data) != part.CRC or not shape:
         raise FileFormatError(f"{source}: {echo(_name(part))} is damaged")
     return raw[start:].view(dtype).reshape(shape, order="F" if fortran else "C")
 

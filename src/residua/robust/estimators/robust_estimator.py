@@ -57,8 +57,6 @@ class RobustEstimator:
         parameters of the loop.
     cost : float
         Eq. (40), with the norms over the members that the search looked at.
-    sampled_norm : float
-        ``J_rw`` over these.
     search : SearchResult
         The search that it comes from.
     members : tuple of mapping
@@ -72,7 +70,6 @@ class RobustEstimator:
     certificate: CertifiedThreshold
     sensitivity: SmallestGain
     cost: float
-    sampled_norm: float
     search: SearchResult = field(repr=False)
     members: tuple[Mapping[str, float], ...] = field(repr=False)
 
@@ -300,7 +297,6 @@ def _certified(task: Task, cost: SampledCost, best: SearchResult, values: list[M
         certificate,
         replace(response, values=loop_parameters(task.loop, response.values)),
         float(task.weights.cost(np.array(disturbance), np.array(fault))),
-        scale * disturbance,
         best,
         tuple(dict(zip(task.loop.names, map(float, v), strict=True)) for v in values),
     )

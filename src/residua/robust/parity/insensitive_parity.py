@@ -186,8 +186,6 @@ class InsensitiveParity(Shown):
         From fault-free data, see :meth:`fit`.
     basis : str
         What the units of the residuals and the thresholds rest on.
-    slope_errors : mapping of str to float
-        How far derivatives by two steps are apart, relative to the largest.
     promised : ndarray or None, shape (members,)
         Fraction of fault-free samples over each threshold that the data of :meth:`fit` promise not to be exceeded on
         other data, with 95 % confidence; 1 if they are too few to say anything.
@@ -204,7 +202,6 @@ class InsensitiveParity(Shown):
     running: ParameterRunning = field(repr=False)
     thresholds: NDArray[np.float64] | None
     basis: str
-    slope_errors: Mapping[str, float] = field(repr=False)
     promised: NDArray[np.float64] | None = None
 
     def initial_state(self, plants: int = 1) -> ParameterState:
@@ -474,7 +471,6 @@ def insensitive_parity(
         running,
         None,
         "in units of what expected changes do under white inputs; no thresholds before .fit(u, y)",
-        dict(zip(names, equations.errors, strict=True)),
     )
 
 

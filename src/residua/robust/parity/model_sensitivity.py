@@ -32,8 +32,6 @@ class Equations:
     outputs, inputs : ndarray, shape (equations, order + 1, channels)
         Weights of the samples, the oldest first.
     output_slopes, input_slopes : ndarray, shape (parameters, equations, order + 1, channels)
-    errors : tuple of float
-        For each parameter how far the derivatives by two steps are apart, relative to the largest; zero for the user's.
     """
 
     model: InputOutputModel
@@ -41,7 +39,6 @@ class Equations:
     inputs: NDArray[np.float64]
     output_slopes: NDArray[np.float64]
     input_slopes: NDArray[np.float64]
-    errors: tuple[float, ...]
 
 
 def equations_of(model: Model, values: Mapping[str, float], changes: Mapping[str, float]) -> Equations:
@@ -60,7 +57,7 @@ def equations_of(model: Model, values: Mapping[str, float], changes: Mapping[str
     order = int(max(nominal.H.row_degrees))
     H, G = _weights(nominal, nominal, order, "the nominal values")
     largest = np.abs(np.concatenate([H, G], axis=2)).max(axis=1, keepdims=True)  # of each signal in each equation
-    slopes, errors = [], []
+    slopes = []
 
     def weights_at(name: str, value: float) -> NDArray[np.float64]:
         made = _evaluated(model, {**values, name: value})
@@ -74,17 +71,17 @@ def equations_of(model: Model, values: Mapping[str, float], changes: Mapping[str
         size = float(np.abs(slope).max())
         if not size:
             raise DesignError(f"parameter {name!r} changes no equation: it cannot be seen, and need not be ignored")
-        errors.append(float(np.abs(near - far).max() / size))
-        if not errors[-1] <= _AGREE:
+        error = float(np.abs(near - far).max() / size)
+        if not error <= _AGREE:
             raise AccuracyError(
                 f"derivatives with respect to {name!r} by steps of {_STEP * changes[name]:.2g} and half of it differ "
-                f"by {errors[-1]:.2g} of the largest: the model is not smooth there, or changes={{...}} names too "
+                f"by {error:.2g} of the largest: the model is not smooth there, or changes={{...}} names too "
                 "large a change"
             )
         slopes.append(slope)
     m = len(nominal.outputs)
     whole = np.array(slopes)
-    return Equations(nominal, H, G, whole[..., :m], whole[..., m:], tuple(errors))
+    return Equations(nominal, H, G, whole[..., :m], whole[..., m:])
 
 
 def _evaluated(model: Model, values: Mapping[str, float]) -> InputOutputModel:
