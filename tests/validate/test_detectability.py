@@ -9,7 +9,7 @@ from scipy.special import chndtr, ndtr
 
 import residua as rs
 from residua.decide.whitened_norm import NormTest
-from residua.errors import NotFittedError, SettingError
+from residua.errors import DataError, NotFittedError, SettingError
 
 #: Intervals of tests: once in so many thousand runs of the suite one of them fails by chance. Seeds are fixed anyway.
 SURE = 0.9995
@@ -202,7 +202,7 @@ def test_false_alarms_as_frequent_as_detections_make_the_size_zero() -> None:
         ({"shape": rs.validate.stuck_at(at=3.0)}, "campaign simulates"),
         ({"residuals": np.eye(100, 3)}, "3 columns"),
         ({"residuals": np.zeros((100, 2))}, "never change"),
-        ({"residuals": np.full((100, 2), np.nan)}, "no row"),
+        ({"residuals": np.full((100, 2), np.nan)}, "must be finite"),
         ({"residuals": "x"}, "residuals must be numbers"),
         ({"seed": -1}, "seed"),
         ({"seed": 1.5}, "seed"),
@@ -211,7 +211,7 @@ def test_false_alarms_as_frequent_as_detections_make_the_size_zero() -> None:
 )
 def test_bad_input_says_what_to_do(settings: dict[str, Any], text: str) -> None:
     watch = kalman(static(), rs.decide.NormThreshold(false_alarm_rate=1e-3))
-    with pytest.raises(SettingError, match=text):
+    with pytest.raises((SettingError, DataError), match=text):
         rs.decide.detectability(watch, **settings)
 
 

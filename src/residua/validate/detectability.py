@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from residua.decide.checks import check_probability, check_whole
 from residua.decide.sizes import fault_unit
@@ -187,7 +187,7 @@ def detectability(
     miss_rate: float = 0.05,
     faults: Iterable[str] | None = None,
     shape: Shape | None = None,
-    residuals: ArrayLike | Resampled | None = None,
+    residuals: Any = None,
     runs: int = 2000,
     seed: int = 0,
     confidence: float = CONFIDENCE,
@@ -225,7 +225,7 @@ def detectability(
     shape : Shape, optional
         Of the fault over time: a step when omitted; :func:`residua.validate.ramp` and others that add to a signal and
         are the same in each run. Times count from its onset.
-    residuals : array_like of shape (time, k), or from :func:`residua.validate.resampled`, optional
+    residuals : Diagnosis, array_like of shape (time, k), list of these, or :func:`residua.validate.resampled`, optional
         Fault-free ones to draw from, in blocks. When omitted, those of the noise model of the plant; for a fitted
         monitor those of the residual model of its test (mean, covariance, memory and tails), if it has one.
     runs : int
@@ -242,6 +242,8 @@ def detectability(
 
     Raises
     ------
+    DataError
+        If ``residuals`` are no finite numbers, or shorter than a block.
     NotFittedError
         If the monitor has no threshold.
     SettingError
@@ -406,15 +408,19 @@ def _check_size(test: ResidualTest, runs: int, longest: int) -> None:
         )
 
 
-def _noise(monitor: Monitor, test: ResidualTest, residuals: ArrayLike | Resampled | None) -> tuple[_Draw, str]:
+def _noise(monitor: Monitor, test: ResidualTest, residuals: Any) -> tuple[_Draw, str]:
     """Return a function that draws fault-free residuals, and its description."""
     k = len(test.center)
     if residuals is not None:
-        blocks = residuals if isinstance(residuals, Resampled) else _resampled(residuals)
+        blocks = residuals if isinstance(residuals, Resampled) else resampled(residuals)
         if blocks.residuals.shape[1] != k:
             raise SettingError(
                 f"residuals has {blocks.residuals.shape[1]} columns, the generator {counted(k, 'residual')}: take "
                 "those of this monitor"
+            )
+        if not np.ptp(blocks.residuals, axis=0).any():
+            raise SettingError(
+                "residuals never change: give those of a fault-free recording (monitor.run(u, y).residuals)"
             )
         return lambda rng, runs, samples: np.stack([blocks.draw(rng, samples) for _ in range(runs)]), str(blocks)
     if monitor.fit_check is not None and test.fault_free_residuals(np.zeros((1, 1, k))) is not None:
@@ -433,22 +439,6 @@ def _noise(monitor: Monitor, test: ResidualTest, residuals: ArrayLike | Resample
         )
     fitted = " around the mean of the fit" if monitor.fit_check is not None else ""
     return _from_model(generator, test.center), f"by the noise model of the plant{fitted}"
-
-
-def _resampled(residuals: Any) -> Resampled:
-    """Return residuals to draw from, or raise if there are none."""
-    try:
-        rows = np.asarray(residuals, dtype=float)
-    except (TypeError, ValueError):
-        rows = np.zeros(0)
-    if rows.ndim != 2 or not len(rows):
-        raise SettingError(f"residuals must be numbers of (time, residuals), got {echo(residuals)}")
-    there = rows[np.isfinite(rows).all(axis=1)]
-    if not len(there):
-        raise SettingError("residuals has no row without a missing value: give fault-free ones with a decision")
-    if not np.ptp(there, axis=0).any():
-        raise SettingError("residuals never change: give those of a fault-free recording (monitor.run(u, y).residuals)")
-    return resampled(rows)
 
 
 def _from_model(generator: ResidualGenerator, center: NDArray[np.float64]) -> _Draw:
@@ -568,36 +558,36 @@ def _asymptote(white: NDArray[np.float64] | None, size: float, mean_time: float 
     if white is None or mean_time is None or not np.isfinite(size) or size == 0:
         return np.nan
     information = np.cumsum(np.sum((size * white) ** 2, axis=1)) / 2
-    wanted = max(float(np.log(mean_time)), 0.0)
-    if information[-1] >= wanted:
-        k = int(np.searchsorted(information, wanted))
+    needed = max(float(np.log(mean_time)), 0.0)
+    if information[-1] >= needed:
+        k = int(np.searchsorted(information, needed))
         before = information[k - 1] if k else 0.0
-        samples = k + (wanted - before) / (information[k] - before)
+        samples = k + (needed - before) / (information[k] - before)
     else:
         last = information[-1] - information[-2] if len(information) > 1 else information[-1]
-        samples = len(information) + (wanted - information[-1]) / last if last > 0 else np.inf
+        samples = len(information) + (needed - information[-1]) / last if last > 0 else np.inf
     return max(float(samples) - 1, 0.0)
 
 
 # ---------------------------------------------------------------------------- checks
 
 
-def _checked_faults(faults: Iterable[str] | None, known: tuple[str, ...]) -> tuple[str, ...]:
+def _checked_faults(faults: Iterable[str] | None, faults_of_plant: tuple[str, ...]) -> tuple[str, ...]:
     if faults is None:
-        names = known
+        names = faults_of_plant
     elif isinstance(faults, str):
         names = (faults,)
     elif isinstance(faults, Iterable):
         names = tuple(faults)
     else:
-        raise SettingError(f"faults must be names of faults, got {echo(faults)}; known: {listed(known)}")
-    unknown = [one for one in names if one not in known]
+        raise SettingError(f"faults must be names of faults, got {echo(faults)}; known: {listed(faults_of_plant)}")
+    unknown = [one for one in names if one not in faults_of_plant]
     if unknown:
-        raise SettingError(f"the plant has no fault {echo(unknown[0])}; known: {listed(known)}")
-    if not known:
+        raise SettingError(f"the plant has no fault {echo(unknown[0])}; known: {listed(faults_of_plant)}")
+    if not faults_of_plant:
         raise SettingError("the plant has no faults: with_sensor_faults(), with_actuator_faults(), or with_faults(...)")
     if not names:
-        raise SettingError(f"faults names none; known: {listed(known)}")
+        raise SettingError(f"faults names none; known: {listed(faults_of_plant)}")
     return names
 
 
@@ -626,8 +616,8 @@ def _course(shape: Shape | None, dt: float, samples: int) -> NDArray[np.float64]
         raise SettingError(
             f"{shape.name} is not the same addition to a signal in each run: rs.validate.campaign simulates it"
         )
-    before = shape.earliest_sample(dt)
-    return shape.over(before + samples, dt, np.random.default_rng(0))[1][before:]
+    onset = shape.earliest_sample(dt)
+    return shape.over(onset + samples, dt, np.random.default_rng(0))[1][onset:]
 
 
 def _notes(trials: _Trials, generator: ResidualGenerator, test: ResidualTest, noise: str) -> tuple[str, ...]:
