@@ -282,7 +282,7 @@ def said_by_score(found: Diagnosis, alarm: Alarm) -> Said:
     candidates = found.isolation.candidates(found.scores[alarm.start + int(over[-1])])  # a word puts its own first
     names = tuple(candidate.faults for candidate in candidates)
     scores = [candidate.score for candidate in candidates]
-    if alarm.samples < found.window or not names:
+    if alarm.samples < found.naming.window or not names:
         return Said("too early", names[:1])
     if scores[0] < POOR:
         return Said("poor match", names[:1])

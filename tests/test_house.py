@@ -39,7 +39,6 @@ ROOMS = (
         "arrays",
         "kernels",
         "facade",
-        "forks",
         "threads",
         "shown",
         "wrong_guesses",

@@ -147,7 +147,7 @@ for name in ("sensor bank", "bank of all"):
 # and that is all it sees. A member counts as fired when it is in alarm at least half as long as the one that is longest.
 shown = found["sensor bank", 6]
 fig, axes = plt.subplots(len(sensors.members), 1, sharex=True, figsize=(8, 5), layout="constrained")
-for ax, member, statistic in zip(axes, sensors.members, shown.member_statistics.T, strict=True):
+for ax, member, statistic in zip(axes, sensors.members, shown.parts.statistics.T, strict=True):
     ax.plot(shown.time, statistic, lw=0.8)
     ax.axhline(1.0, color="tab:red", lw=1)
     ax.axvline(ONSET, color="0.6", ls=":")

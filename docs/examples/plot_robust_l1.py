@@ -89,7 +89,7 @@ def shown(faults, seed, title):
         largest = rs.decide.peak_over_window(found.residuals[:, [i]], 60)
         ax.plot(found.time, largest, lw=0.8, color="C0")
         ax.axhline(limit, color="C3", lw=1, ls="--")
-        alarm = found.fired[:, i]
+        alarm = found.parts.fired[:, i]
         ax.fill_between(found.time, 0, 3 * limit, where=alarm, color="C3", alpha=0.12, lw=0)
         if name in faults:
             ax.axvline(faults[name], color="0.3", lw=1)

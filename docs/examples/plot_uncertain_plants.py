@@ -199,8 +199,10 @@ for ax, (name, one) in zip(axes, {"Nothing ignored": plain, "Resistance ignored"
     ax.axhline(one.thresholds[0], color="0.4", ls="--", lw=1)
     ax.axvspan(180, time[-1], color="C3", alpha=0.1, lw=0)
     ax.set(ylabel="size [noise]", title=name)
-    before = found.fired[time < 180, 0].mean()
-    print(f"{name}: in alarm {before:.1%} of the time before the fault, {found.fired[time >= 180, 0].mean():.1%} after")
+    before = found.parts.fired[time < 180, 0].mean()
+    print(
+        f"{name}: in alarm {before:.1%} of the time before the fault, {found.parts.fired[time >= 180, 0].mean():.1%} after"
+    )
 axes[0].text(181, 0.9 * axes[0].get_ylim()[1], "magnets weaken by 6 %", color="C3", va="top")
 axes[1].set(xlabel="time [s], resistance rising by a third")
 plt.show()

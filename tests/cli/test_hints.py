@@ -94,10 +94,10 @@ def test_a_file_of_a_newer_version_asks_for_an_upgrade(
 
 
 def test_a_monitor_of_an_older_version_is_to_be_made_again(here: Path, tmp_path: Path, residua: Residua) -> None:
-    content = json.loads((here / "monitor.json").read_text()) | {"version": 1}
+    content = json.loads((here / "monitor.json").read_text()) | {"version": 0}
     (tmp_path / "old.json").write_text(json.dumps(content))
     _, _, err = residua("run", tmp_path / "old.json", "faulty.csv")
-    assert "version 1, this residua reads" in err
+    assert "version 0, this residua reads version 1" in err
     assert "design and fit the monitor again" in err
 
 

@@ -304,8 +304,8 @@ def taken() -> bytes:
         (lambda b: b"", "not a snapshot"),
         (lambda b: b"PK" + b[2:], "not a snapshot"),
         (lambda b: b[:100] + bytes([b[100] ^ 1]) + b[101:], "was changed"),
-        (lambda b: b[:8] + b"\x02" + b[9:], "version 2, this residua reads version 3: start the fleet without it"),
-        (lambda b: b[:8] + b"\x09" + b[9:], "version 9, this residua reads version 3: upgrade residua"),
+        (lambda b: b[:8] + b"\x00" + b[9:], "version 0, this residua reads version 1: start the fleet without it"),
+        (lambda b: b[:8] + b"\x09" + b[9:], "version 9, this residua reads version 1: upgrade residua"),
         (lambda b: b + b"x", "was changed"),
     ],
 )

@@ -33,14 +33,12 @@ from residua.decide import (
 from residua.decide.whitened_norm import NormTest
 from residua.monitor import fused, online
 from residua.monitor.fused import FusedRun, plan_of, run_block
-from residua.monitor.plant_records import copied
+from residua.monitor.plant_records import copied, rows_of, written_rows
 from residua.monitor.running import (
     State,
     initial_state,
     joined_decisions,
-    rows_of,
     run_reference,
-    written_rows,
 )
 
 needs_kernel = pytest.mark.skipif(fused._kernel is None, reason="there is no compiled kernel")

@@ -325,7 +325,7 @@ def test_no_number_that_runs_may_be_missing_or_infinite(
         (("test", "false_alarm_rate"), 1.5, r"test\.false_alarm_rate: expected a number between 0 and 1, got 1.5"),
         (("design", "system", "A", "float", 0), 1e308, r"design\.system\.A\[0, 0\]: expected a finite number of at"),
         (("design", "system", "dt"), -1.0, r"design\.system\.dt: expected 0, or a positive number"),
-        (("isolation", "bases", 0, "float", 0), 3.0, r"isolation\.bases\[0\]: .* orthonormal"),
+        (("running", "isolation", "bases", 0, "float", 0), 3.0, r"running\.isolation\.bases\[0\]: .* orthonormal"),
     ],
 )
 def test_the_message_names_the_entry_and_what_it_may_be(

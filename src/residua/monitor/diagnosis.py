@@ -74,16 +74,20 @@ class Diagnosis(Guessed, Shown):
     generator : ResidualGenerator
         The sampled generator that ran.
     test : ThresholdFacts
-        Thresholds and the normal range of the residuals.
+        Thresholds, and the normal range of residuals: ``threshold``, ``center``, ``band``, ``band_share``,
+        ``whitening``, ``averaged``, ``horizon``, ``certified``, ``outside``.
     naming : NamingFacts
-        Faults that can be named, and what they are named by.
+        Faults that can be named, and what they are named by: ``groups``, ``signatures``, ``unjudged``, ``window``,
+        ``codes``, ``learnt_faults``.
     settings : mapping of str to str
         How threshold, alarms and isolation were set, in words.
     recording : RecordingFacts
-        Where the recording came from, and what was unusual about it.
+        Source of the recording, and what was unusual about it: ``source``, ``origin``, ``resets``, ``predicted``,
+        ``is_unlike_the_fit``, ``compared``, ``thinned``, ``table``, ``counted``.
     notes : tuple of str
     parts : PartSeries
-        Statistics and alarms of the members of a bank, or of groups of residuals, one by one.
+        Members of a bank, or groups of residuals, one by one: ``statistics``, ``thresholds``, ``fired``, ``code``,
+        ``residuals``.
     match : Match or None
         Of matched filters: likelihood ratio, arrival and size of every fault at every sample, and the
         attribution of a standing alarm; see :class:`residua.decide.Match`.

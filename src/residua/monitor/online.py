@@ -7,6 +7,7 @@ its middle leaves the state as it was.
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable, Sequence
 from threading import RLock
 from typing import Any
@@ -163,7 +164,7 @@ def _after_fork() -> None:
         monitor._online.is_within = False
 
 
-if hasattr(os, "register_at_fork"):
+if sys.platform != "win32":
     os.register_at_fork(after_in_child=_after_fork)
 
 

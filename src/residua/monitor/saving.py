@@ -64,7 +64,7 @@ _ERRORS = (TypeError, ValueError, AttributeError, LookupError, ArithmeticError, 
 
 _ENTRIES = (
     *("format", "version", "design", "sampled", "test", "certified", "bounds", "isolate", "settle", "max_hold"),
-    *("plausible", "start", "notes", "fitted", "fit_check", "normal", "learnt", "running", "isolation", "state"),
+    *("plausible", "start", "notes", "fitted", "fit_check", "normal", "learnt", "running", "state"),
     CHECKSUM,
 )
 
@@ -96,8 +96,7 @@ def monitor_out(monitor: Monitor) -> dict[str, Any]:
         "fit_check": None if monitor._check is None else values_out(monitor._check),
         "normal": None if monitor._normal is None else array_out(monitor._normal),
         "learnt": [values_out(fault) for fault in monitor._learnt],
-        "running": None if spec is None else values_out(_Running.of(spec)),
-        "isolation": None if spec is None else spec.isolation.to_record(),
+        "running": None if spec is None else values_out(_Running.of(spec)) | {"isolation": spec.isolation.to_record()},
         "state": None if monitor._state is None else values_out(monitor._state),
     }
 
@@ -178,12 +177,13 @@ def _check_parts(content: Mapping[str, Any], test: TestSettings, isolate: Isolat
 
     What takes the time of a window is in the file then, as long as its window says.
     """
-    for name in ("running", "isolation"):
-        if (content["fitted"] is None) != (content[name] is None):
-            raise FileFormatError(f"{name} must be present if and only if fitted is")
-    if content["fitted"] is not None:
-        test.check_record(table_in(content["fitted"], "fitted"), "fitted")
-        isolate.check_record(table_in(content["isolation"], "isolation"), "isolation")
+    fitted, running = content["fitted"], content["running"]
+    if (fitted is None) != (running is None):
+        raise FileFormatError("running must be present if and only if fitted is")
+    if fitted is not None:
+        test.check_record(table_in(fitted, "fitted"), "fitted")
+        named = table_in(running, "running").get("isolation")
+        isolate.check_record(table_in(named, "running.isolation"), "running.isolation")
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,8 +199,10 @@ def _read_fit(monitor: Monitor, content: Mapping[str, Any]) -> None:
     watched, k = monitor._watched(monitor.generator), monitor.generator.n_residuals
     monitor._test = monitor._settings.test_from_record(content["fitted"], "fitted", watched)
     spec = monitor._plain_specification()
-    isolation = monitor._isolation.isolation_from_record(content["isolation"], "isolation", watched, spec.test)
-    running: _Running = values_in(content["running"], "running", _Running, others=_PARTS)
+    values = table_in(content["running"], "running")
+    named = values.pop("isolation")
+    isolation = monitor._isolation.isolation_from_record(named, "running.isolation", watched, spec.test)
+    running: _Running = values_in(values, "running", _Running, others=_PARTS)
     monitor._spec = running.in_place_of(replace(spec, isolation=isolation))
     if content["fit_check"] is not None:
         monitor._check = values_in(content["fit_check"], "fit_check", FitCheck)

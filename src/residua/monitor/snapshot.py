@@ -1,6 +1,6 @@
 """State of a fleet as bytes: little-endian columns behind a header, with a checksum; nothing is executed.
 
-The layout, version 3: the mark ``RESIDUAF``; the version and the length of the header, four bytes each; the header,
+The layout, version 1: the mark ``RESIDUAF``; the version and the length of the header, four bytes each; the header,
 JSON in UTF-8, which names for each model the fingerprint of its monitor and its columns (name, type, shape); the
 columns, one after the other, each from a multiple of eight bytes on; and the SHA-256 of everything before it. A column
 of those that are zero as a rule (:data:`residua.monitor.plant_records.SELDOM`) is left out where it is zero throughout.
@@ -30,7 +30,7 @@ from residua.monitor.specification import Specification
 from residua.visible import echo, listed
 
 #: The mark and the version.
-MARK, VERSION = b"RESIDUAF", 3
+MARK, VERSION = b"RESIDUAF", 1
 _HEAD, _SUM = struct.Struct("<8sII"), 32
 #: Columns that come with the first plant that needs them, and may stay when no plant does any longer.
 _AT_TIMES = tuple(f"state.filter.{name}" for name in SELDOM)
