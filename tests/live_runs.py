@@ -8,7 +8,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -64,16 +64,6 @@ def running(path: Path) -> Iterator[Run]:
         run.close()
     assert not thread.is_alive()
     assert not errors, errors
-
-
-def wait_for(done: Callable[[], object], seconds: float = 60.0) -> None:
-    """Wait until something is so; fail when it does not come to be."""
-    waited = threading.Event()
-    for _ in range(int(seconds / 0.02)):
-        if done():
-            return
-        waited.wait(0.02)
-    raise AssertionError(f"it did not come to be within {seconds} s")
 
 
 def alarms_in(path: Path, plant: str = "north") -> list[dict[str, Any]]:

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -25,7 +26,7 @@ def free_port() -> int:
         return taken.getsockname()[1]
 
 
-def wait_for(done: Callable[[], object], seconds: float = 20.0, what: str | Callable[[], str] = "it") -> None:
+def wait_for(done: Callable[[], object], seconds: float = 60.0, what: str | Callable[[], str] = "it") -> None:
     """Wait until something is so; fail when it does not come to be."""
     until = time.monotonic() + seconds
     while not done():
@@ -94,6 +95,23 @@ def running(folder: Path, settings: str = "", port: int | None = None) -> Iterat
         broker.kill()
 
 
+@contextmanager
+def publisher(port: int) -> Iterator[Any]:
+    """A client of MQTT that publishes."""
+    from paho.mqtt import client as paho
+
+    client = paho.Client(paho.CallbackAPIVersion.VERSION2, client_id="publisher", clean_session=False)
+    client.reconnect_delay_set(1, 1)
+    client.max_inflight_messages_set(20)  # as many of QoS 2 as mosquitto takes
+    client.connect("127.0.0.1", port)
+    client.loop_start()
+    try:
+        yield client
+    finally:
+        client.disconnect()
+        client.loop_stop()
+
+
 class Run:
     """Stands for the run: a bounded queue, a thread that takes from it, acknowledging what it has taken.
 
@@ -160,7 +178,11 @@ class Run:
             if self.acknowledges:
                 self.source.acknowledge(taken)
 
+    def connected(self) -> None:
+        """Wait until the source is connected."""
+        wait_for(lambda: self.source.health.good, 30.0, lambda: f"a connection ({self.source.health.text})")
+
     def wait_for(self, count: int, seconds: float = 30.0) -> list[Message]:
         """Wait until that many messages have come, and return them all."""
-        wait_for(lambda: len(self.messages) >= count, seconds, f"message {count} (there are {len(self.messages)})")
+        wait_for(lambda: len(self.messages) >= count, seconds, lambda: f"message {count} ({len(self.messages)} came)")
         return self.messages

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from live.brokers import Mosquitto
+from live.brokers import Mosquitto, wait_for
 from live_examples import fed, monitor, opened, recording
-from live_runs import configuration, line, wait_for
+from live_runs import configuration, line
 from residua.live.watched_model import WatchedModel
 
 #: Part of the requests that the receiver refuses to answer.

@@ -6,8 +6,6 @@ import json
 import subprocess
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +14,7 @@ import pytest
 paho = pytest.importorskip("paho.mqtt.client", reason="paho-mqtt is not installed")
 
 from certificates import certificates  # noqa: E402
-from live.brokers import Mosquitto, Run, free_port, running, wait_for  # noqa: E402
+from live.brokers import Mosquitto, Run, free_port, publisher, running, wait_for  # noqa: E402
 from residua.live.source import LARGEST  # noqa: E402
 from residua.live.sources import mqtt  # noqa: E402
 from residua.live.sources.mqtt import Mqtt, Settings  # noqa: E402
@@ -26,20 +24,6 @@ VERSIONS = pytest.mark.parametrize("version", ["5", "3.1.1"])
 
 def settings(port: int, *topics: str, **more: Any) -> Settings:
     return Settings("run", topics or ("plants/{plant}/data",), host="127.0.0.1", port=port, **more)
-
-
-@contextmanager
-def publisher(port: int) -> Iterator[Any]:
-    client = paho.Client(paho.CallbackAPIVersion.VERSION2, client_id="publisher", clean_session=False)
-    client.reconnect_delay_set(1, 1)
-    client.max_inflight_messages_set(20)  # as many of QoS 2 as mosquitto takes
-    client.connect("127.0.0.1", port)
-    client.loop_start()
-    try:
-        yield client
-    finally:
-        client.disconnect()
-        client.loop_stop()
 
 
 def send(client: Any, first: int, count: int, qos: int = 1, topic: str = "plants/north/data") -> None:
@@ -52,16 +36,12 @@ def times(run: Run) -> list[int]:
     return [json.loads(m.payload)["t"] for m in run.messages]
 
 
-def connected(source: Mqtt) -> None:
-    wait_for(lambda: source.health.good, 20.0, "a connection")
-
-
 @VERSIONS
 @pytest.mark.parametrize("qos", [0, 1, 2])
 def test_every_message_comes_once_in_order(mosquitto: Mosquitto, version: str, qos: int) -> None:
     source = Mqtt(settings(mosquitto.port, version=version))
     with Run(source) as run:
-        connected(source)
+        run.connected()
         with publisher(mosquitto.port) as client:
             send(client, 0, 500, qos)
         run.wait_for(500)
@@ -74,7 +54,7 @@ def test_every_message_comes_once_in_order(mosquitto: Mosquitto, version: str, q
 @VERSIONS
 def test_what_was_acknowledged_does_not_come_again_and_the_rest_does(mosquitto: Mosquitto, version: str) -> None:
     with Run(Mqtt(settings(mosquitto.port, version=version))) as run:
-        connected(run.source)  # pyright: ignore
+        run.connected()
         with publisher(mosquitto.port) as client:
             send(client, 0, 10)
         run.wait_for(10)
@@ -99,7 +79,7 @@ def test_no_message_is_lost_when_the_broker_stops_and_starts(tmp_path: Path, ver
 
 def _interrupted(mosquitto: Mosquitto, source: Mqtt) -> None:
     with Run(source) as run, publisher(mosquitto.port) as client:
-        connected(source)
+        run.connected()
         stop = threading.Event()
         sent: list[int] = []
 
@@ -117,7 +97,7 @@ def _interrupted(mosquitto: Mosquitto, source: Mqtt) -> None:
             wait_for(lambda: not source.health.good, 20.0, "a word about the connection")
             time.sleep(0.1)
             mosquitto.start()
-            connected(source)
+            run.connected()
         stop.set()
         thread.join()
         wait_for(lambda: len(set(times(run))) == len(sent), 10.0, lambda: f"{set(sent) - set(times(run))}")
@@ -132,7 +112,7 @@ def test_a_run_that_takes_nothing_holds_up_the_broker_and_keeps_the_connection(
 ) -> None:
     source = Mqtt(settings(mosquitto.port, version=version, qos=qos, keepalive=5, receive_maximum=50))
     with Run(source, most=10) as run:
-        connected(source)
+        run.connected()
         run.takes.clear()
         with publisher(mosquitto.port) as client:
             send(client, 0, 5000, qos)
@@ -162,7 +142,7 @@ def test_large_messages_that_wait_are_bounded_and_come_again(tmp_path: Path, mon
     with running(tmp_path, "max_queued_messages 0") as mosquitto:
         source = Mqtt(settings(mosquitto.port, keepalive=5))
         with Run(source, most=1) as run:
-            connected(source)
+            run.connected()
             run.takes.clear()
             with publisher(mosquitto.port) as client:
                 for k in range(40):
@@ -184,7 +164,7 @@ def test_tls_with_a_certificate_that_is_checked(tmp_path: Path) -> None:
     with running(tmp_path, lines, plain):
         source = Mqtt(settings(secured, tls=True, ca_file=str(certificate)))
         with Run(source) as run:
-            connected(source)
+            run.connected()
             with publisher(plain) as client:
                 send(client, 0, 500)
                 client.publish("plants/north/data", json.dumps({"t": 500}) + " " * 200_000, qos=1)
@@ -193,14 +173,14 @@ def test_tls_with_a_certificate_that_is_checked(tmp_path: Path) -> None:
         assert times(run) == list(range(1001))
         for wrong in (settings(secured, tls=True), settings(secured)):  # another authority; no TLS
             source = Mqtt(wrong)
-            with Run(source):
+            with Run(source) as run:
                 wait_for(lambda source=source: "tries again" in source.health.text)
 
 
 def test_one_channel_to_a_topic(mosquitto: Mosquitto) -> None:
     source = Mqtt(settings(mosquitto.port, "plants/{plant}/data", "plants/{plant}/{channel}"))
     with Run(source) as run:
-        connected(source)
+        run.connected()
         with publisher(mosquitto.port) as client:
             for topic, text in [("level", "1.5"), ("data", "{}"), ("flow", '{"t": 3, "value": null}')]:
                 client.publish(f"plants/north/{topic}", text, qos=1).wait_for_publish(10)
@@ -223,7 +203,7 @@ def test_foreign_topics_large_payloads_and_what_was_kept_are_refused_in_their_tu
         run.wait_for(2)  # the session now has another subscription than the next one
     source = Mqtt(settings(mosquitto.port, version=version))
     with Run(source) as run:
-        connected(source)
+        run.connected()
         with publisher(mosquitto.port) as client:
             client.publish("plants/north/other", b"\xff\x00", qos=1)
             client.publish("plants/north/data", b"\xff\x00", qos=1)
@@ -242,12 +222,12 @@ def test_foreign_topics_large_payloads_and_what_was_kept_are_refused_in_their_tu
 def test_a_broker_that_is_not_there_is_waited_for(tmp_path: Path) -> None:
     broker = Mosquitto(tmp_path)
     source = Mqtt(settings(broker.port))
-    with Run(source):
+    with Run(source) as run:
         wait_for(lambda: "refused" in source.health.text)
         assert not source.health.good
         broker.start()
         try:
-            connected(source)
+            run.connected()
         finally:
             broker.kill()
 
@@ -288,8 +268,8 @@ def test_topics_that_a_broker_refuses_are_said() -> None:
 
 def test_a_session_that_the_broker_has_lost_is_said(mosquitto: Mosquitto) -> None:
     source = Mqtt(settings(mosquitto.port))
-    with Run(source):
-        connected(source)
+    with Run(source) as run:
+        run.connected()
         other = paho.Client(paho.CallbackAPIVersion.VERSION2, client_id="run")  # takes it over, and begins anew
         other.connect("127.0.0.1", mosquitto.port)
         other.loop_start()

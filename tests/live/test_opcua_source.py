@@ -34,10 +34,6 @@ def server() -> Iterator[OpcUaServer]:
         yield one
 
 
-def connected(source: OpcUa) -> None:
-    wait_for(lambda: source.health.good, 30.0, lambda: f"a connection ({source.health.text})")
-
-
 def of(run: Run, channel: str) -> list[tuple[Any, Any]]:
     """The values of a channel with their times, those that were there before left out."""
     return [(m.payload, m.time) for m in run.messages if m.channel == channel and m.time and m.time < 1.75e9]
@@ -46,7 +42,7 @@ def of(run: Run, channel: str) -> list[tuple[Any, Any]]:
 def test_every_value_comes_once_in_order_to_its_last_bit(server: OpcUaServer) -> None:
     source = OpcUa(Settings(server.url, NODES, interval=0.05))
     with Run(source) as run:
-        connected(source)
+        run.connected()
         run.wait_for(2)  # what is there now
         rows = [(k / 3, -k / 7, BEGIN + k / 8) for k in range(1, 301)]
         for k in range(0, 300, 50):
@@ -64,7 +60,7 @@ def test_every_value_comes_once_in_order_to_its_last_bit(server: OpcUaServer) ->
 def test_a_status_that_is_not_good_is_a_missing_value(server: OpcUaServer) -> None:
     source = OpcUa(Settings(server.url, {"north": {name: f"ns=2;s={name}" for name in VARIABLES}}, interval=0.05))
     with Run(source) as run:
-        connected(source)
+        run.connected()
         run.wait_for(len(VARIABLES))
         codes = (ua.StatusCodes.Good, ua.StatusCodes.BadSensorFailure, ua.StatusCodes.UncertainLastUsableValue)
         for k, code in enumerate(codes):
@@ -85,20 +81,20 @@ def test_it_connects_again_when_the_server_is_back(server: OpcUaServer) -> None:
     source = OpcUa(Settings(server.url, NODES, interval=0.05))
     with Run(source) as run:
         for k in range(2):
-            connected(source)
+            run.connected()
             server.set("north.level", 1.0 + k, BEGIN + k)
             wait_for(lambda k=k: (1.0 + k, BEGIN + k) in of(run, "level"))
             server.stop()
             wait_for(lambda: not source.health.good, 30.0)
             server.start()
-        connected(source)
+        run.connected()
 
 
 def test_a_run_that_takes_nothing_holds_up_the_server(server: OpcUaServer, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("residua.live.sources.opcua._MOST", 50)
     source = OpcUa(Settings(server.url, NODES, interval=0.05, queue=100_000))
     with Run(source, most=10) as run:
-        connected(source)
+        run.connected()
         run.wait_for(2)
         run.takes.clear()
         server.set_all([("north.level", float(k), BEGIN + k) for k in range(1000)])
@@ -123,7 +119,7 @@ def test_nodes_by_namespace_and_by_pattern_and_those_that_are_not_there(server: 
     )
     source = OpcUa(settings)
     with Run(source) as run:
-        connected(source)
+        run.connected()
         run.wait_for(4)
         assert "3 are not there" in source.health.text
     assert {(m.plant, m.channel) for m in run.messages} == {
@@ -188,7 +184,7 @@ def test_users_and_certificates(tmp_path: Path) -> None:
             source = OpcUa(settings)
             with Run(source) as run:
                 if good:
-                    connected(source)
+                    run.connected()
                     run.wait_for(2)
                 else:
                     wait_for(lambda source=source: "tries again" in source.health.text, 30.0)

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from live.brokers import wait_for
 from live_examples import recording, told
-from live_runs import Nobody, configuration, line, wait_for
+from live_runs import Nobody, configuration, line
 from residua.errors import DataError
 from residua.live.config import load_settings
 from residua.live.delivery import Delivery, Sink

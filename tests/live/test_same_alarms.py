@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from live.brokers import Mosquitto, free_port
+from live.brokers import Mosquitto, free_port, publisher, wait_for
 from live_examples import alarms_of_run, monitor, recording
-from live_runs import alarms_in, command, configuration, line, running, wait_for
+from live_runs import alarms_in, command, configuration, line, running
 
 SAMPLES = 2200
 TIMES = np.arange(SAMPLES, dtype=float)
@@ -89,7 +89,7 @@ def test_mqtt(
     published: Callable[[np.ndarray], Iterator[tuple[str, str]]],
     wait: float,
 ) -> None:
-    paho = pytest.importorskip("paho.mqtt.client")
+    pytest.importorskip("paho.mqtt.client")
     source = f"""[[sources]]
 kind = "mqtt"
 client_id = "residua"
@@ -98,16 +98,11 @@ port = {mosquitto.port}
 topics = ["plants/{{plant}}/{topic}"]
 [sampling]
 wait = {wait}"""
-    client = paho.Client(paho.CallbackAPIVersion.VERSION2)
-    client.connect("127.0.0.1", mosquitto.port)
-    client.loop_start()
-    with running(configuration(tmp_path, source)) as run:
+    with running(configuration(tmp_path, source)) as run, publisher(mosquitto.port) as client:
         wait_for(lambda: run.sources[0].health.good)
         for message in published(rows):
             client.publish(*message, qos=1)
         wait_for(lambda: run.watch.plants["north"].count == SAMPLES)
-    client.disconnect()
-    client.loop_stop()
     assert alarms_in(tmp_path / "live.db") == wanted
 
 
