@@ -143,30 +143,19 @@ def attainable(
     """
     space = fault_space(plant)
     if structure is None:
-        rows = all_rows(space, constant, most)
-        names = tuple(f"r{i + 1}" for i in range(len(rows)))
-        fine = np.ones(len(rows), dtype=bool)
-        return Attainability(plant, plant.faults, names, rows, fine, {}, space.dimension, constant)
-    named = structure_rows(structure, plant.faults)
-    why = {name: _failure(space, row, constant) for name, row in named.items()}
-    return Attainability(
-        plant,
-        plant.faults,
-        tuple(named),
-        np.array(list(named.values()), dtype=bool),
-        np.array([not reason for reason in why.values()]),
-        {name: reason for name, reason in why.items() if reason},
-        space.dimension,
-        constant,
-    )
+        rows, reasons = {f"r{i + 1}": row for i, row in enumerate(all_rows(space, constant, most))}, {}
+    else:
+        rows = structure_rows(structure, plant.faults)
+        reasons = {name: why for name, row in rows.items() if (why := _failure(space, row, constant))}
+    table = np.array([*rows.values()], dtype=bool).reshape(len(rows), len(plant.faults))
+    fine = np.array([name not in reasons for name in rows], dtype=bool)
+    return Attainability(plant, plant.faults, tuple(rows), table, fine, reasons, space.dimension, constant)
 
 
 def all_rows(space: FaultSpace, constant: bool, most: int) -> NDArray[np.bool_]:
     """Return every attainable row, those with fewest zeros first."""
-    rows = []
-    for flat, basis in space.flats(most):
-        if not constant or space.lasting(basis)[~flat].all():
-            rows.append(~flat)
+    flats = space.flats(most)
+    rows = [~flat for flat, basis in flats if not constant or space.lasting(basis)[~flat].all()]
     rows.sort(key=lambda row: (np.count_nonzero(~row), row.tolist()))
     return np.array(rows, dtype=bool).reshape(len(rows), len(space.faults))
 
@@ -187,9 +176,8 @@ def _failure(space: FaultSpace, row: NDArray[np.bool_], constant: bool) -> str:
             by_hiders.setdefault(tuple(sorted(space.hiders(j, ignored))), []).append(j)
     for hiders, faults in by_hiders.items():
         one = f"a residual that ignores {_listed(space, hiders)} cannot see {_listed(space, faults)}"
-        because = "they span the same direction" if len(hiders) == 1 else "together they can imitate it"
-        if len(hiders) > 1 and len(faults) > 1:
-            because = "together they can imitate them"
+        imitated = "it" if len(faults) == 1 else "them"
+        because = "they span the same direction" if len(hiders) == 1 else f"together they can imitate {imitated}"
         reasons.append(f"{one}: {because}")
     if constant and not reasons:
         passing = [int(j) for j in np.flatnonzero(row & ~space.lasting(basis))]

@@ -88,15 +88,13 @@ def unknown_input_observer_existence(plant: Plant) -> UnknownInputExistence:
     model = plant.balanced
     q = model.quotient()
     rank_CE, rank_E, hidden = _conditions(model)
-    useful = bool(len(q.H))
-    fixed = np.zeros(0, dtype=complex)
-    if not q.proper:
-        reason = _improper(plant, rank_CE, rank_E, hidden)
-        return UnknownInputExistence(False, (reason,), rank_CE, rank_E, fixed, useful, q.near)
-    modes = q.hidden_modes
+    modes = q.hidden_modes if q.proper else np.zeros(0, dtype=complex)
     unstable = model.units.rate * modes[~is_inside(modes, plant.is_discrete)]
-    reasons = (_unstable(plant, unstable),) if unstable.size else ()
-    return UnknownInputExistence(not reasons, reasons, rank_CE, rank_E, model.units.rate * modes, useful, q.near)
+    reasons: tuple[str, ...] = (_unstable(plant, unstable),) if unstable.size else ()
+    if not q.proper:
+        reasons = (_improper(plant, rank_CE, rank_E, hidden),)
+    fixed, useful = model.units.rate * modes, bool(len(q.H))
+    return UnknownInputExistence(not reasons, reasons, rank_CE, rank_E, fixed, useful, q.near)
 
 
 def _conditions(model: BalancedPlant) -> tuple[RankDecision, RankDecision, NDArray[np.float64]]:

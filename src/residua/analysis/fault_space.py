@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import DesignError
-from residua.linear.subspaces.quotient import Quotient
 from residua.plant import Plant
 from residua.plant.balanced import BalancedPlant
 from residua.tolerances import BALANCED_ANSWER
@@ -50,7 +49,7 @@ class FaultSpace:
 
     def drive(self, ignored: Sequence[int]) -> NDArray[np.float64]:
         """Return the strength of each fault in the residuals that ignore the disturbances and some faults."""
-        return np.linalg.norm(_columns(self.model, self.model.quotient(ignored)), axis=0)
+        return np.linalg.norm(self.model.quotient(ignored).drive(*self.model.faults), axis=0)
 
     def closure(self, ignored: Sequence[int]) -> NDArray[np.bool_]:
         """Return the faults that every residual ignores that ignores these."""
@@ -83,7 +82,7 @@ class FaultSpace:
         F, G = q.pair
         M = np.vstack([O.T @ F @ O - self.model.boundary * np.eye(O.shape[1]), G @ O])
         left = np.linalg.svd(M)[0][:, M.shape[1] :] if M.size else np.eye(len(M))
-        return left.T @ _columns(self.model, q)
+        return left.T @ q.drive(*self.model.faults)
 
     def hiders(self, fault: int, basis: Sequence[int]) -> list[int]:
         """Return a smallest part of some faults that hides one of their closure; empty for one that is not visible."""
@@ -143,7 +142,3 @@ def fault_space(plant: Plant) -> FaultSpace:
     if not plant.faults:
         raise DesignError("the plant has no faults: add some with with_sensor_faults or with_faults")
     return FaultSpace(plant.balanced)
-
-
-def _columns(model: BalancedPlant, q: Quotient) -> NDArray[np.float64]:
-    return q.drive(*model.faults)

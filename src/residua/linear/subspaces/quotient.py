@@ -56,10 +56,17 @@ class Quotient:
 
     @cached_property
     def known(self) -> tuple[Matrix, Matrix]:
-        """``D_q^+`` and ``H``: rows that read the inputs from the outputs, and rows that read none of them."""
-        U, s, Vh = np.linalg.svd(self.D)
-        k = self.D.shape[1]
-        return without_rounding(Vh.T / s @ U[:, :k].T), without_rounding(U[:, k:].T)
+        """``D_q^+`` and ``H``: rows that read the inputs from the outputs, and rows that read none of them.
+
+        An output that no input enters has a row of its own: a dead sensor with much noise is not mixed with the others.
+        """
+        p, k = self.D.shape
+        entered = np.flatnonzero(self.D.any(axis=1))
+        U, s, Vh = np.linalg.svd(self.D[entered])
+        inverse, H = np.zeros((k, p)), np.eye(p)
+        inverse[:, entered] = Vh.T / s @ U[:, :k].T
+        H[np.ix_(entered, entered)] = U.T
+        return without_rounding(inverse), without_rounding(np.delete(H, entered[:k], axis=0))
 
     @cached_property
     def J(self) -> Matrix:
