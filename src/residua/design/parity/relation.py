@@ -168,10 +168,15 @@ def realize_relation(p: Matrix, q: Matrix, controls: tuple[Matrix, Matrix], basi
     k = len(q) - 1
     entering = np.hstack([-(p @ controls[0] + q @ controls[1]), q])
     last = basis.sizes[0] * np.eye(k)[-1:] if k else np.zeros((1, 0))
+    return Realization(chain(basis, k), entering[:k], last, entering[k:], -p[:k], p[k:])
+
+
+def chain(basis: PolynomialBasis, k: int) -> Matrix:
+    """Return the state matrix of the first sections."""
     A = np.diag(basis.real[:k]) + np.diag(basis.sizes[: max(k - 1, 0)], -1)[:k, :k]
     for j in np.flatnonzero(basis.imaginary[:k]):  # the first of a conjugate pair
         A[j, j + 1] = -basis.links[j + 1]
-    return Realization(A, entering[:k], last, entering[k:], -p[:k], p[k:])
+    return A
 
 
 def pole_basis(poles: NDArray[np.complex128], size: float = 1.0) -> PolynomialBasis:
