@@ -1,4 +1,4 @@
-"""From any residual generator to its parity relations."""
+"""Parity relations of any residual generator."""
 
 from __future__ import annotations
 

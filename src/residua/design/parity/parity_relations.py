@@ -15,9 +15,11 @@ from residua.design.core.method import method
 from residua.design.parity.relation_model import relation_model
 from residua.design.parity.relations import Poles, relations_of
 from residua.design.parity.shortest import relation_space, shortest_space, with_rank
-from residua.errors import DesignError, SettingError
+from residua.errors import AccuracyError, DesignError, SettingError
+from residua.linear.polynomials.pair_relations import PairRelations
 from residua.plant import Plant
 from residua.plant.input_output_model import InputOutputModel
+from residua.tolerances import BALANCED_RANK, NEAR
 
 #: States of the filters of all relations of an order together, beyond which a design takes many seconds.
 _MOST_STATES = 300
@@ -118,12 +120,23 @@ def parity_relations(
         )
     if order is not None and order < equations.orders[0]:
         raise DesignError(f"no relation of order {order} ignores {what}: the smallest order is {equations.orders[0]}")
-    if order is None:
-        space = shortest_space(chosen, equations)
-    else:
-        space = relation_space(equations, order, chosen.balanced.faults)
     notes = (*model.notes, *((f"ignores {', '.join(ignored)}",) if ignored else ()))
-    return with_rank(relations_of(model.plant, space.relations).with_poles(poles, notes=notes), space)
+
+    def design(used: PairRelations) -> ResidualGenerator:
+        if order is None:
+            space = shortest_space(chosen, used)
+        else:
+            space = relation_space(used, order, chosen.balanced.faults)
+        generator = relations_of(model.plant, space.relations).with_poles(poles, notes=notes)
+        return with_rank(generator, space, equations.near)
+
+    try:
+        return design(equations)
+    except AccuracyError:  # where a rank is hardly decided, shorter relations may hold to working precision
+        near = chosen.equations(ignored, tolerance=NEAR * BALANCED_RANK)
+        if order is not None or not equations.near or near.orders is None:
+            raise
+        return design(near)
 
 
 def parity_orders(

@@ -1,4 +1,4 @@
-"""Parity relations as objects: what they say, how they print, and the filters that evaluate them."""
+"""Parity relations as objects: their polynomials, their text, and the filters that evaluate them."""
 
 from __future__ import annotations
 
@@ -27,8 +27,9 @@ from residua.design.parity.relation import (
     realize_by_least_squares,
     realize_relation,
 )
-from residua.errors import AccuracyError, DesignError, SettingError
-from residua.linear import PolynomialMatrix, StateSpace, is_stable_mode
+from residua.errors import AccuracyError, DesignError, ModelError, SettingError
+from residua.linear import PolynomialMatrix, StateSpace
+from residua.linear.poles.pole_assignment import checked_poles
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.plant import Plant
 from residua.shown import Shown
@@ -94,7 +95,7 @@ class ParityRelations(Shown):
 
     @property
     def divided(self) -> tuple[NDArray[np.complex128], ...]:
-        """For each residual the roots of the common factor that was divided out."""
+        """Roots of the common factor that was divided out of each residual."""
         return tuple(row.divided for row in self.rows)
 
     @cached_property
@@ -386,16 +387,10 @@ def _checked_poles(poles: Any, order: int, name: str, plant: Plant) -> NDArray[n
             f"relation {name!r} is of order {order}: give {counted(order, 'pole')}, not {values.size}, "
             "by name of the residual where orders differ"
         )
-    if not np.isfinite(values).all():
-        raise SettingError("poles must be finite")
-    pairs = np.sort_complex(values[values.imag > 0]), np.sort_complex(values[values.imag < 0].conj())
-    if len(pairs[0]) != len(pairs[1]) or not np.allclose(*pairs, rtol=1e-12, atol=0):
-        raise SettingError("the poles are not closed under conjugation")
-    unstable = values[~is_stable_mode(values, plant.dt)]
-    if len(unstable):
-        where = "inside the unit circle" if plant.is_discrete else "in the left half plane"
-        raise SettingError(f"pole {format_pole(unstable[0])} is not stable: poles must lie {where}")
-    return values
+    try:
+        return checked_poles(values, plant.is_discrete)
+    except (DesignError, ModelError) as error:
+        raise SettingError(str(error)) from error
 
 
 def terms_of(rows: NDArray[np.float64], signals: Sequence[str], discrete: bool) -> Iterator[tuple[float, str]]:

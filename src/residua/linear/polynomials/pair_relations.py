@@ -61,7 +61,7 @@ class PairRelations:
 
     @cached_property
     def pair(self) -> tuple[Matrix, Matrix]:
-        """``(F, G)``."""
+        """Matrices ``(F, G)`` of the states that are seen."""
         F, G = self.quotient.pair
         return without_rounding(self.seen.T @ F @ self.seen), without_rounding(G @ self.seen)
 
@@ -73,19 +73,19 @@ class PairRelations:
 
     @cached_property
     def injection(self) -> Matrix:
-        """``K`` that leaves least of ``F - K G`` around its center: what outputs tell needs no state."""
+        """Gain ``K`` that leaves least of ``F - K G`` around its center: outputs carry the fast couplings."""
         F, G = self.pair
         return (F - self.center * np.eye(len(F))) @ np.linalg.pinv(G, rcond=BALANCED_RANK)
 
     @cached_property
     def injected(self) -> tuple[Matrix, Matrix]:
-        """``(F - K G, G)``, of which the rows are ``w`` and ``v + w K``."""
+        """Matrices ``(F - K G, G)``, of which the rows are ``w`` and ``v + w K``."""
         F, G = self.pair
         return without_rounding(F - self.injection @ G), G
 
     @cached_property
     def new(self) -> list[int]:
-        """For each order the number of rows that are no sums of multiples of shorter ones, up to the longest."""
+        """Number of rows of each order that are no sums of multiples of shorter ones, up to the longest."""
         m, ranks = len(self.pair[1]), [one.rank for one in self.quotient.split.decisions]
         missing = [m - rank for rank in ranks if rank] + [m]
         return [missing[0], *np.diff(missing).tolist()]
@@ -209,7 +209,8 @@ def _null_rows(F: Matrix, G: Matrix, basis: PolynomialBasis, order: int, count: 
     The coefficients follow from each other from the highest on, :math:`\rho_{j-1} w_{j-1} = v_j G + w_j (F - a_j I) +
     \beta_{j+1} w_{j+1}`, with every ``v_j`` free; the last equation leaves conditions on all that was free. After each
     step the free parameters are made orthonormal in all coefficients so far, so that what grows hides nothing. The
-    ``count`` rows are those that miss their equations least.
+    ``count`` rows are those that miss their equations least; where more miss them by rounding alone, those of which the
+    newest coefficient is largest.
     """
     m, k = len(G), order
     before, now = np.zeros((2, 0, len(F)))
@@ -225,14 +226,18 @@ def _null_rows(F: Matrix, G: Matrix, basis: PolynomialBasis, order: int, count: 
         before, now = (scipy.linalg.solve_triangular(R, part, trans="T") for part in (now, left))
         steps.append((R, now))
     U, s, _ = np.linalg.svd(left) if left.size else (np.eye(len(left)), np.zeros(0), None)
-    chosen = U[:, len(U) - count :]
-    w, v = np.zeros((count, k + 1, len(F))), np.zeros((count, k + 1, m))
+    null = len(left) - int(np.count_nonzero(s > NEGLIGIBLE * s.max(initial=0.0)))
+    chosen = U[:, len(U) - max(count, null) :]
+    w, v = np.zeros((chosen.shape[1], k + 1, len(F))), np.zeros((chosen.shape[1], k + 1, m))
     for j in range(k + 1):
         v[:, j], chosen = chosen[len(chosen) - m :].T, chosen[: len(chosen) - m]
         if steps:
             R, now = steps.pop()
             w[:, j] = chosen.T @ now
             chosen = scipy.linalg.solve_triangular(R, chosen)
+    if len(v) > count:
+        newest = np.linalg.svd(v[:, k])[0][:, :count].T
+        w, v = np.tensordot(newest, w, 1), np.tensordot(newest, v, 1)
     return w, v, s
 
 

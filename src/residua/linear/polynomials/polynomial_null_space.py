@@ -75,7 +75,10 @@ def left_null_vectors(
     """
     balanced, units = _balanced(P, variable)
     W, decision = left_null_basis(_toeplitz(balanced, degree), rtol=rtol)
-    return _null_vectors(W, decision, units, degree, variable)
+    vectors = W.T.reshape(W.shape[1], degree + 1, len(units))
+    size = np.abs(vectors).max(axis=(1, 2), keepdims=True, initial=0.0)
+    powers = variable ** -np.arange(degree + 1.0)
+    return NullVectors(above_rounding(vectors, size, RESIDUE) * powers[:, None] * units, decision, units)
 
 
 def shortest_left_null_vectors(
@@ -96,28 +99,15 @@ def shortest_left_null_vectors(
     NullVectors or None
         ``None`` when there is none up to that degree.
     """
-    balanced, units = _balanced(P, variable)
-    rows = P.shape[0]
+    balanced, rows = _balanced(P, variable)[0], P.shape[0]
 
     def exists(degree: int) -> bool:
         return decide_rank(_toeplitz(balanced, degree), rtol=rtol).rank < rows * (degree + 1)
 
     if rows == 0 or not exists(most):
         return None
-    low = bisect_left(range(most + 1), True, key=exists)
-    W, decision = left_null_basis(_toeplitz(balanced, low), rtol=rtol)
-    return _null_vectors(W, decision, units, low, variable)
-
-
-def _null_vectors(
-    W: NDArray[np.float64], decision: RankDecision, units: NDArray[np.float64], degree: int, variable: float
-) -> NullVectors:
-    """Return null vectors of the balanced Toeplitz matrix in the units of the polynomial matrix."""
-    powers = variable ** -np.arange(degree + 1.0)
-    vectors = W.T.reshape(W.shape[1], degree + 1, len(units))
-    size = np.abs(vectors).max(axis=(1, 2), initial=0.0)
-    vectors = above_rounding(vectors, size[:, None, None], RESIDUE)
-    return NullVectors(vectors * powers[:, None] * units, decision, units)
+    shortest = bisect_left(range(most + 1), True, key=exists)
+    return left_null_vectors(P, shortest, rtol=rtol, variable=variable)
 
 
 def _balanced(P: PolynomialMatrix, variable: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -56,7 +56,7 @@ class RankDecision:
 
     @property
     def is_clear(self) -> bool:
-        """Whether no singular value lies within a factor of 1000 of the tolerance."""
+        """Clearness: no singular value lies within a factor of 1000 of the tolerance."""
         return self.largest_dropped < self.tolerance / NEAR and self.smallest_kept > self.tolerance * NEAR
 
     def __str__(self) -> str:

@@ -120,7 +120,7 @@ class StateSpace:
 
     @property
     def is_discrete(self) -> bool:
-        """Whether the system is sampled."""
+        """Flag of a system in sampled time."""
         return self.dt > 0
 
     @cached_property
