@@ -53,7 +53,7 @@ class CompiledExport:
     def __init__(self, made: MonitorProgram, folder: Path, *flags: str) -> None:
         real = made.precision.name
         names = made.program.names
-        kept = [names[name] for name in _ORDER if name in names]
+        kept = [names[name] for name in _ORDER if name in names and names[name].role == "output"]
         lines, self._width = [], 0
         for one in kept:
             for j in range(1 if one.size is None else one.size):

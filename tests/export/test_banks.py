@@ -151,7 +151,7 @@ def test_the_self_test_of_a_bank_passes(seed: int, precision: str, tmp_path: Pat
     assert "fired[0]" in (folder / "w.h").read_text()
     if precision == "double":
         text = (folder / "w.c").read_text()
-        (folder / "w.c").write_text(text.replace("decision->fired[m] = ", "decision->fired[m] = !"))
+        (folder / "w.c").write_text(text.replace("decision->fired[i] = ", "decision->fired[i] = !"))
         other = subprocess.run(["make", "test"], cwd=folder, capture_output=True, text=True, check=False)
         assert other.returncode != 0
         assert "FAILED" in other.stdout

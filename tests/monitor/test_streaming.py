@@ -22,7 +22,7 @@ from residua.recording import streams
 from residua.recording.columns import ReadOptions
 from residua.recording.recording import read_recording
 from residua.recording.table_writer import write_table
-from residua.report import thinned
+from residua.report import decimate
 
 pytest.importorskip("pyarrow")
 
@@ -39,7 +39,7 @@ def small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make pieces, blocks and charts so small that recordings of a test have many."""
     monkeypatch.setattr(streams, "ROWS", 173)
     monkeypatch.setattr(streams, "BYTES", 5000)
-    monkeypatch.setattr(thinned, "POINTS", 500)
+    monkeypatch.setattr(decimate, "POINTS", 500)
 
 
 def table(step: float = 0.5) -> dict[str, np.ndarray]:
@@ -188,7 +188,7 @@ def test_a_thinned_diagnosis(tmp_path: Path) -> None:
 
 
 def test_a_short_recording_is_kept_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(thinned, "POINTS", 10_000)
+    monkeypatch.setattr(decimate, "POINTS", 10_000)
     path, monitor = tmp_path / "a.csv", MONITORS["direction"]()
     write_table(path, table())
     part, whole = monitor.run_file(path), monitor.run(path)

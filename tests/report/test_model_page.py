@@ -12,8 +12,8 @@ import pytest
 import residua as rs
 from page_reader import words
 from residua.report import write_model_page
+from residua.report.drawings import stems
 from residua.report.model_page import LAGS, autocorrelation
-from residua.report.model_pictures import stems
 
 ROWS = 3000
 

@@ -1138,7 +1138,7 @@ score_lines(const isolation_plan *n, const piece *p, const double *columns, doub
 #endif
 
 #define LONG_MEANS 2
-static const double LONG_WEIGHTS[LONG_MEANS] = {0.125, 0.015625}; /* as residua.decide.clear_mean has them */
+static const double LONG_WEIGHTS[LONG_MEANS] = {0.125, 0.015625}; /* as residua.decide.directional has them */
 
 /* Put the long means of one sample on, and a longer one in the place of the sample where it is clear, or no shorter. */
 INLINE void

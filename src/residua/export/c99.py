@@ -179,7 +179,7 @@ def code(made: MonitorProgram, prefix: str) -> str:
         *([] if made.outputs else ["    (void)y;"]),
     ]
     for part in made.program.sections:
-        lines += ["", f"    /* {part.title} */", *indented(c.block(part.statements))]
+        lines += ["", f"    /* {part.title} */", *indented(c.block(part.loops))]
     return "\n".join([*lines, "}"]) + "\n"
 
 

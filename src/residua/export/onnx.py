@@ -17,8 +17,7 @@ from residua.export.monitor_program import MonitorProgram, monitor_program, prec
 from residua.export.one_file import file_for, named_after
 from residua.export.program import Variable
 from residua.export.selftest import DOUBLE_UNIT, Comparison, comparison, rounding_bound
-from residua.export.tensor_program import TensorProgram
-from residua.export.tensors import Node
+from residua.export.tensor_program import Node, TensorProgram
 from residua.files import replacing
 from residua.monitor import Monitor
 
@@ -231,10 +230,7 @@ def _model(
     info = helper.make_tensor_value_info
     inputs = [info(one.name, real, ["samples", one.size]) for one in signals]
     inputs += [info("state", real, [sizes[0]]), info("counts", types.INT64, [sizes[1]])]
-    outputs = [
-        info(one.name, of_kind[one.kind], ["samples", *([] if one.size is None else [one.size])])
-        for one in body.outputs
-    ]
+    outputs = [info(one.name, of_kind[one.kind], ["samples", *one.shape]) for one in body.outputs]
     outputs += [info("next_state", real, [sizes[0]]), info("next_counts", types.INT64, [sizes[1]])]
     graph = helper.make_graph(nodes, name, inputs, outputs, [*_constants(onnx, made, sizes), *body.constants])
     model = helper.make_model(
@@ -275,21 +271,19 @@ class _Body:
 
     def __init__(self, onnx: Any, made: MonitorProgram, of_kind: dict[str, int]) -> None:
         self._onnx, self._types = onnx, of_kind
-        program = TensorProgram(made)
-        tensors = program.tensors
+        tensors = TensorProgram(made)
         self.states = [*_states(made, real=True), *_states(made, real=False)]
         self.outputs = sorted(made.program.of_role("output"), key=lambda one: _OUTPUTS.index(one.name))
         signals = [one for one in made.program.of_role("input") if one.size]
-        given = [(one, tensors.named(program.value(one.name))) for one in (*self.states, *self.outputs)]
+        given = [(one, tensors.named(one.name)) for one in (*self.states, *self.outputs)]
         ends = [Node("Identity", (name,), (f"{one.name}_next",), {}) for one, name in given]
         nodes = _used([*tensors.nodes, *ends], {f"{one.name}_next" for one, _ in given})
         info = onnx.helper.make_tensor_value_info
-        shapes = {one.name: [] if one.size is None else [one.size] for one in made.program.variables}
         self.graph = onnx.helper.make_graph(
             [self._node(one) for one in nodes],
             "sample",
-            [info(f"{one.name}_now", of_kind[one.kind], shapes[one.name]) for one in (*self.states, *signals)],
-            [info(f"{one.name}_next", of_kind[one.kind], shapes[one.name]) for one, _ in given],
+            [info(f"{one.name}_now", of_kind[one.kind], one.shape) for one in (*self.states, *signals)],
+            [info(f"{one.name}_next", of_kind[one.kind], one.shape) for one, _ in given],
         )
         wanted = _names(nodes)
         self.constants = [
@@ -335,6 +329,11 @@ def _names(nodes: Sequence[Node]) -> set[str]:
     return found
 
 
+def _shape(one: Variable) -> str:
+    """Return the name of the constant with the shape of a variable."""
+    return f"shape_{'x'.join(map(str, one.shape))}"
+
+
 def _unpacked(helper: Any, made: MonitorProgram, of_kind: dict[str, int]) -> tuple[list[Any], list[str]]:
     """Return the nodes that take the state apart, and the names of the parts."""
     nodes, names = [], []
@@ -345,12 +344,8 @@ def _unpacked(helper: Any, made: MonitorProgram, of_kind: dict[str, int]) -> tup
             continue
         nodes.append(helper.make_node("Split", [whole, f"sizes_of_{whole}"], [f"{one.name}_part" for one in parts]))
         for one in parts:
-            shaped = f"{one.name}_shaped"
-            if one.size is None:
-                nodes.append(helper.make_node("Squeeze", [f"{one.name}_part", "first_axis"], [shaped]))
-            else:
-                nodes.append(helper.make_node("Identity", [f"{one.name}_part"], [shaped]))
-            nodes.append(helper.make_node("Cast", [shaped], [f"{one.name}_before"], to=of_kind[one.kind]))
+            nodes.append(helper.make_node("Reshape", [f"{one.name}_part", _shape(one)], [f"{one.name}_shaped"]))
+            nodes.append(helper.make_node("Cast", [f"{one.name}_shaped"], [f"{one.name}_before"], to=of_kind[one.kind]))
     return nodes, names
 
 
@@ -372,7 +367,7 @@ def _packed(helper: Any, made: MonitorProgram, of_kind: dict[str, int]) -> list[
 
 def _constants(onnx: Any, made: MonitorProgram, sizes: Sequence[int]) -> list[Any]:
     """Return the constants for the nodes around the Scan."""
-    made_of = {"first_axis": [0], "row": [-1]}
+    made_of = {"row": [-1], **{_shape(one): one.shape for one in made.program.of_role("state")}}
     for whole, real, size in (("state", True, sizes[0]), ("counts", False, sizes[1])):
         if size:
             made_of[f"sizes_of_{whole}"] = [_size(one) for one in _states(made, real=real)]

@@ -98,7 +98,7 @@ def function_block(made: MonitorProgram, name: str) -> str:
         *st.section("VAR_TEMP", program.of_role("local"), [f"{name} : DINT;" for name in program.counters]),
     ]
     for part in program.sections:
-        lines += ["", f"(* {part.title} *)", *st.block(part.statements)]
+        lines += ["", f"(* {part.title} *)", *st.block(part.loops)]
     return "\n".join([*lines, "END_FUNCTION_BLOCK"]) + "\n"
 
 

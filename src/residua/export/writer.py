@@ -6,7 +6,7 @@ import ast
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
-from residua.export.program import Program, Variable
+from residua.export.program import Program, Variable, kind_of, parts_of
 
 #: How tightly operations bind; a logical one has parentheses around its parts, since languages differ there.
 _RANK = {ast.Or: 1, ast.And: 2, ast.Compare: 3, ast.Add: 4, ast.Sub: 4, ast.Mult: 5, ast.Div: 5}
@@ -62,7 +62,7 @@ class Writer(ABC):
     def _statement(self, one: ast.stmt) -> list[str]:
         if isinstance(one, ast.Assign):
             (target,) = one.targets
-            kind = self.kind(target)
+            kind = self._kind(target)
             return [self.assignment(self.expression(target, kind)[0], self.expression(one.value, kind)[0])]
         if isinstance(one, ast.If):
             return self.condition(self.expression(one.test, "flag")[0], self.block(one.body), self.block(one.orelse))
@@ -76,26 +76,6 @@ class Writer(ABC):
 
     # --------------------------------------------------------------------- expressions
 
-    def kind(self, node: ast.expr) -> str:
-        """Return the kind of an expression: a real number, a count, or a flag."""
-        if isinstance(node, (ast.Name, ast.Subscript)):
-            name = node.id if isinstance(node, ast.Name) else self._name(node)
-            return self.variables[name].kind if name in self.variables else "count"
-        if isinstance(node, ast.BinOp):
-            return "real" if "real" in (self.kind(node.left), self.kind(node.right)) else "count"
-        if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
-            return self.kind(node.operand)
-        if isinstance(node, ast.Call):
-            return "real"
-        if isinstance(node, ast.Constant) and not isinstance(node.value, bool):
-            return "real" if isinstance(node.value, float) else "count"
-        return "flag"
-
-    @staticmethod
-    def _name(node: ast.Subscript) -> str:
-        assert isinstance(node.value, ast.Name)
-        return node.value.id
-
     def expression(self, node: ast.expr, kind: str) -> tuple[str, int]:
         """Return an expression as text, and its precedence."""
         if isinstance(node, ast.Constant):
@@ -106,24 +86,27 @@ class Writer(ABC):
         if isinstance(node, ast.Name):
             return self.place(self.variables.get(node.id), node.id, None), _ATOM
         if isinstance(node, ast.Subscript):
-            name = self._name(node)
-            return self.place(self.variables[name], name, self.expression(node.slice, "count")[0]), _ATOM
+            name, (place,) = parts_of(node)
+            return self.place(self.variables[name], name, self.expression(place, "count")[0]), _ATOM
         if isinstance(node, ast.Call):
             assert isinstance(node.func, ast.Name)
             return self.call(node.func.id, self.expression(node.args[0], "real")[0]), _ATOM
         return self._operation(node)
 
+    def _kind(self, node: ast.expr) -> str:
+        return kind_of(node, self.variables)
+
     def _operation(self, node: ast.expr) -> tuple[str, int]:
         if isinstance(node, ast.BinOp):
-            kind, rank = self.kind(node), _RANK[type(node.op)]
+            kind, rank = self._kind(node), _RANK[type(node.op)]
             left, right = self._within(node.left, kind, rank), self._within(node.right, kind, rank + 1)
             return f"{left} {self.SIGNS[type(node.op)]} {right}", rank
         if isinstance(node, ast.UnaryOp):
-            kind = "flag" if isinstance(node.op, ast.Not) else self.kind(node.operand)
+            kind = "flag" if isinstance(node.op, ast.Not) else self._kind(node.operand)
             return f"{self.SIGNS[type(node.op)]}{self._within(node.operand, kind, _ATOM)}", _UNARY
         if isinstance(node, ast.Compare):
             other, rank = node.comparators[0], _RANK[ast.Compare]
-            kind = "real" if "real" in (self.kind(node.left), self.kind(other)) else self.kind(other)
+            kind = "real" if "real" in (self._kind(node.left), self._kind(other)) else self._kind(other)
             left, right = (self._within(one, kind, rank + 1) for one in (node.left, other))
             return f"{left} {self.SIGNS[type(node.ops[0])]} {right}", rank
         assert isinstance(node, ast.BoolOp)

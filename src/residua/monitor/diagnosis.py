@@ -530,7 +530,7 @@ class Diagnosis(Guessed, Shown):
 
     def thinned_to_draw(self, table: str = "") -> Diagnosis:
         """Return the diagnosis with few points of each series, all in memory; ``table``: path of the full table."""
-        from residua.report.thinned import thinned
+        from residua.report.decimate import thinned
 
         return thinned(self, table)
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from residua.files import write_text
-from residua.report.curves import COLOURS, Curve, curves
+from residua.report.drawings import COLOURS, Curve, curves
 from residua.report.page import document, footer, paragraphs
 from residua.report.tables import html_table
 from residua.report.text import escape, safe_json

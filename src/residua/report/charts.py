@@ -79,18 +79,10 @@ def chart_data(diagnosis: Diagnosis) -> dict[str, Any]:
     bins = choose_bins(len(diagnosis.time), points_per_series(diagnosis))
     undecided = ~diagnosis.decided & ~diagnosis.missing
     alarms = np.array([[a.start, a.stop] for a in diagnosis.alarms], dtype=np.int64).reshape(-1, 2)
-    ends = [float(diagnosis.time[0]), float(diagnosis.time[-1])] if len(diagnosis.time) else [0.0, 1.0]
-    return {
-        "x": time_axis(bins.times(diagnosis.time)),
+    data = over_time(diagnosis.time, bins, alarms, diagnosis.missing, undecided)
+    data["spans"]["began"] = began_spans(diagnosis)
+    return data | {
         "clock": _clock_of(diagnosis),
-        "ends": ends,
-        "binned": bins.width,
-        "spans": {
-            "alarm": spans(diagnosis.time, alarms),
-            "missing": spans(diagnosis.time, runs(diagnosis.missing)),
-            "undecided": spans(diagnosis.time, runs(undecided)),
-            "began": began_spans(diagnosis),
-        },
         "onsets": onsets(diagnosis),
         "charts": [
             *_residual_charts(diagnosis, bins),
@@ -99,6 +91,30 @@ def chart_data(diagnosis: Diagnosis) -> dict[str, Any]:
             *_score_charts(diagnosis, bins),
             *signal_charts(diagnosis, bins),
         ],
+    }
+
+
+def over_time(
+    time: NDArray[np.float64],
+    bins: Bins,
+    alarms: NDArray[np.int64],
+    missing: NDArray[np.bool_],
+    undecided: NDArray[np.bool_],
+) -> dict[str, Any]:
+    """Return the data that all charts over a time axis share, without charts."""
+    return {
+        "x": time_axis(bins.times(time)),
+        "clock": plain_clock(time),
+        "ends": [float(time[0]), float(time[-1])] if len(time) else [0.0, 1.0],
+        "binned": bins.width,
+        "spans": {
+            "alarm": spans(time, alarms),
+            "missing": spans(time, runs(missing)),
+            "undecided": spans(time, runs(undecided)),
+            "began": [],
+        },
+        "onsets": [],
+        "charts": [],
     }
 
 

@@ -1,14 +1,22 @@
-"""Fewer points for a chart, without losing an extreme."""
+"""Fewer points for a chart, or for a diagnosis of a recording larger than memory, without losing an extreme."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+if TYPE_CHECKING:
+    from residua.monitor.diagnosis import Diagnosis
+
 #: Samples that are gathered at once: bounds memory.
 _AT_ONCE = 1 << 18
+#: Points that are kept of each series at most.
+POINTS = 20_000
+#: The series of a diagnosis but its times.
+_SERIES = ("residuals", "statistic", "alarm", "decided", "missing", "scores", "parts", "match", "signals")
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,3 +122,46 @@ def spans(time: NDArray[np.float64], intervals: NDArray[np.int64], limit: int = 
         start = start[np.concatenate([[True], wide])]
         stop = stop[np.concatenate([wide, [True]])]
     return [[float(f"{a:.9g}"), float(f"{b:.9g}")] for a, b in zip(start, stop, strict=True)]
+
+
+def thinned(diagnosis: Diagnosis, table: str) -> Diagnosis:
+    """Return a diagnosis with at most so many points of each series, all of it in memory.
+
+    Numbers are the smallest and the largest of each bin, flags those that are set anywhere in it. Alarms, with their
+    sample numbers, counts and texts are those of the whole recording.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+    table : str
+        Where the full table is; empty if it was not written.
+    """
+    bins = choose_bins(len(diagnosis.time), POINTS)
+    series = {name: _of(bins, getattr(diagnosis, name)) for name in _SERIES}
+    if bins.width == 1:
+        return replace(diagnosis, time=np.array(diagnosis.time), **series)
+    recording = replace(
+        diagnosis.recording,
+        compared=(),  # an output and its prediction are thinned at different samples
+        thinned=True,
+        counted=diagnosis.totals,
+        table=table,
+    )
+    return replace(diagnosis, **series, time=bins.times(diagnosis.time), recording=recording)
+
+
+def _of(bins: Bins, values: Any) -> Any:
+    if is_dataclass(values):
+        return type(values)(**{one.name: _of(bins, getattr(values, one.name)) for one in fields(values)})  # pyright: ignore
+    if not isinstance(values, np.ndarray) or len(values) != bins.n_samples:
+        return values
+    if bins.width == 1:
+        return np.array(values)
+    if values.dtype.kind == "f":
+        out = np.zeros((bins.n_points, *values.shape[1:]))
+        for k in np.ndindex(values.shape[1:]):
+            out[:, *k] = bins.extremes(values[:, *k])
+        return out
+    starts = np.arange(0, bins.n_samples, bins.width)
+    one = np.logical_or.reduceat(values, starts, axis=0) if values.dtype.kind == "b" else values[starts]
+    return np.repeat(one, 2, axis=0)

@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residua.arrays import runs
 from residua.design.core.evidence import format_pole
 from residua.files import write_text
 from residua.recording.clock import length
-from residua.report.charts import MAX_POINTS, plain_clock, time_axis
-from residua.report.decimate import choose_bins, spans
-from residua.report.model_pictures import stems
+from residua.report.charts import MAX_POINTS, over_time
+from residua.report.decimate import choose_bins
+from residua.report.drawings import stems
 from residua.report.page import document, footer, paragraphs
 from residua.report.tables import html_table
 from residua.report.text import escape, rounded, safe_json, visible
@@ -154,20 +153,7 @@ def _charts(model: IdentifiedModel, drawn: Prediction) -> dict[str, Any]:
         }
         for i, name in enumerate(model.plant.outputs)
     ]
-    return {
-        "x": time_axis(bins.times(time)),
-        "clock": plain_clock(time),
-        "ends": [float(time[0]), float(time[-1])],
-        "binned": bins.width,
-        "spans": {
-            "alarm": [],
-            "missing": spans(time, runs(missing)),
-            "undecided": spans(time, runs(undecided)),
-            "began": [],
-        },
-        "onsets": [],
-        "charts": charts,
-    }
+    return over_time(time, bins, np.zeros((0, 2), dtype=np.int64), missing, undecided) | {"charts": charts}
 
 
 def _curves(model: IdentifiedModel, drawn: Prediction, charts: dict[str, Any]) -> str:
