@@ -27,7 +27,7 @@ from residua.decide.window import empty_window, moving_sum
 from residua.errors import FileFormatError, SettingError
 from residua.export import to_c
 from residua.library import simulate_three_tank
-from residua.monitor.running import Decisions, _joined
+from residua.monitor.running import Decisions, joined_decisions
 
 
 def tank() -> rs.Plant:
@@ -96,7 +96,7 @@ def pieces_of(names: matched.NamesBeside, tested: Tested, cuts: list[int]) -> tu
         names.check_state(state, done + size)
         parts.append(scores)
         done += size
-    return _joined(parts), state
+    return joined_decisions(parts), state
 
 
 def arrays_in(whole: object) -> list[np.ndarray]:
