@@ -186,7 +186,7 @@ def test_other_formats_give_the_same(made: Path, tmp_path: Path, ending: str, re
         import scipy.io
 
         scipy.io.savemat(path, {"fault08": rows[:, 1:], "other": np.ones((3, 3))})
-        more = ["--variable", "fault08"]
+        more = ["--read", "variable=fault08"]
     _, expected, _ = residua("run", made / "monitor.json", made / "faulty.csv")
     assert residua("run", made / "monitor.json", path, *more) == (1, expected, "")
 
@@ -204,8 +204,8 @@ def test_missing_values_are_counted(made: Path, tmp_path: Path, residua: Residua
 def test_time_column_by_name(made: Path, tmp_path: Path, residua: Residua) -> None:
     rows = np.loadtxt(made / "faulty.csv", delimiter=",", skiprows=1)
     path = write_csv(tmp_path / "named.csv", rows, "clock,pump,level 1,level 2")
-    assert residua("run", made / "monitor.json", path, "--time", "clock", "-q")[0] == 1
-    assert_error(residua("run", made / "monitor.json", path, "--time", "watch"), "'watch'", "clock")
+    assert residua("run", made / "monitor.json", path, "--read", "time=clock", "-q")[0] == 1
+    assert_error(residua("run", made / "monitor.json", path, "--read", "time=watch"), "'watch'", "clock")
 
 
 def test_too_short_a_recording_is_no_verdict(made: Path, tmp_path: Path, residua: Residua) -> None:

@@ -59,7 +59,7 @@ def test_identify_writes_a_plant_that_a_design_takes(logs: Path, tmp_path: Path,
 
 
 def test_the_plant_file_keeps_everything_to_the_last_bit(logs: Path, tmp_path: Path, residua: Residua) -> None:
-    identified(logs, tmp_path / "plant.toml", residua, "--units", "level 1=cm,pump=l/s", "--name", "tanks")
+    identified(logs, tmp_path / "plant.toml", residua, "--model", "units=level 1=cm;pump=l/s", "--model", "name=tanks")
     recording = rs.read_recording(logs / "normal.csv")
     made = rs.identify.subspace(recording, inputs=["pump"], outputs=["level 1", "level 2"]).plant
     made = made.with_sensor_faults().with_actuator_faults()
@@ -75,7 +75,9 @@ def test_the_plant_file_keeps_everything_to_the_last_bit(logs: Path, tmp_path: P
 
 
 def test_the_same_plant_from_python(logs: Path, tmp_path: Path, residua: Residua) -> None:
-    identified(logs, tmp_path / "plant.toml", residua, "--order", "3", "--method", "cva", "--held-out", "0.5")
+    identified(
+        logs, tmp_path / "plant.toml", residua, "--model", "order=3", "--model", "method=cva", "--model", "held_out=0.5"
+    )
     recording = rs.read_recording(logs / "normal.csv")
     model = rs.identify.subspace(recording, inputs=["pump"], order=3, method="cva", held_out=0.5)
     assert np.allclose(rs.load_plant(tmp_path / "plant.toml").A, model.plant.A, rtol=ROUNDING, atol=ROUNDING)
@@ -121,7 +123,7 @@ def test_an_input_without_effect_gets_no_fault(tmp_path: Path, residua: Residua)
 def test_a_known_delay_and_several_recordings(logs: Path, tmp_path: Path, residua: Residua) -> None:
     files = (logs / "normal.csv", logs / "other.csv")
     status, out, _ = residua(
-        "identify", *files, *CHANNELS, "--delays", "pump=1", "-o", tmp_path / "p.toml", "--order", "2"
+        "identify", *files, *CHANNELS, "--model", "delays=pump=1", "-o", tmp_path / "p.toml", "--model", "order=2"
     )
     assert status == 0
     assert "4123 rows" in out  # three quarters of both, without the row that the delay takes from each
@@ -131,15 +133,17 @@ def test_a_known_delay_and_several_recordings(logs: Path, tmp_path: Path, residu
 def test_columns_of_other_names_and_no_times(logs: Path, tmp_path: Path, residua: Residua) -> None:
     rows = simulate(2000, 1)[:, 1:]
     path = write_csv(tmp_path / "bare.csv", rows, "Pumpe,Stand 1,Stand 2")
-    names = ("--columns", "pump=Pumpe,level 1=Stand 1,level 2=Stand 2", "-o", tmp_path / "p.toml")
-    assert_error(residua("identify", path, *CHANNELS, *names), "give --dt in seconds")
-    assert residua("identify", path, *CHANNELS, *names, "--dt", "60")[0] == 0
+    names = ("--read", "columns=pump=Pumpe;level 1=Stand 1;level 2=Stand 2", "-o", tmp_path / "p.toml")
+    assert_error(residua("identify", path, *CHANNELS, *names), "give --read dt= in seconds")
+    assert residua("identify", path, *CHANNELS, *names, "--read", "dt=60")[0] == 0
     plant = rs.load_plant(tmp_path / "p.toml")
     assert (plant.dt, plant.outputs) == (60.0, ("level 1", "level 2"))
 
 
 def test_the_report_page(logs: Path, tmp_path: Path, residua: Residua) -> None:
-    out = identified(logs, tmp_path / "p.toml", residua, "--report", tmp_path / "fit.html", "--units", "level 1=cm")
+    out = identified(
+        logs, tmp_path / "p.toml", residua, "--report", tmp_path / "fit.html", "--model", "units=level 1=cm"
+    )
     assert f"written: {tmp_path / 'fit.html'}" in out
     page = words((tmp_path / "fit.html").read_text(encoding="utf-8"))
     assert "A model of order 2 predicts 2 outputs one step ahead" in page
@@ -157,7 +161,7 @@ def test_the_report_page_asks_for_options_as_the_command_has_them(tmp_path: Path
     options = ("--inputs", "pump", "--outputs", "level", "-o", tmp_path / "p.toml", "--report", tmp_path / "fit.html")
     assert residua("identify", tmp_path / "log.csv", *options)[0] == 0
     page = words((tmp_path / "fit.html").read_text(encoding="utf-8"))
-    assert "move together: --feedthrough if the plant answers within a row" in page
+    assert "move together: --model feedthrough if the plant answers within a row" in page
     assert "feedthrough=True" not in page
 
 
@@ -260,9 +264,11 @@ def test_bad_channels_and_data_are_one_line_on_stderr(
     both = ("--inputs", "pump,level 1", "--outputs", "level 1,level 2")
     assert_error(call(normal, *both), "level 1 cannot be an input and an output")
     assert_error(call(normal, "--inputs", "pump,level 1,level 2"), "every column is an input")
-    assert_error(call(normal, *CHANNELS, "--delays", "level 1=2"), "'level 1' is no input")
-    assert_error(call(normal, *CHANNELS, "--units", "level 3=cm"), "--units: no channel level 3")
-    assert_error(call(normal, *CHANNELS, "--order", "900"), "a model of order 900", "the data are enough for order")
+    assert_error(call(normal, *CHANNELS, "--model", "delays=level 1=2"), "'level 1' is no input")
+    assert_error(call(normal, *CHANNELS, "--model", "units=level 3=cm"), "--model units=: no channel level 3")
+    assert_error(
+        call(normal, *CHANNELS, "--model", "order=900"), "a model of order 900", "the data are enough for order"
+    )
     rows = simulate(600, 6)
     named = ("--inputs", "pump")
     flat = write_csv(
@@ -286,11 +292,11 @@ def test_bad_files_and_options(command: str, logs: Path, tmp_path: Path, residua
     assert_error(residua(command, normal, normal, *out), "is given twice")
     assert_error(residua(command, normal, "-o", normal), "is read by this command")
     for option in (
-        ("--delays", "pump"),
+        ("--model", "delays=pump"),
         ("--inputs", "pump,"),
         ("--inputs", "a,a"),
-        ("--method", "arx"),
-        ("--units", "cm"),
+        ("--model", "method=arx"),
+        ("--model", "units=cm"),
     ):
         status, text, err = residua(command, normal, *CHANNELS, *out, *option)
         assert (status, text) == (2, "")
@@ -299,6 +305,6 @@ def test_bad_files_and_options(command: str, logs: Path, tmp_path: Path, residua
 
 
 def test_held_out_is_a_fraction(logs: Path, tmp_path: Path, residua: Residua) -> None:
-    assert residua("identify", logs / "normal.csv", "-o", tmp_path / "out", "--held-out", "1")[0] == 2
-    out = identified(logs, tmp_path / "p.toml", residua, "--held-out", "0", "--report", tmp_path / "fit.html")
+    assert residua("identify", logs / "normal.csv", "-o", tmp_path / "out", "--model", "held_out=1")[0] == 2
+    out = identified(logs, tmp_path / "p.toml", residua, "--model", "held_out=0", "--report", tmp_path / "fit.html")
     assert "on the 39" in out  # all rows but those of the past

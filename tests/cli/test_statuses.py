@@ -152,9 +152,9 @@ def test_the_option_of_the_command_is_named(made: Path, tmp_path: Path, residua:
     design = ("design", tmp_path / "plant.toml", "-o", tmp_path / "m.json", "--method", "detection-filter")
     assert residua(*design)[0] == 0
     _, _, err = residua("fit", tmp_path / "m.json", path, "-o", tmp_path / "m.json")
-    assert "--dt" in err
-    assert "--time" in err
-    assert_error(residua("run", made / "monitor.json", path, "--dt", "7"), "--dt")
+    assert "--read dt" in err
+    assert "--read time" in err
+    assert_error(residua("run", made / "monitor.json", path, "--read", "dt=7"), "--read dt")
 
 
 ESCAPE = "\x1b]0;owned\x07\x1b[2J"

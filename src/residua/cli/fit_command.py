@@ -8,8 +8,9 @@ from typing import Annotated, Any, cast
 import typer
 
 from residua.cli import screen
+from residua.cli.call_options import READ, Read
 from residua.cli.guard import in_cli_words, warn
-from residua.cli.recording_options import Reading, with_reading
+from residua.cli.recordings import plant_of, read as read_recording
 from residua.cli.shared_options import (
     AsJson,
     FalseAlarmRate,
@@ -31,7 +32,6 @@ _ONE_DAY = (
 )
 
 
-@with_reading
 def fit(
     monitor: MonitorFile,
     normal: NormalFiles,
@@ -46,8 +46,7 @@ def fit(
     ] = "0",
     force: Annotated[bool, typer.Option("--force", help="Fit recordings too that look faulty.")] = False,
     as_json: AsJson = False,
-    *,
-    reading: Reading,
+    read: Read = None,
 ) -> None:
     """Set the threshold of a monitor from fault-free recordings."""
     check_order("fit", monitor, normal)
@@ -55,7 +54,7 @@ def fit(
     check_recordings(normal)
     check_outputs([output], normal)
     watch = Monitor.load(monitor)
-    data = [reading.read(path, watch) for path in normal]
+    data = [read_recording(path, plant_of(watch), READ.values(read)) for path in normal]
     watch.fit(
         data if len(data) > 1 else data[0],
         false_alarm_rate=false_alarm_rate,

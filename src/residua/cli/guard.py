@@ -6,7 +6,7 @@ import errno
 import os
 import re
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any
@@ -29,6 +29,8 @@ _FULL = (errno.ENOSPC, errno.EIO, errno.EFBIG, errno.EBADF)
 
 #: The options of the command that runs: advice names those, and no other's.
 _OPTIONS: ContextVar[frozenset[str]] = ContextVar("options", default=frozenset())
+#: Options that stand for arguments of a Python call, and how their words get into a message.
+ARGUMENTS: dict[str, Callable[[str], str]] = {}
 
 
 def speak_of(command: Any) -> None:
@@ -114,7 +116,10 @@ def in_cli_words(text: str) -> str:
     """Return remedies for Python in terms of the running command."""
     for python, here in _WORDS.items():
         text = re.sub(python, here, text)
-    for option in _OPTIONS.get():
+    options = _OPTIONS.get()
+    for option, in_words in ARGUMENTS.items():
+        text = in_words(text) if option in options else text
+    for option in options:
         name = option.lstrip("-").replace("-", "_")
         text = re.sub(rf"\b{name}=(?:True\b|\[\.\.\.\]|\.\.\.|(?=[,;. )]|$))", option, text)
     return text

@@ -8,34 +8,26 @@ from typing import Annotated
 import typer
 
 from residua.cli import screen
+from residua.cli.call_options import MODEL, READ, Model, Read
 from residua.cli.fit_command import check_values, show_visible
 from residua.cli.guard import in_cli_words, warn
 from residua.cli.identify_command import (
     ActuatorFaults,
-    Channels,
-    Delays,
-    Feedthrough,
-    HowStates,
-    MaxOrder,
-    Method,
-    Order,
     Outputs,
-    Past,
     SensorFaults,
-    Units,
+    channels_of,
+    checked_model,
     checked_names,
     fault_text,
     parse_names,
     report_values,
-    settings_of,
 )
-from residua.cli.recording_options import Reading, with_reading
+from residua.cli.recordings import read_channels
 from residua.cli.shared_options import AsJson, FalseAlarmRate, NormalFiles, check_outputs, check_recordings
 from residua.monitor import learn as learn_monitor
 from residua.monitor.learning import ROUTES
 
 
-@with_reading
 def learn(
     normal: NormalFiles,
     output: Annotated[Path, typer.Option("--output", "-o", metavar="MONITOR.json", help="Monitor to write.")],
@@ -44,25 +36,18 @@ def learn(
         typer.Option("--inputs", metavar="LIST|none", help="Columns that drive the plant; guessed when omitted."),
     ] = None,
     outputs: Outputs = None,
-    order: Order = None,
-    max_order: MaxOrder = None,
-    past: Past = None,
-    method: HowStates = Method.pbsid,
-    feedthrough: Feedthrough = False,
-    delays: Delays = None,
     form: Annotated[
         str, typer.Option("--form", metavar="|".join(ROUTES), help="Relations between channels; chosen when omitted.")
     ] = "auto",
     sensor_faults: SensorFaults = True,
     actuator_faults: ActuatorFaults = True,
     false_alarm_rate: FalseAlarmRate = None,
-    units: Units = None,
+    model: Model = None,
     force: Annotated[
         bool, typer.Option("--force", help="Write the monitor even if it is not expected to see faults.")
     ] = False,
     as_json: AsJson = False,
-    *,
-    reading: Reading,
+    read: Read = None,
 ) -> None:
     """Learn a monitor from fault-free recordings, without a model.
 
@@ -73,18 +58,16 @@ def learn(
     check_recordings(normal)
     check_outputs([output], normal)
     named = [] if inputs in (None, "none") else parse_names(checked_names(inputs))
-    data = Channels(named, parse_names(outputs)).read(normal, reading)
-    options = settings_of(data, outputs, order, max_order, past, method, feedthrough, delays, units)
-    channels = {name: options.pop(name) for name in ("inputs", "outputs")}
+    data = read_channels(normal, named, parse_names(outputs), READ.values(read))
     learnt = learn_monitor(
         data,
-        **({} if inputs is None else channels),
+        **({} if inputs is None else channels_of(data, outputs)),
         false_alarm_rate=false_alarm_rate,
         form=form,
         sensor_faults=sensor_faults,
         actuator_faults=actuator_faults,
         force=force,
-        model=options,
+        model=checked_model(MODEL.values(model), data),
     )
     learnt.monitor.save(output)
     check = learnt.monitor.fit_check

@@ -75,8 +75,8 @@ def _single(option: Option, kinds: tuple[Any, ...]) -> Form | None:
     if int in kinds:
         return Form("N", parse_whole)
     if option.choices:
-        return Form("|".join(option.choices), partial(_choice, option.choices))
-    return Form("TEXT", str) if str in kinds else None
+        return Form("|".join(dict.fromkeys(option.choices)), partial(_choice, option.choices))
+    return Form("TEXT", str.strip) if str in kinds else None
 
 
 def _members(kind: Any) -> tuple[Any, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -12,8 +12,9 @@ from typing import Annotated, Any
 import typer
 
 from residua.cli import screen
+from residua.cli.call_options import READ, Read
 from residua.cli.guard import CANNOT_TELL, ERROR, FAULT, NO_FAULT, UNLIKE, describe, in_cli_words, status_of
-from residua.cli.recording_options import Reading, in_words_of_options, with_reading
+from residua.cli.recordings import plant_of, read as read_recording
 from residua.cli.shared_options import (
     MonitorFile,
     check_file,
@@ -28,6 +29,7 @@ from residua.monitor import Diagnosis, Monitor
 from residua.monitor.diagnosis import Alarm
 from residua.monitor.inputs import settling_reason
 from residua.monitor.streaming import judged_file, write_outputs
+from residua.recording.columns import ReadOptions
 from residua.recording.table_writer import check_table
 from residua.report.document import found_values
 from residua.report.tables import alarm_times
@@ -49,7 +51,6 @@ _ANSWERS = {
 }
 
 
-@with_reading
 def run(
     monitor: MonitorFile,
     recordings: Annotated[
@@ -70,8 +71,7 @@ def run(
     strict: Annotated[
         bool, typer.Option("--strict", help="Exit with status 4 where a monitor without an alarm sees too little.")
     ] = False,
-    *,
-    reading: Reading,
+    read: Read = None,
 ) -> None:
     """Look for faults in recordings.
 
@@ -91,12 +91,12 @@ def run(
     watch = Monitor.load(monitor)
     watch.norm_test  # noqa: B018 (without a threshold this raises, before a long file is read)
     form = "nothing" if quiet else "json" if as_json else "text"
-    statuses = []
+    arguments, statuses = READ.values(read), []
     for path, written in zip(recordings, outputs, strict=True):
         if several and form == "text":
             screen.say(*([""] if statuses else []), f"{path}:")
         try:
-            statuses.append(_judge(watch, path, reading, written, form, strict))
+            statuses.append(_judge(watch, path, arguments, written, form, strict))
         except ResiduaError as error:
             if form == "json":
                 screen.print_json({"recording": path, "status": ERROR, "error": describe(error)}, indent=None)
@@ -125,10 +125,10 @@ def _check_apart(recordings: Sequence[Path], outputs: Sequence[dict[str, Path | 
 
 
 def _judge(
-    watch: Monitor, path: Path, reading: Reading, outputs: dict[str, Path | None], form: str, strict: bool
+    watch: Monitor, path: Path, read: Mapping[str, Any], outputs: dict[str, Path | None], form: str, strict: bool
 ) -> int:
     """Judge a recording, write and print the answer, and return the exit status."""
-    with _diagnosed(watch, path, reading) as diagnosis:
+    with _diagnosed(watch, path, read) as diagnosis:
         written = write_outputs(diagnosis, **outputs)
         judged = bool(diagnosis.decided.any())
         status = _status(diagnosis, strict) if judged else ERROR
@@ -161,22 +161,24 @@ def _status(diagnosis: Diagnosis, strict: bool) -> int:
 
 
 @contextmanager
-def _diagnosed(watch: Monitor, recording: Path, reading: Reading) -> Iterator[Diagnosis]:
+def _diagnosed(watch: Monitor, recording: Path, read: Mapping[str, Any]) -> Iterator[Diagnosis]:
     """Yield the diagnosis of a recording, with arrays on disk if it is large."""
     if recording.stat().st_size < STREAMED:
-        yield _run(watch, recording, reading)
+        yield _run(watch, recording, read)
         return
     with ExitStack() as kept:
-        with screen.progress() as bar, in_words_of_options():
-            whole = kept.enter_context(judged_file(watch, recording, reading.options(watch), bar))
+        first = (read.get(name) for name in ("time", "dt", "columns", "variable"))
+        options = replace(ReadOptions(plant_of(watch), *first), **read)  # pyright: ignore[reportArgumentType]
+        with screen.progress() as bar:
+            whole = kept.enter_context(judged_file(watch, recording, options, bar))
         if whole is not None:
             yield replace(whole, notes=tuple(map(in_cli_words, whole.notes)))
             return
-    yield _run(watch, recording, reading)
+    yield _run(watch, recording, read)
 
 
-def _run(watch: Monitor, recording: Path, reading: Reading) -> Diagnosis:
-    data = reading.read(recording, watch)
+def _run(watch: Monitor, recording: Path, read: Mapping[str, Any]) -> Diagnosis:
+    data = read_recording(recording, plant_of(watch), read)
     with screen.progress() as bar:
         diagnosis = watch.run(data, progress=bar)
     assert isinstance(diagnosis, Diagnosis)

@@ -110,12 +110,12 @@ def judging_of(spec: Specification) -> Judging:
     """
     one, naming = spec.test, spec.isolation.compiled
     codes = spec.isolation if isinstance(spec.isolation, CodeTest) else None
-    test, parts, thresholds, whole = one.compiled, (), None, None
+    test, parts, sizes, thresholds, whole = one.compiled, (), None, None, None
     if isinstance(one, (PeakTest, BankTest)):
         limit = 1.0 if isinstance(one, BankTest) else one.threshold
         test = CompiledTest("norm", one.center, one.whitening, limit, one.window, one.persistence, one.release)
     if isinstance(one, BankTest) or (isinstance(one, MultiscaleEWMATest) and one.names):
-        parts, thresholds = one.part_names, one.thresholds
+        parts, sizes, thresholds = one.part_names, one.sizes, one.thresholds
         whole = one.whole if isinstance(one, GroupTest) else None
     if test is None or one.responses is not None or one.reads_signals:
         raise SettingError(
@@ -131,7 +131,7 @@ def judging_of(spec: Specification) -> Judging:
         )
     elif parts and whole is None and naming.bases:
         raise SettingError("a direction cannot be exported for members of a bank: Structured, or isolate=None, can")
-    sizes = one.sizes if parts else np.array([test.whitening.shape[1]])
+    sizes = np.array([test.whitening.shape[1]]) if sizes is None else sizes
     thresholds = np.array([test.threshold]) if thresholds is None else thresholds
     if not np.isfinite(thresholds).all():
         raise SettingError("a threshold of this monitor is infinite: it never raises an alarm")
