@@ -78,7 +78,7 @@ GATE = ("residua.design.core.generator", "residua.design.core.canonical_design",
 #: What of a generator was checked with it.
 PROMISED = {"system", "subspaces", "state_map", "static_map", "known_form"}
 #: Kinds of files, each of which is a file here too, whoever reads it.
-FORMATS = ("residua.recording.npz_files", "residua.recording.parquet_files")
+FORMATS = ("residua.recording.mat_files", "residua.recording.npz_files", "residua.recording.parquet_files")
 
 # Ratchets: the number of places, by room where a room is being rebuilt.
 IN_CIRCLES: dict[str, int] = {}
