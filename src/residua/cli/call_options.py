@@ -16,7 +16,7 @@ from residua.cli import screen
 from residua.cli.guard import ARGUMENTS
 from residua.cli.methods import in_plain_words
 from residua.cli.option_types import form_of
-from residua.design.core.options import Option, options_of, signature_of
+from residua.design.core.method import Option, options_of, signature_of
 from residua.plant.toml_entry import suggestion
 
 _TRUTHS = {"": True, "true": True, "yes": True, "false": False, "no": False}
