@@ -269,6 +269,8 @@ EARLIER = [
     # a leak was judged by the largest response of an output at one frequency times that of the filter at another
     ("integrators", 52029, designs._parity),
     ("integrators", 61002, designs._filters),
+    # the rows of a decoupled residual mixed a dead sensor with others, and its noise, of any size, with theirs
+    ("dead sensors", 61002, designs._noise),
     # a plant had a pole where its perfect observer was checked
     ("repeated poles", 52015, designs._perfect),
     # of an observer without states the error of an identity was divided by the size of its terms, which was zero
