@@ -63,12 +63,12 @@ class Directions:
         """Return the same with the relations of the copies that keep to them and ignore some faults."""
         copies, balanced = np.eye(self.count), model.balanced
         known, (B, D) = model.plant.faults, model.unknown(ignored)
-        columns = [np.kron(copies, B), np.kron(copies, D)]
+        columns = [_copied(copies, B), _copied(copies, D)]
         for name, d in zip(self.faults, self.units.T, strict=True):
             across = without_rounding(np.linalg.svd(d[:, None])[0][:, 1:])
             for i, part in enumerate(balanced.faults):
-                columns[i] = np.hstack([columns[i], np.kron(across, part[:, [known.index(name)]])])
-        A, C = np.kron(copies, balanced.A), np.kron(copies, balanced.C)
+                columns[i] = np.hstack([columns[i], _copied(across, part[:, [known.index(name)]])])
+        A, C = _copied(copies, balanced.A), _copied(copies, balanced.C)
         return replace(self, equations=PairRelations.of(A, columns[0], C, columns[1]))
 
     def responses(self, model: RelationModel) -> tuple[Matrix, Matrix]:
@@ -98,6 +98,11 @@ class Directions:
         along = self.units[:, 0] @ np.array([row.p @ B[:, j] + row.q @ D[:, j] for row in rows])
         present = np.flatnonzero(np.abs(along) > 1e-9 * np.abs(along).max())
         return float(np.sign(along[present[-1]])) if len(present) else 1.0
+
+
+def _copied(weights: Matrix, M: Matrix) -> Matrix:
+    """Return copies of a matrix, one below the other, each with its weight."""
+    return np.asarray(np.kron(weights, M), dtype=np.float64)
 
 
 def check_directions(generator: ResidualGenerator, directions: Directions) -> float:
