@@ -16,8 +16,8 @@ import io
 from collections.abc import Iterable
 from pathlib import Path
 
-from residua.cli.methods import in_plain_words, offered, option_name
-from residua.cli.option_types import form_of
+from residua.cli.methods import offered, option_name
+from residua.cli.option_types import form_of, in_plain_words
 from residua.design.catalogue import HEADER, table
 
 DATA = Path(__file__).resolve().parent / "data"

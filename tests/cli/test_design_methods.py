@@ -19,6 +19,7 @@ from residua.cli import methods
 from residua.cli.option_types import (
     Form,
     form_of,
+    in_plain_words,
     parse_matrix,
     parse_names,
     parse_number,
@@ -277,7 +278,7 @@ def test_the_help_of_a_method_has_the_texts_of_its_options(
     own = {one.name: one for one in methods.offered()[method].options}
     for one in methods.options({"window"}):
         assert (f" {one.flags[0].partition('/')[0]} " in said) == (method in one.methods)
-        assert method not in one.methods or flowing(methods.in_plain_words(own[one.name].text)) in said
+        assert method not in one.methods or flowing(in_plain_words(own[one.name].text)) in said
     assert not re.search(r"[\\…]|\^{|`", said)  # no raw formula, and no cut name
 
 

@@ -14,8 +14,7 @@ import typer
 
 from residua.cli import screen
 from residua.cli.guard import ARGUMENTS
-from residua.cli.methods import in_plain_words
-from residua.cli.option_types import form_of
+from residua.cli.option_types import form_of, in_plain_words
 from residua.design.core.method import Option, options_of, signature_of
 from residua.plant.toml_entry import suggestion
 

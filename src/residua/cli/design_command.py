@@ -16,6 +16,7 @@ from residua.cli import methods, screen
 from residua.cli.analyze_command import twins
 from residua.cli.fit_command import thresholds
 from residua.cli.guard import in_cli_words
+from residua.cli.option_types import in_plain_words
 from residua.cli.shared_options import (
     AsJson,
     FalseAlarmRate,
@@ -225,7 +226,7 @@ def _parameter(one: methods.Shared, shown: str | None) -> inspect.Parameter:
     kind, text = bool if one.form.is_flag else str, None
     if shown in one.methods:
         own = {option.name: option.text for option in methods.offered()[shown].options}
-        text = methods.in_plain_words(own[one.name])
+        text = in_plain_words(own[one.name])
     option = partial(typer.Option, *one.flags, help=text, show_default=False, hidden=shown not in one.methods)
     option = option() if one.form.is_flag else option(metavar=one.form.metavar)
     annotation = Annotated[kind | None, option]

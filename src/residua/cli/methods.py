@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import time
 from collections import Counter
 from collections.abc import Iterable, Mapping
@@ -10,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from residua.analysis import coding
-from residua.cli.option_types import Form, form_of
+from residua.cli.option_types import Form, form_of, in_plain_words
 from residua.design.banks.structured_bank import ROWS
 from residua.design.catalogue import methods
 from residua.design.core.generator import brings_a_generator, for_monitor
@@ -115,18 +114,6 @@ def _shared(name: str, holders: list[tuple[str, Option, Form]]) -> Shared:
     if any(other.is_flag != form.is_flag for _, _, other in holders):  # of one name and two kinds: each reads its text
         form, flags = Form("TEXT", str), (plain,)
     return Shared(name, flags, form, in_plain_words(text), tuple(one for one, _, _ in holders))
-
-
-def in_plain_words(text: str) -> str:
-    """Return a description from a docstring without markup."""
-    text = re.sub(r":\w+:`~?(?:[\w.]*\.)?(\w+)`", r"\1", text)
-    text = re.sub(r":math:`([^`]*)`", lambda found: _formula(found[1]), text).replace("``", "")
-    return text.replace("[", "(").replace("]", ")")  # screens take brackets for markup
-
-
-def _formula(latex: str) -> str:
-    """Return a formula as typed: ``e^(-dt/tau)``."""
-    return re.sub(r"\\(\w+)", r"\1", latex.replace(r"\dots", "...").replace("{", "(").replace("}", ")"))
 
 
 @dataclass(frozen=True)

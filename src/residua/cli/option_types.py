@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import typing
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -108,6 +109,18 @@ def _choice(choices: tuple[str, ...], text: str) -> str:
     if text not in choices:
         raise ValueError(f"{text!r} is not one of {', '.join(choices)}")
     return text
+
+
+def in_plain_words(text: str) -> str:
+    """Return a description from a docstring without markup."""
+    text = re.sub(r":\w+:`~?(?:[\w.]*\.)?(\w+)`", r"\1", text)
+    text = re.sub(r":math:`([^`]*)`", lambda found: _formula(found[1]), text).replace("``", "")
+    return text.replace("[", "(").replace("]", ")")  # screens take brackets for markup
+
+
+def _formula(latex: str) -> str:
+    """Return a formula as typed: ``e^(-dt/tau)``."""
+    return re.sub(r"\\(\w+)", r"\1", latex.replace(r"\dots", "...").replace("{", "(").replace("}", ")"))
 
 
 def parse_names(text: str) -> tuple[str, ...]:
