@@ -16,7 +16,7 @@ from residua.cli import run_command
 from residua.cli.app import app
 from residua.decide import CUSUM, NormThreshold, PeakThreshold
 from residua.errors import DataError, FileFormatError, ResiduaError
-from residua.monitor import alarms, outcome, streaming
+from residua.monitor import alarms, streaming
 from residua.monitor.streaming import AT_ONCE, judged_file
 from residua.recording import streams
 from residua.recording.columns import ReadOptions
@@ -426,9 +426,9 @@ def test_read_recording_agrees_with_the_stream(tmp_path: Path) -> None:
 
 
 def test_runs_of_alarms_are_those_of_the_whole_series(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(outcome, "_PIECE", 7)
+    monkeypatch.setattr(alarms, "_PIECE", 7)
     rng = np.random.default_rng(0)
     for _ in range(300):
         flags = rng.random(int(rng.integers(0, 40))) < rng.random()
         edges = np.flatnonzero(np.diff(flags, prepend=False, append=False)).reshape(-1, 2)
-        assert outcome._runs(flags) == list(map(tuple, edges.tolist()))
+        assert alarms._runs(flags) == list(map(tuple, edges.tolist()))
