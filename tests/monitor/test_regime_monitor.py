@@ -119,7 +119,7 @@ def test_nothing_is_decided_in_a_mode_never_seen(monitor: rs.RegimeMonitor) -> N
     rows = switched(31, visits((1, 0, 200), (0, 1, 150), (1, 1, 200)))
     rows[210:340, 4] += 100.0
     diagnosis = monitor.run(None, rows)
-    assert diagnosis.naming.unjudged == {"fan = 0, heating = 1": "a mode never seen"}
+    assert diagnosis.unjudged == {"fan = 0, heating = 1": "a mode never seen"}
     assert diagnosis.samples("fan = 0, heating = 1") == 150
     assert not diagnosis.decided[200:350].any()
     assert not diagnosis.alarm[200:350].any()
@@ -197,7 +197,7 @@ def test_a_mode_with_few_rows_has_no_model_and_says_so() -> None:
     assert "fan = 0, heating = 1: no model" in str(made)
     monitor = rs.RegimeMonitor(made).fit(None, switched(1, NORMAL))
     diagnosis = monitor.run(None, rows)
-    assert diagnosis.naming.unjudged["fan = 0, heating = 1"].startswith("no model: 20 rows")
+    assert diagnosis.unjudged["fan = 0, heating = 1"].startswith("no model: 20 rows")
 
 
 @pytest.mark.parametrize("error", [DataError, DesignError, AccuracyError, ModelError])

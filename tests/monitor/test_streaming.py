@@ -16,7 +16,7 @@ from residua.cli import run_command
 from residua.cli.app import app
 from residua.decide import CUSUM, NormThreshold, PeakThreshold
 from residua.errors import DataError, FileFormatError, ResiduaError
-from residua.monitor import alarms, outcome, streaming
+from residua.monitor import alarms, streaming
 from residua.monitor.streaming import AT_ONCE, judged_file
 from residua.recording import streams
 from residua.recording.columns import ReadOptions
@@ -158,7 +158,7 @@ def test_a_continuous_generator_learns_the_step_from_the_file(tmp_path: Path) ->
     write_table(tmp_path / "a.csv", table(0.25))
     one, other = (rs.Monitor(made, test=NormThreshold(threshold=3.0)) for _ in range(2))
     whole, part = one.run(tmp_path / "a.csv"), other.run_file(tmp_path / "a.csv")
-    assert part.thinned
+    assert part.recording.thinned
     assert str(part) == str(whole)
     assert other.generator.dt == one.generator.dt == 0.25
 
@@ -171,7 +171,7 @@ def test_a_thinned_diagnosis(tmp_path: Path) -> None:
     calls: list[tuple[int, int]] = []
     part = monitor.run_file(path, residuals=tmp_path / "out.parquet", progress=lambda *now: calls.append(now))
     assert calls[-1] == (ROWS, ROWS)
-    assert part.thinned
+    assert part.recording.thinned
     assert len(part.time) == len(part.residuals) == len(part.alarm) <= 500
     np.testing.assert_array_equal(np.nanmax(part.residuals, axis=0), np.nanmax(whole.residuals, axis=0))
     np.testing.assert_array_equal(np.nanmin(part.residuals, axis=0), np.nanmin(whole.residuals, axis=0))
@@ -192,7 +192,7 @@ def test_a_short_recording_is_kept_whole(tmp_path: Path, monkeypatch: pytest.Mon
     path, monitor = tmp_path / "a.csv", MONITORS["direction"]()
     write_table(path, table())
     part, whole = monitor.run_file(path), monitor.run(path)
-    assert not part.thinned
+    assert not part.recording.thinned
     for one in fields(part):
         assert_same(getattr(whole, one.name), getattr(part, one.name), one.name)
 
@@ -357,7 +357,7 @@ def test_what_is_read_at_once_says_so(tmp_path: Path, what: str) -> None:
     whole, part = monitor.run(path), monitor.run_file(path)
     assert isinstance(whole, rs.Diagnosis)
     assert part.notes == (*whole.notes, AT_ONCE)
-    assert not part.thinned
+    assert not part.recording.thinned
     assert part.alarms == whole.alarms
 
 
@@ -426,9 +426,9 @@ def test_read_recording_agrees_with_the_stream(tmp_path: Path) -> None:
 
 
 def test_runs_of_alarms_are_those_of_the_whole_series(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(outcome, "_PIECE", 7)
+    monkeypatch.setattr(alarms, "_PIECE", 7)
     rng = np.random.default_rng(0)
     for _ in range(300):
         flags = rng.random(int(rng.integers(0, 40))) < rng.random()
         edges = np.flatnonzero(np.diff(flags, prepend=False, append=False)).reshape(-1, 2)
-        assert outcome._runs(flags) == list(map(tuple, edges.tolist()))
+        assert alarms._runs(flags) == list(map(tuple, edges.tolist()))
