@@ -155,7 +155,7 @@ def test_shares_add_to_one_and_a_culprit_inside_its_band_is_explained() -> None:
     covariance = np.cov(before.T)
     whitening = np.linalg.inv(np.linalg.cholesky(covariance)).T
     statistic = np.linalg.norm((rows - before.mean(0)) @ whitening, axis=1)
-    d = replace(
+    d = changed(
         d,
         residuals=rows,
         center=before.mean(axis=0),
