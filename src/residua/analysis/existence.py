@@ -88,7 +88,7 @@ def unknown_input_observer_existence(plant: Plant) -> UnknownInputExistence:
     model = plant.balanced
     q = model.quotient()
     rank_CE, rank_E, hidden = _conditions(model)
-    modes = q.hidden_modes if q.proper else np.zeros(0, dtype=complex)
+    modes = np.asarray(q.hidden_modes if q.proper else (), dtype=np.complex128)
     unstable = model.units.rate * modes[~is_inside(modes, plant.is_discrete)]
     reasons: tuple[str, ...] = (_unstable(plant, unstable),) if unstable.size else ()
     if not q.proper:

@@ -330,7 +330,7 @@ class Monitor(Guessed, Shown):
             if not force:
                 check.require_fault_free()
             fitted = {"_test": test, "_check": check, "_normal": normal, "_ranges": ranges}
-            self.__dict__.update(fitted, _spec=None, _online=Online(self._online.inputs))  # all at once
+            vars(self).update(fitted, _spec=None, _online=Online(self._online.inputs))  # all at once
         return self
 
     # ---------------------------------------------------------------- learning
@@ -427,7 +427,7 @@ class Monitor(Guessed, Shown):
             made = learnt_from_blocks(name, [one.time for one in parts], blocks, interval, *settings)
             faults = (*(fault for fault in self._learnt if fault.name != name), made)
             with_faults(plain, faults, self._normal, self._isolation)  # raises where it does not go with the others
-            self.__dict__.update(_learnt=faults, _running=None, _online=Online(self._online.inputs))
+            vars(self).update(_learnt=faults, _running=None, _online=Online(self._online.inputs))
         return self
 
     @property
@@ -638,7 +638,7 @@ class Monitor(Guessed, Shown):
 
     def __setstate__(self, content: dict[str, Any]) -> None:
         """Restore everything but the lock."""
-        self.__dict__.update(content)
+        vars(self).update(content)
         self._lock = own_lock(self)
 
     def _watched(self, generator: ResidualGenerator) -> Watched:
