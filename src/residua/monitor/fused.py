@@ -302,7 +302,7 @@ class Job:
         """Do the rest."""
         while not self.is_done:
             if self._parts is None:
-                self._parts = _Parts(len(self._left), self._threads, len(self._run.spec.A))
+                self._parts = self._run.parts(len(self._left), self._threads)
             outputs = tuple(self.out[name] for name in OUTPUTS)
             kernel, block = self._run.kernel, (*self._signals, outputs, self._rows, self._left, self._is_fresh)
             self._parts.run(lambda *part, kernel=kernel, block=block: kernel.run(*block, *part, self._joined))
@@ -342,6 +342,13 @@ class _Parts:
         self._notes = np.empty((count, _NOTES, _NOTE_HEAD + states))
         #: When a part is over, by the thread that runs it; ``None``: the calling one does. The first to write it does.
         self._claims: dict[int, threading.Event | None] = {}
+
+    def again(self, plants: int) -> bool:
+        """Restart with so many plants, if no other thread knows of this."""
+        if len(self._ends) > 1 or self._ends[0][1] != plants:
+            return False
+        self._receipts[:] = 0
+        return True
 
     @property
     def any_has_run(self) -> bool:
@@ -443,11 +450,18 @@ class FusedRun:
         self._block: NDArray[np.uint8] = np.zeros(0, dtype=np.uint8)
         self._known: tuple[State, list[NDArray]] | None = None
         self._last = np.empty(0)  # the residual that single samples are written to
+        self._parts: _Parts | None = None
 
     @property
     def state(self) -> State:
         """State of all plants after the last block."""
         return self._on[0]
+
+    def parts(self, plants: int, threads: int) -> _Parts:
+        """Return the parts of a block; those of the last block again where they fit, which saves a fifth of a tick."""
+        if self._parts is None or threads > 1 or not self._parts.again(plants):
+            self._parts = _Parts(plants, threads, len(self.spec.A))
+        return self._parts
 
     @property
     def kernel(self) -> Any:
