@@ -25,7 +25,7 @@ def estimator(band: float) -> tuple[rs.Plant, RobustEstimator]:
     certificate = certified_threshold(loop, made, T)
     sensitivity = smallest_gain(residual_over_set(loop, made, T, signals=["y1 sensor"]), band=band)
     nothing = cast(Any, None)
-    return plant, RobustEstimator("y1 sensor", (), made, T, certificate, sensitivity, 1.0, 1.0, nothing, ())
+    return plant, RobustEstimator("y1 sensor", (), made, T, certificate, sensitivity, 1.0, nothing, ())
 
 
 def largest(plant: rs.Plant, one: RobustEstimator, fault: np.ndarray, disturbance: np.ndarray) -> float:

@@ -178,11 +178,11 @@ def test_thresholds_go_into_a_monitor_and_a_file(tmp_path):
     both = StateSpace(plant.A, np.hstack([plant.Bd, plant.Bf]), plant.C, np.hstack([plant.Dd, plant.Df]), dt=plant.dt)
     y = both.simulate(np.hstack([w, f]))
     found = monitor.run(None, y)
-    assert not found.fired[:1500].any()
-    assert found.fired[-1, bank.members.index(name)]
+    assert not found.parts.fired[:1500].any()
+    assert found.parts.fired[-1, bank.members.index(name)]
     monitor.save(tmp_path / "bank.json")
     again = rs.Monitor.load(tmp_path / "bank.json").run(None, y)
-    assert np.array_equal(again.fired, found.fired)
+    assert np.array_equal(again.parts.fired, found.parts.fired)
     assert np.array_equal(again.residuals, found.residuals)
 
 
