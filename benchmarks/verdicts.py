@@ -175,7 +175,7 @@ class Subject:
         rest = np.zeros((*f.shape[:2], len(plant.inputs))), np.zeros((*f.shape[:2], plant.Bw.shape[1]))
         found = cast(list[Diagnosis], norm.run(*simulated.respond(*rest, f)))
         peaks = np.array([np.nanmax(one.statistic) for one in found]) / norm.threshold
-        white = np.array([((one.residuals - one.center) @ one.whitening)[HEALTHY:].ravel() for one in found])
+        white = np.array([((one.residuals - one.test.center) @ one.test.whitening)[HEALTHY:].ravel() for one in found])
         white /= np.linalg.norm(white, axis=1, keepdims=True) + np.finfo(float).tiny
         same = np.abs(white @ white.T) > SAME
         seen = [k for k in range(len(scale)) if peaks[k] > 1]

@@ -160,10 +160,10 @@ class FakeView:
                     "name": name,
                     "unit": "cm",
                     "values": rounded(d.residuals[last:n, i]),
-                    "center": float(d.center[i]),
-                    "band": float(d.band[i]),
+                    "center": float(d.test.center[i]),
+                    "band": float(d.test.band[i]),
                 }
-                for i, name in enumerate(d.residual_names)
+                for i, name in enumerate(d.generator.residuals)
             ],
             "signals": [
                 {"name": name, "unit": "", "values": rounded(d.signals[last:n, i])} for i, name in enumerate(names)

@@ -126,7 +126,7 @@ for label, faults in {
     for seed in range(10):
         courses = {name: drift(start, 0.5) for name, start in faults.items()}
         run = simulate_degrading_jet_engine(70.0, faults=courses, seed=seed)
-        fired = rs.Monitor(bank).run(None, run.y, time=run.time).fired
+        fired = rs.Monitor(bank).run(None, run.y, time=run.time).parts.fired
         for i, name in enumerate(bank.members):
             start = faults.get(name, np.inf)
             false += int(fired[run.time < start, i].any())

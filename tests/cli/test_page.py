@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 
 from cli_examples import Residua
 from residua.cli.app import COMMANDS, command
+from residua.recording.recording import read_recording
 
 PAGE = (Path(__file__).parents[2] / "docs" / "command-line.rst").read_text(encoding="utf-8")
 #: From a command, as a term of a list, to the next one; what follows the commands is about those that read recordings.
@@ -29,10 +31,12 @@ def test_the_options_of_a_command_exist(name: str, text: str) -> None:
     assert set(re.findall(r"``(--[a-z-]+)", text)) <= options(name)
 
 
-def test_the_options_of_recordings_exist() -> None:
-    named = set(re.findall(r"``(--[a-z-]+)", READING))
+def test_the_arguments_of_recordings_exist() -> None:
+    named = set(re.findall(r"``--read (\w+)[=`]", READING)) - {"NAME", "help"}
     assert len(named) > 8
-    assert all(named <= options(name) for name in ("identify", "learn", "fit", "run"))
+    assert named <= set(inspect.signature(read_recording).parameters)
+    assert all("--read" in options(name) for name in ("identify", "learn", "fit", "run"))
+    assert all("--model" in options(name) for name in ("identify", "learn"))
 
 
 def test_the_first_example_runs(tmp_path: Path, residua: Residua, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -68,7 +68,7 @@ def test_blocks_and_steps_are_the_whole_to_the_last_bit(form: str) -> None:
     assert [one.alarm for one in steps] == whole["alarm"][0].tolist()
     found: Any = copy.deepcopy(monitor).run(rows[:, :M], rows[:, M:])
     assert same(found.statistic, whole["statistic"][0])
-    assert same(found.member_statistics, whole["member_statistics"][0])
+    assert same(found.parts.statistics, whole["member_statistics"][0])
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -350,7 +350,7 @@ def test_rows_outside_of_what_was_learnt_are_counted() -> None:
     left = relations.run(relations.start(1), (rows - point)[None], np.zeros((1, ROWS, 2)))[1][0]
     assert np.isnan(left[BEGIN:, M:]).all()  # two of three
     found: Any = copy.deepcopy(fitted(STATIC)).run(rows[:, :M], rows[:, M:])
-    assert found.outside == pytest.approx(0.5, abs=0.01)
+    assert found.test.outside == pytest.approx(0.5, abs=0.01)
 
 
 @pytest.mark.parametrize(

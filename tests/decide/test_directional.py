@@ -29,7 +29,7 @@ def test_a_plane_that_holds_every_residual_is_not_judged_by(seed: int) -> None:
         f[1000:, sampled.faults.index(name)] = 1.0
         y = sampled.system("fault").simulate(f)
         found = monitor.run(np.zeros((2000, 1)), y)
-        assert all(basis.shape[1] < 2 for basis in found.signatures)
+        assert all(basis.shape[1] < 2 for basis in found.naming.signatures)
         assert name in found.candidates[0].faults
 
 

@@ -96,7 +96,7 @@ def test_one_group_of_all_is_the_norm_of_all() -> None:
     whole = monitor_of(None, 4, window=5).fit(*data)
     fresh = recording(many_sensors(4), 3000, seed=6)
     a, b = one.run(*fresh), whole.run(*fresh)
-    np.testing.assert_allclose(a.member_statistics[:, 0], b.statistic, rtol=1e-9)
+    np.testing.assert_allclose(a.parts.statistics[:, 0], b.statistic, rtol=1e-9)
     np.testing.assert_array_equal(a.alarm, b.alarm)
     np.testing.assert_allclose(a.scores, b.scores, rtol=1e-9)
     assert isinstance(whole.norm_test, NormTest)
@@ -122,7 +122,7 @@ def test_step_equals_run_and_a_saved_monitor_goes_on(window: int, tmp_path: Path
     assert np.array_equal([d.statistic for d in rest], whole.statistic[120:], equal_nan=True)
     assert [d.alarm for d in rest] == whole.alarm[120:].tolist()
     names = tuple(again.norm_test.names)  # pyright: ignore
-    assert [d.fired for d in rest] == [tuple(np.array(names)[row]) for row in whole.fired[120:]]
+    assert [d.fired for d in rest] == [tuple(np.array(names)[row]) for row in whole.parts.fired[120:]]
     assert names[1] == ", ".join(groups[1])
 
 

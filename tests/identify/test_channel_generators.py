@@ -105,7 +105,7 @@ def test_the_score_is_what_reconstruction_takes_away() -> None:
     wrong[200:, 3] += 2.0
     out = diagnosed(monitor, wrong)
     for k in (250, 399):
-        r = out.residuals[k] - out.center
+        r = out.residuals[k] - out.test.center
         for group, score in zip(out.groups, out.scores[k], strict=True):
             direction = made.generator.steady_directions[group[0]]
             least = scipy.optimize.minimize_scalar(lambda f, d=direction, r=r: ((r - f * d) ** 2).sum()).fun
@@ -134,7 +134,9 @@ def test_channels_of_one_direction_are_one_group() -> None:
         one.u, one.y, order=3, relations=1, inputs=one.plant.inputs, outputs=one.plant.outputs
     )
     out = diagnosed(rs.Monitor(made).fit(None, one.rows), one.rows)
-    assert sorted(name for group in (*out.groups, out.unjudged) for name in group) == sorted(made.generator.faults)
+    assert sorted(name for group in (*out.groups, out.naming.unjudged) for name in group) == sorted(
+        made.generator.faults
+    )
     assert len(out.groups) == 1
 
 
@@ -165,7 +167,7 @@ def test_a_saved_monitor_gives_the_same_bits(make: Maker, tmp_path: Path) -> Non
     out, other = diagnosed(monitor, rows), diagnosed(again, rows)
     assert np.array_equal(out.residuals, other.residuals, equal_nan=True)
     assert np.array_equal(out.statistic, other.statistic, equal_nan=True)
-    assert np.array_equal(out.fired, other.fired)
+    assert np.array_equal(out.parts.fired, other.parts.fired)
     assert out.named == other.named
     out.to_html(tmp_path / "page.html")
     assert "sensor" in (tmp_path / "page.html").read_text()
@@ -280,6 +282,6 @@ def test_a_path_is_read_for_the_plant(tmp_path: Path) -> None:
     assert not isinstance(found, list)
     assert not isinstance(expected, list)
     assert np.array_equal(found.statistic, expected.statistic, equal_nan=True)
-    assert found.source == "new.csv"
+    assert found.recording.source == "new.csv"
     with pytest.raises(DataError, match="shows no fault"):
         monitor.learn_fault("none", tmp_path / "new.csv", interval=(300, 600))

@@ -45,10 +45,10 @@ def test_a_monitor_tests_both_as_they_are() -> None:
     monitor = rs.Monitor(made).fit(None, one.rows)
     out = diagnosed(monitor, one.rows)
     ours, judged = statistics(made, one.rows), out.decided
-    assert tuple(out.tested) == ("T2", "Q")
+    assert tuple(out.parts.residuals) == ("T2", "Q")
     for k, group in enumerate(("T2", "Q")):
         # a monitor takes the mean of the rows that it is fitted to off, here that of the rows without the first
-        assert np.allclose(out.member_statistics[judged, k] ** 2, ours[group][judged], rtol=0.02, atol=0.05)
+        assert np.allclose(out.parts.statistics[judged, k] ** 2, ours[group][judged], rtol=0.02, atol=0.05)
 
 
 def test_components_by_number_by_share_and_by_chance() -> None:

@@ -159,13 +159,13 @@ def test_one_plant_is_drawn_and_goes_on(page, view):
         assert page.ask("document.querySelector('#verdict').className") == "verdict fault"
         assert "leak 3" in page.ask("document.querySelector('#verdict').textContent")
         assert page.ask("document.querySelectorAll('#alarms .told.lasts').length") == 1
-        series = 1 + len(d.residual_names) + len(d.signals[0])
+        series = 1 + len(d.generator.residuals) + len(d.signals[0])
         assert int(page.ask("document.body.dataset.drawnCharts")) == series
         points = int(page.ask("document.body.dataset.drawnPoints"))
         assert points > 300 * series
         assert page.ask(
             "[...document.querySelectorAll('figure.chart')].map((f) => f.dataset.series).join()"
-        ) == ",".join(["statistic", *d.residual_names, *d.generator.plant.inputs, *d.generator.plant.outputs])
+        ) == ",".join(["statistic", *d.generator.residuals, *d.generator.plant.inputs, *d.generator.plant.outputs])
         view.play(50, "north")
         page.wait(f"document.body.dataset.drawnPoints > {points}", 5.0)
         # Zoomed by a mouse, the charts stand still until all is shown again.

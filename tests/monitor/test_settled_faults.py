@@ -135,9 +135,9 @@ def test_a_settled_fault_is_named_with_what_it_looks_like(
     monitor.save(tmp_path / "m.json")
     again = rs.Monitor.load(tmp_path / "m.json").run(u, y)
     assert isinstance(again, rs.Diagnosis)
-    assert again.codes is not None
-    assert found.codes is not None
-    assert again.codes.settled == found.codes.settled
+    assert again.naming.codes is not None
+    assert found.naming.codes is not None
+    assert again.naming.codes.settled == found.naming.codes.settled
     assert again.alarms == found.alarms
 
 

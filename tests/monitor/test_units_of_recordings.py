@@ -161,8 +161,8 @@ def test_all_channels_times_ten_are_unlike_the_fit(factor: float) -> None:
     monitor = rs.Monitor(design).fit([day(3), day(4)], dt=60.0)
     u, y = day(5)
     middle = [one.mean(axis=0) for one in (u, y)]
-    assert not monitor.run(u, y).is_unlike_the_fit
+    assert not monitor.run(u, y).recording.is_unlike_the_fit
     same_level = monitor.run(middle[0] + factor * (u - middle[0]), middle[1] + factor * (y - middle[1]))
-    assert same_level.is_unlike_the_fit  # a gain about the level, which the level does not show
+    assert same_level.recording.is_unlike_the_fit  # a gain about the level, which the level does not show
     assert any(f"all 3 channels move {factor:g} times as much" in note for note in same_level.notes)
-    assert monitor.run(factor * u, factor * y).is_unlike_the_fit
+    assert monitor.run(factor * u, factor * y).recording.is_unlike_the_fit

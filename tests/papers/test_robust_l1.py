@@ -85,7 +85,7 @@ def test_drifts_are_found_and_nothing_else(faults, seed):
     monitor = rs.Monitor(bank())
     run = recording(faults, seed)
     found = monitor.run(None, run.y, time=run.time)
-    fired = {m: np.flatnonzero(found.fired[:, i]) for i, m in enumerate(bank().members)}
+    fired = {m: np.flatnonzero(found.parts.fired[:, i]) for i, m in enumerate(bank().members)}
     for name in SENSORS:
         if name not in faults:
             assert not len(fired[name])

@@ -198,7 +198,7 @@ class Diagnosis(Guessed, Shown):
 
     @property
     def members(self) -> tuple[str, ...]:
-        """Names of the members of a bank, the columns of ``fired``, ``code`` and ``member_statistics``.
+        """Names of the members of a bank, the columns of ``parts.fired``, ``parts.code`` and ``parts.statistics``.
 
         Or of the groups of residuals that are tested by themselves, which have no ``code``.
         """

@@ -13,7 +13,7 @@ from residua.errors import DataError
 #: Largest difference of one step from the usual one, as a fraction of it, of times that count as regular.
 REGULAR = 0.01
 
-_EVEN = ", or, where the rows are evenly apart, give their step dt in seconds (--dt)"
+_EVEN = ", or, where the rows are evenly apart, give their step dt in seconds (--read dt=S)"
 
 #: Names that a time column goes by, in any case, with or without ``[s]`` or ``[UTC]``.
 TIME_NAME = re.compile(
