@@ -164,7 +164,7 @@ def _all_nan(d):
 EDGES = {
     "no alarm": (lambda: diagnosis(fault=False), "No fault found."),
     "no isolation": (
-        lambda: replace(
+        lambda: changed(
             (d := diagnosis()),
             groups=(),
             signatures=(),
