@@ -86,7 +86,7 @@ FRAGMENTS = {"monitor": 2}
 LONG_BODIES: dict[str, int] = {}
 LONG_MODULES: dict[str, int] = {}
 SPELLED = {"decide": 0, "monitor": 2}  # the columns of data frames
-TOLERANCES, DISTINCT_TOLERANCES, NAMES_WITH_SEVERAL_VALUES, WITHOUT_EVIDENCE = 286, 23, 0, 48
+TOLERANCES, DISTINCT_TOLERANCES, NAMES_WITH_SEVERAL_VALUES, WITHOUT_EVIDENCE = 286, 23, 0, 51
 
 
 @pytest.fixture(scope="module")
