@@ -199,14 +199,12 @@ for ax, (name, one) in zip(axes, {"Nothing ignored": plain, "Resistance ignored"
     ax.axhline(one.thresholds[0], color="0.4", ls="--", lw=1)
     ax.axvspan(180, time[-1], color="C3", alpha=0.1, lw=0)
     ax.set(ylabel="size [noise]", title=name)
-    before = found.parts.fired[time < 180, 0].mean()
-    print(
-        f"{name}: in alarm {before:.1%} of the time before the fault, {found.parts.fired[time >= 180, 0].mean():.1%} after"
-    )
+    before = found.fired[time < 180, 0].mean()
+    print(f"{name}: in alarm {before:.1%} of the time before the fault, {found.fired[time >= 180, 0].mean():.1%} after")
 axes[0].text(181, 0.9 * axes[0].get_ylim()[1], "magnets weaken by 6 %", color="C3", va="top")
 axes[1].set(xlabel="time [s], resistance rising by a third")
 plt.show()
-quiet = insensitive.run(u, record(warming, u, 14)).parts.fired[:, 0].mean()
+quiet = insensitive.run(u, record(warming, u, 14)).fired[:, 0].mean()
 print(f"with the drift alone, over all four minutes: {quiet:.2%} false alarms (aimed at 0.1 %)")
 
 # %%
@@ -244,7 +242,7 @@ cases = {
     "sensors + 0.2": record([motor()] * 3000, u, 22, bias=0.2),
 }
 for name, y in cases.items():
-    fired = bank.run(u, y).parts.fired[500:]
+    fired = bank.run(u, y).fired[500:]
     index, readings = rs.decide.read_codes(fired, bank.codes, bank.causes, members=bank.members)
     most = readings[np.bincount(index).argmax()]
     share = np.bincount(index).max() / len(index)

@@ -188,7 +188,7 @@ def test_the_bank_names_the_parameter(changed: dict[str, float], bias: float, ca
     bank, u = fitted_bank()
     found = bank.run(u, simulated(u, 0.01, 9, **changed) + [bias, bias])
     index, readings = rs.decide.read_codes(
-        found.parts.fired[1000:], bank.codes, bank.causes, members=bank.members, distance=0
+        found.fired[1000:], bank.codes, bank.causes, members=bank.members, distance=0
     )
     exact = [k for k, reading in enumerate(readings) if reading.answer == "exact" and reading.faults == (cause,)]
     assert np.isin(index, exact).mean() > 0.7
