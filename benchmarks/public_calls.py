@@ -1,7 +1,7 @@
 """Public calls, options, attributes and command options that an earlier tree had and this one has not.
 
-Everything that a module offers in ``__all__`` counts, with the parameters of its functions and classes and the public
-members of its classes; and every option of every command. Each is printed with what takes its place, and those without
+Everything that a room offers counts, with the parameters of its functions and classes and the public members of its
+classes; and every option of every command. Each is printed with what takes its place, and those without
 a place are an error::
 
     PYTHONPATH=src python benchmarks/public_calls.py ../before/src --csv docs/data/public_calls.csv
@@ -25,6 +25,18 @@ from typing import Any
 INTERNAL = "inside of the package; nothing outside needs it"
 #: What takes the place of names that are gone, by patterns of their names; the first that fits counts.
 REPLACED = {
+    r"Diagnosis[.(](center|band|band_share|whitening|averaged|horizon|certified|outside|threshold)\b": "Diagnosis.test",
+    r"Diagnosis[.(](signatures|unjudged|window|codes|learnt_faults|groups)\b": "Diagnosis.naming",
+    r"Diagnosis[.(](member_\w+|fired|code|tested)\b": "Diagnosis.parts: statistics, thresholds, fired, code, residuals",
+    r"Diagnosis[.(](source|origin|resets|predicted|is_unlike_the_fit)\b": "Diagnosis.recording",
+    r"Diagnosis[.(](compared|thinned|table|counted)\b": "Diagnosis.recording",
+    r"Diagnosis[.(]residual_names\b": "Diagnosis.generator.residuals",
+    r"estimator_residual": "UncertainPlant.estimator_residual",
+    r"is_diagonal|sampled_norm|slope_errors|Campaign.head|with_chosen\(made|Plan\b": INTERNAL,
+    r"mark_of|(monitor_of_text|text_of_monitor)$": "Fleet.snapshot and Monitor.save",
+    r"residua \w+ --(order|max-order|past|method|feedthrough|units|name|held-out)$": "--model NAME=VALUE",
+    r"residua \w+ --(day-first|month-first)$": "--read dayfirst, --read dayfirst=no",
+    r"residua \w+ --(columns|time|dt|variable|tolerance|time-format|fill-gaps|transpose|decimal)$": "--read NAME=VALUE",
     r"Fleet\.run\((u|y)\)": "Fleet.update(u, y) for blocks, Fleet.run(recordings) for whole recordings",
     r"Plant\.Bu$": "Plant.B",
     r"Plant\.Du$": "Plant.D",
@@ -56,7 +68,7 @@ def offered() -> dict[str, list[str]]:
     import residua
 
     found: dict[str, list[str]] = {}
-    modules = [name for _, name, _ in pkgutil.walk_packages(residua.__path__, "residua.") if "._" not in name]
+    modules = [name for _, name, is_room in pkgutil.iter_modules(residua.__path__, "residua.") if is_room]
     for module_name in ["residua", *modules]:
         try:
             module = importlib.import_module(module_name)
