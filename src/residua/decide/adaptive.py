@@ -333,8 +333,6 @@ class Adaptive(NormSettings):
     def __post_init__(self) -> None:
         """Check the settings."""
         super().__post_init__()
-        if self.source == "conformal":
-            raise SettingError("source='conformal' is not one of Adaptive: take 'auto', 'quantile' or 'tail'")
         relative = self.relative
         if isinstance(relative, ParameterBox):
             errors, together = errors_of_parameters(relative)

@@ -8,12 +8,18 @@ data is judged by a fit to the others.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.decide.normal_scores import raw_values
+from residua.decide.test import FaultFreeRun
 from residua.linear.subspaces.whitening import VARIANCE_FLOOR
+from residua.tolerances import TINY
+from residua.words import number, one_in
 
 #: Worlds, fewer of many residuals, and at least; rows that each is fitted to at most, new rows of each, and samples
 #: that it takes to settle.
@@ -30,6 +36,18 @@ _GROWTH = 0.3
 _LONGER, _UNSEEN = 2.0, 2.0
 #: Poles of a corrected autoregression, at most.
 _MOST_POLE = 0.9995
+#: The rarest rate that is read off the worlds: beyond, their levels are extended by a Pareto tail, of a shape at most.
+_READ, _MOST_SHAPE = 1e-3, 0.3
+#: Alarms of all worlds that show how long one lasts, and rounds in which a time between alarms finds its rate.
+_ALARMS, _ROUNDS = 30, 8
+#: Alarms of each world by which its rate is told from that of others.
+_MANY = 5
+#: How sure a promise is, and the multiple of the rate from which on it is stated.
+_SURE_OF, TOLERATED = 0.95, 1.5
+#: Independent rows to each residual below which nothing is promised.
+_LEAST_ROWS = 10.0
+#: Stretches of the data that are judged by the others.
+_FOLDS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +68,8 @@ class ResidualModel:
         Of each part with heavy tails the lengths of its innovations, sorted.
     rows : int
         Of the fit.
+    knots, scores : ndarray
+        Where heavy tails are made Gaussian: values of each innovation, and their normal scores; else none.
     """
 
     coefficients: NDArray[np.float64]
@@ -58,15 +78,8 @@ class ResidualModel:
     columns: tuple[slice, ...]
     radii: tuple[NDArray[np.float64] | None, ...]
     rows: int
-
-    @property
-    def is_plain(self) -> bool:
-        """True if innovations are independent and Gaussian, so that worlds depend on the number of rows alone."""
-        return (
-            not self.coefficients.size
-            and all(one is None for one in self.radii)
-            and bool(np.array_equal(np.round(self.covariance, 1), np.eye(len(self.covariance))))
-        )
+    knots: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    scores: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,36 +101,66 @@ class Worlds:
     shrink: float
 
 
-def simulated_worlds(model: ResidualModel, *, seed: int = 0) -> Worlds:
-    """Simulate the model, refit each world, and return its whitened rows and new rows of the same world.
+@dataclass(frozen=True, eq=False)
+class RawWorlds:
+    """Simulated worlds in the units of the model, less the mean of a fit to each.
 
-    Mean, memory and covariance are fitted anew. Of more than a thousand rows the errors are those of a thousand,
-    reduced by the root of their number.
+    Attributes
+    ----------
+    q : ndarray, shape (worlds, rows + time, k)
+        Rows of a fit, and new ones.
+    rows : int
+        Of each fit.
+    coefficients, fitted : ndarray, shapes (p, k, k) and (worlds, p, k, k)
+        Autoregression of the worlds, and of a fit to each.
+    shrink : float
+        Part of their own errors that fits to as many rows as the data have make.
+    """
+
+    q: NDArray[np.float64]
+    rows: int
+    coefficients: NDArray[np.float64]
+    fitted: NDArray[np.float64]
+    shrink: float
+
+
+def raw_worlds(model: ResidualModel, *, settling: int = SETTLING, seed: int = 0) -> RawWorlds:
+    """Simulate the model, and refit mean and memory of each world.
+
+    Of more than a thousand rows the errors are those of a thousand, reduced by the root of their number.
     """
     rows = min(model.rows, _MOST_ROWS)
+    new = _NEW_ROWS + settling - SETTLING
     shrink = float(np.sqrt(rows / model.rows))
     A = model.coefficients
     if len(A):
-        A = _as_long_as_it_may_be(A, _refit(_simulated(model, A, rows, seed)[:, :rows], model), shrink)
-    q = _simulated(model, A, rows, seed)
+        A = _as_long_as_it_may_be(A, _refit(_simulated(model, A, rows, new, seed)[:, :rows], model), shrink)
+    q = _simulated(model, A, rows, new, seed)
     q = q - shrink * q[:, :rows].mean(axis=1, keepdims=True)
-    if len(A):
-        own = A + shrink * (_refit(q[:, :rows], model) - A)
+    own = A + shrink * (_refit(q[:, :rows], model) - A) if len(A) else np.zeros((len(q), *A.shape))
+    return RawWorlds(q, rows, A, own, shrink)
+
+
+def simulated_worlds(model: ResidualModel, *, settling: int = SETTLING, seed: int = 0) -> Worlds:
+    """Simulate the model, refit each world, and return its whitened innovations, of the fit and of new rows."""
+    raw = raw_worlds(model, settling=settling, seed=seed)
+    q, rows, order, shrink = raw.q, raw.rows, len(raw.coefficients), raw.shrink
+    if order:
         e = q.copy()
-        for lag in range(1, len(A) + 1):
-            e[:, lag:] -= q[:, :-lag] @ own[:, lag - 1]
+        for lag in range(1, order + 1):
+            e[:, lag:] -= q[:, :-lag] @ raw.fitted[:, lag - 1]
         q = e @ model.rewhitening
-    fitted = q[:, len(A) : rows]
+    fitted = q[:, order:rows]
     whole = np.swapaxes(fitted, 1, 2) @ fitted / fitted.shape[1]
     mean = whole.mean(axis=0)
     whitening = np.zeros_like(whole)
     for part in model.columns:
         block = mean[part, part] + shrink * (whole[:, part, part] - mean[part, part])
-        whitening[:, part, part] = _inverse_root(block)
+        whitening[:, part, part] = inverse_root(block)
     return Worlds(fitted @ whitening, q[:, rows:] @ whitening, shrink)
 
 
-def _inverse_root(covariances: NDArray[np.float64]) -> NDArray[np.float64]:
+def inverse_root(covariances: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the symmetric inverse root of covariances; directions without variance are left as they are."""
     values, vectors = np.linalg.eigh(covariances)
     values = np.where(values > VARIANCE_FLOOR, values, 1.0)
@@ -137,6 +180,180 @@ def levels_of(statistic: NDArray[np.float64], falls_to: float) -> NDArray[np.flo
         level = np.maximum(value, np.minimum(level, value / falls_to))
         out[t] = level
     return out.T
+
+
+def persistent_levels(statistic: NDArray[np.float64], persistence: int, release: int) -> NDArray[np.float64]:
+    r"""Return for every sample the level :math:`a_t` with: the alarm is on if and only if the threshold is below it.
+
+    With :math:`m_t` the smallest of the last ``persistence`` values of the statistic, and :math:`M_t` the largest of
+    the last ``release``, an alarm of threshold :math:`h` is raised where :math:`m_t > h` and ends where :math:`M_t \le
+    h`. So
+
+    .. math:: a_t = \min(\max(a_{t-1}, m_t), M_t)
+
+    and the fraction of samples in alarm is, for all thresholds at once, the fraction of levels above it. Before
+    ``persistence`` samples the level is minus infinity.
+
+    Parameters
+    ----------
+    statistic : ndarray, shape (..., time)
+        Of usable samples only: others change nothing, see :func:`residua.decide.persistence.alarm_logic`.
+    persistence, release : int
+    """
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d  # slow to import, and needed only here
+
+    time = statistic.shape[-1]
+    if not time:
+        return np.zeros(statistic.shape)
+    low = minimum_filter1d(statistic, persistence, axis=-1, origin=(persistence - 1) // 2, mode="nearest")
+    high = maximum_filter1d(statistic, release, axis=-1, origin=(release - 1) // 2, mode="nearest")
+    low[..., : persistence - 1] = -np.inf
+    if release > 1:  # fewer samples than that end no alarm
+        high[..., : release - 1] = np.inf
+    # limits of the composition of the last 1, 2, 4, ... samples: a map that clamps, after one that clamps, clamps
+    reach = 1
+    while reach < time:
+        later_low, later_high = low[..., reach:], high[..., reach:]
+        low_now = np.minimum(np.maximum(low[..., :-reach], later_low), later_high)
+        high_now = np.minimum(np.maximum(high[..., :-reach], later_low), later_high)
+        low[..., reach:], high[..., reach:] = low_now, high_now
+        reach *= 2
+    return low
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Threshold of a test by simulated worlds.
+
+    Attributes
+    ----------
+    threshold : float
+    rate : float
+        Fraction of fault-free samples in alarm that is expected.
+    promised : float
+        The fraction that is not exceeded on other data, with 95 % confidence; 1 if the rows are too few to say.
+    time : float
+        Samples between false alarms, on average.
+    rows : int
+        Of the fit.
+    excess : float
+        The factor by which held-out data are above what worlds explain.
+    """
+
+    threshold: float
+    rate: float
+    promised: float
+    time: float
+    rows: int
+    excess: float
+
+    def __str__(self) -> str:
+        text = f"{one_in(self.rate)} samples in alarm, simulated for a fit to {self.rows} fault-free samples"
+        if self.promised >= 1:
+            text += "; this log is too short to confirm a rate: use a longer one"
+        elif self.promised > TOLERATED * self.rate:
+            text += f", with 95 % confidence at most {one_in(self.promised)} on other data like these"
+        if self.excess > 1:
+            text += f"; raised by {number(100 * (self.excess - 1), 2)} % for effects that the noise model does not have"
+        return text
+
+
+def calibrated(
+    levels: NDArray[np.float64],
+    held_out: NDArray[np.float64],
+    rate: float,
+    rows: int,
+    *,
+    worth: float = np.inf,
+    time: float | None = None,
+) -> Calibration:
+    """Return the threshold for a rate, or for a time between alarms.
+
+    Parameters
+    ----------
+    levels : ndarray, shape (worlds, time)
+        Thresholds below which each sample of new rows of a world is in alarm, by a fit to that world.
+    held_out : ndarray, shape (time,)
+        Levels of each stretch of the data by a fit to the others; none where they are too few.
+    rate : float
+    rows : int
+        Of the fit.
+    worth : float
+        Independent rows to each residual.
+    time : float, optional
+        Samples between false alarms, instead of a rate.
+    """
+    ordered = np.sort(levels, axis=None)
+    lasting = 1.0
+    for _ in range(1 if time is None else _ROUNDS):
+        if time is not None:
+            rate = lasting / (time + lasting)
+        threshold, lasting = _level(ordered, rate), _mean_length(levels, ordered, rate)
+    excess = allowance(held_out, levels, rate, rows)[1] if len(held_out) else 1.0
+    promised = 1.0 if worth < _LEAST_ROWS else _promised(levels, ordered, rate)
+    every = lasting * (1 - rate) / rate if time is None else time
+    return Calibration(max(threshold * excess, TINY), rate, promised, every, rows, excess)
+
+
+def _level(ordered: NDArray[np.float64], rate: float) -> float:
+    """Return the level exceeded at a rate, by a generalised Pareto tail where that is rarer than worlds show."""
+    n = len(ordered)
+    read = max(rate, min(_READ, 1.0))
+    start = float(ordered[min(int(np.ceil((1 - read) * n)), n - 1)])
+    if rate >= _READ or not np.isfinite(start):
+        return start
+    excesses = ordered[n - int(read * n) :] - start
+    mean, variance = float(excesses.mean()), float(excesses.var())
+    if not mean > 0 or not np.isfinite(mean):
+        return start
+    shape = float(np.clip(0.5 * (1 - mean**2 / variance), 0.0, _MOST_SHAPE)) if variance > 0 else 0.0
+    scale, rarer = mean * (1 - shape), read / rate
+    return start + scale * ((rarer**shape - 1) / shape if shape else float(np.log(rarer)))
+
+
+def _mean_length(levels: NDArray[np.float64], ordered: NDArray[np.float64], rate: float) -> float:
+    """Return the mean length of an alarm at a rate, or at the rarest that shows enough alarms."""
+    while True:
+        over = levels > _level(ordered, rate)
+        raised = int(np.count_nonzero(over[:, 1:] & ~over[:, :-1]))
+        if raised >= _ALARMS or rate > _RATES[0]:
+            return float(over.sum()) / max(raised, 1)
+        rate *= 2
+
+
+def _promised(levels: NDArray[np.float64], ordered: NDArray[np.float64], rate: float) -> float:
+    """Return the 95 % point of the rates of worlds, as a gamma distribution.
+
+    Both halves of the new rows of a world have its rate, and nothing else in common: their covariance is its variance.
+    It is read at a rate at which worlds have enough alarms; deviations of a threshold count for more where these are
+    rarer, by the logarithm of the rate.
+    """
+    from scipy.special import gammaincinv  # slow to import, and needed only here
+
+    read = rate
+    while True:
+        over = levels > _level(ordered, read)
+        if np.count_nonzero(over[:, 1:] & ~over[:, :-1]) >= _MANY * len(levels) or read > _RATES[0]:
+            break
+        read *= 2
+    half = over.shape[1] // 2
+    first, second = over[:, :half].mean(axis=1), over[:, half:].mean(axis=1)
+    mean = max(float(over.mean()), TINY)
+    variance = float(np.mean((first - first.mean()) * (second - second.mean()))) / mean**2
+    variance *= float(np.log(rate) / np.log(min(read, 0.5))) ** 2
+    if not variance > 0:
+        return rate
+    return min(1.0, rate * max(1.0, float(gammaincinv(1 / variance, _SURE_OF)) * variance))
+
+
+def held_out(run: FaultFreeRun) -> Iterator[tuple[FaultFreeRun, FaultFreeRun]]:
+    """Yield each quarter of the usable samples: a run without it, and one of it alone."""
+    count = np.cumsum(run.usable)
+    edges = np.searchsorted(count, np.arange(_FOLDS + 1) * count[-1] / _FOLDS)
+    for start, stop in pairwise([0, *edges[1:-1].tolist(), len(count)]):
+        others = run.usable.copy()
+        others[start:stop] = False
+        yield replace(run, usable=others), replace(run, usable=run.usable & ~others)
 
 
 def allowance(levels: NDArray[np.float64], worlds: NDArray[np.float64], rate: float, rows: int) -> tuple[float, float]:
@@ -192,17 +409,23 @@ def _as_long_as_it_may_be(A: NDArray[np.float64], found: NDArray[np.float64], sh
     return A
 
 
-def _simulated(model: ResidualModel, A: NDArray[np.float64], rows: int, seed: int) -> NDArray[np.float64]:
+def _simulated(model: ResidualModel, A: NDArray[np.float64], rows: int, new: int, seed: int) -> NDArray[np.float64]:
     """Return whitened residuals of all worlds, for the rows of a fit and for new rows."""
     k, order = len(model.covariance), len(A)
-    worlds = max(_LEAST_WORLDS, min(_WORLDS, _NUMBERS // k))
-    values, vectors = np.linalg.eigh(model.covariance)
+    live = np.flatnonzero(np.diag(model.covariance) > 0)  # directions without noise take no random numbers
+    worlds = max(_LEAST_WORLDS, min(_WORLDS, _NUMBERS // max(len(live), 1)))
+    values, vectors = np.linalg.eigh(model.covariance[np.ix_(live, live)])
     root = vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
-    e = np.random.default_rng(seed).standard_normal((worlds, SETTLING + rows + _NEW_ROWS, k))
-    e = e if np.array_equal(root, np.eye(k)) else e @ root
+    e = np.random.default_rng(seed).standard_normal((worlds, SETTLING + rows + new, len(live)))
+    e = e if np.array_equal(root, np.eye(len(live))) else e @ root
+    if len(live) < k:
+        drawn, e = e, np.zeros((*e.shape[:2], k))
+        e[..., live] = drawn
     for part, radii in zip(model.columns, model.radii, strict=True):
         if radii is not None:
             e[..., part] = _with_tails(e[..., part], radii)
+    if model.scores.size:
+        e = raw_values(e, model.knots, model.scores)
     if not order:
         return e[:, SETTLING:]
     innovations, oldest_first = e @ np.linalg.inv(model.rewhitening), A[::-1].reshape(order * k, k)
@@ -267,4 +490,17 @@ def _largest_pole(A: NDArray[np.float64]) -> float:
     return float(np.abs(np.linalg.eigvals(state)).max())
 
 
-__all__ = ["ResidualModel", "Worlds", "allowance", "levels_of", "simulated_worlds"]
+__all__ = [
+    "Calibration",
+    "RawWorlds",
+    "ResidualModel",
+    "Worlds",
+    "allowance",
+    "calibrated",
+    "held_out",
+    "inverse_root",
+    "levels_of",
+    "persistent_levels",
+    "raw_worlds",
+    "simulated_worlds",
+]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -20,15 +20,6 @@ from residua.decide.test import ResidualTest
 from residua.errors import SettingError
 from residua.number_kinds import WINDOW, NumberKind
 from residua.words import one_in
-
-#: Exceedances that are expected where the distribution is compared with the data, and deviations that contradict it.
-_EXPECTED, _CONTRADICTION = (0.1, 0.01), 3.5
-#: Windows over a level that are enough for that.
-_SEEN = 5
-
-
-#: With so many samples more than residuals a covariance from them has a variance.
-_LEAST_FREE = 5
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -90,9 +81,8 @@ class ChiSquared(StreamSettings):
         In samples, for a window of one sample, where it is the inverse of that fraction.
     threshold : float, optional
         h, where it is to be neither.
-    source : {"auto", "design", "data", "quantile", "tail", "conformal"}
-        Where the threshold is from after a fit: designed, for white Gaussian residuals; from the fault-free data
-        themselves; ``"auto"`` designs it unless the data contradict the design, and says so.
+    source : {"auto", "design", "data", "quantile"}
+        Where the threshold is from after a fit; see :class:`residua.decide.CUSUM`.
     treatment : {"auto", "none"}
         Whether a fit makes a coloured residual white, by an autoregression, and heavy tails Gaussian, by normal scores.
 
@@ -121,7 +111,6 @@ class ChiSquared(StreamSettings):
     makes: ClassVar[type[ResidualTest]] = ChiSquaredTest
     falls_to: ClassVar[float] = 1.0
     origin: ClassVar[str] = "by the chi-squared distribution"
-    uncertain: ClassVar[str] = "the covariance"
     NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {**StreamSettings.NUMBER_KINDS, "window": WINDOW}
 
     window: int = 1
@@ -137,31 +126,14 @@ class ChiSquared(StreamSettings):
                 "alarms is not: give false_alarm_rate instead of mean_time_between_false_alarms, or window=1"
             )
 
-    def designed(self, dimension: int, rate: float | None = None, *, samples: int | None = None) -> float:
-        """Return the threshold for a fraction of samples in alarm, with a covariance that is known or from samples.
-
-        Of a covariance from ``n`` samples the sum of squares is Lawley and Hotelling's trace (McKeon's approximation,
-        exact for one residual or one sample).
-        """
-        from scipy.special import chdtri, fdtri
+    def designed(self, dimension: int, rate: float | None = None) -> float:
+        """Return the threshold for a fraction of samples in alarm."""
+        from scipy.special import chdtri
 
         time = self.mean_time_between_false_alarms
         if rate is None:
             rate = rate_aimed_at(self.false_alarm_rate) if time is None else 1 / time
-        if samples is None or samples <= dimension + _LEAST_FREE:
-            return float(np.sqrt(chdtri(dimension * self.window, rate)))
-        free, scale = _trace(dimension, self.window, samples)
-        return float(np.sqrt(scale * fdtri(dimension * self.window, free, 1 - rate)))
-
-    def hurry(self, threshold: float, dimension: int, samples: int) -> float:
-        """Return the factor on the rate of alarms if the covariance comes from so many samples."""
-        from scipy.special import fdtrc
-
-        if samples <= dimension + _LEAST_FREE:
-            return np.inf
-        free, scale = _trace(dimension, self.window, samples)
-        share = float(fdtrc(dimension * self.window, free, threshold**2 / scale))
-        return share / max(self.fraction(threshold, dimension), np.finfo(float).tiny)
+        return float(np.sqrt(chdtri(dimension * self.window, rate)))
 
     def run_length(self, threshold: float, dimension: int) -> float:
         """Return the mean number of samples to a false alarm, of single samples."""
@@ -208,35 +180,6 @@ class ChiSquared(StreamSettings):
         share = self.fraction(threshold, dimension)
         text = f"{one_in(share)} samples in alarm"
         return text, (1 / share if self.window == 1 else None)
-
-    def _contradiction(
-        self, values: NDArray[np.float64], seen: NDArray[np.bool_], parts: Sequence[slice], dimension: int
-    ) -> str | None:
-        """Describe a contradiction between data and distribution; empty without one, ``None`` for too few windows."""
-        windows = np.concatenate([values[part][seen[part]][self.window - 1 :: self.window] for part in parts])
-        for share in _EXPECTED:
-            mean = share * len(windows)
-            level = self.designed(dimension, share)
-            over = int(np.sum(windows > level))
-            if mean >= _SEEN and abs(over - mean) > _CONTRADICTION * np.sqrt(mean):
-                return (
-                    f"the data contradict the design for white Gaussian residuals: {over} of {len(windows)} windows "
-                    f"are over {level:.3g}, {mean:.0f} expected"
-                )
-        return "" if len(windows) * _EXPECTED[0] >= _SEEN else None
-
-
-def _trace(dimension: int, window: int, samples: int) -> tuple[float, float]:
-    """Return the second degrees of freedom and the scale of the squares: McKeon's F for Lawley and Hotelling's trace.
-
-    References
-    ----------
-    McKeon (1974), Biometrika 61(2), 381-383.
-    """
-    p, q, n = dimension, window, samples - 1
-    b = (n + q - p - 1) * (n - 1) / ((n - p - 3) * (n - p))
-    free = 4 + (p * q + 2) / (b - 1)
-    return free, n * p * q * (free - 2) / (free * (n - p - 1))
 
 
 def _root_of_last(sums: Sums) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""Thresholds from data with a confidence statement: order statistics, conformal ones, and a Pareto tail."""
+"""Thresholds from data with a confidence statement: order statistics."""
 
 from __future__ import annotations
 
@@ -9,18 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.dependence import effective_exceedances
-from residua.decide.exceedance_tail import HIGHEST, past, quantile, without_steps
+from residua.decide.exceedance_tail import HIGHEST, past, quantile
 from residua.decide.false_alarms import CONFIDENCE, ENOUGH, Observed, Promise, lasting_blocks, promise_of
-from residua.decide.pareto_tail import ParetoTail
 from residua.errors import SettingError
 from residua.tolerances import ROUNDING, SAME
 from residua.visible import echo
 from residua.words import number, one_in
 
 #: Where a threshold is from.
-Source = Literal["auto", "quantile", "tail", "conformal"]
-#: Independent exceedances that a tail is fitted to, where the data have them.
-_TAIL = 60.0
+Source = Literal["auto", "quantile"]
 #: Samples that are worth that part of as many independent ones are taken for independent ones in words.
 _ALL = 0.98
 
@@ -65,48 +62,31 @@ class StatedPromise(Promise):
 
     Attributes
     ----------
-    source : {"quantile", "conformal", "tail"}
     samples : int
         Those of the data that count.
     worth : float
         The number of independent ones that they are worth.
     """
 
-    source: str = "quantile"
     samples: int = 0
     worth: float = 0.0
 
     @property
     def holds(self) -> bool:
-        """True if the data promise the rate: an order statistic itself, other sources on average."""
-        reached = self.aimed if self.source == "conformal" else self.promised
-        return reached <= self.asked * (1 + SAME) if self.source != "tail" else super().holds
+        """True if the data promise the rate."""
+        return self.promised <= self.asked * (1 + SAME)
 
     def __str__(self) -> str:
         sure = f"with 95 % confidence at most {one_in(self.promised)} on other data like these"
-        if self.source == "tail":
-            text = f"about {one_in(self.aimed)} of them in alarm by a generalised Pareto tail ({self.extended}), {sure}"
-            if self.asked < least_rate(self.worth):
-                text += f", if the tail goes on like that: it is extrapolated; {self._limit} without it"
-            return text
-        if not self.holds:
-            return f"the largest of them, {sure}: {self._limit}"
-        if self.source == "conformal":
-            return f"at most {one_in(self.aimed)} in alarm on average over fits, {sure}"
-        return f"an order statistic, {sure}"
-
-    @property
-    def _limit(self) -> str:
-        """Describe the rate that so many samples can promise, and the number of samples needed."""
+        if self.holds:
+            return f"an order statistic, {sure}"
         least, share = least_rate(self.worth), self.worth / self.samples
         independent = "" if share >= _ALL else f" (worth {number(self.worth)} independent ones)"
-        text = f"with {self.samples} samples{independent} no fewer than {one_in(least)} can be promised at 95 %"
-        needed = samples_for(self.asked)
-        if self.source == "conformal":
-            text += f", nor fewer than {one_in(1 / (self.worth + 1))} on average"
-            needed = 2 / self.asked - 2  # of which the second half counts
-        many = int(np.ceil(needed / (1.0 if share >= _ALL else share) * (1 - ROUNDING)))
-        return f"{text}; {one_in(self.asked)} takes {'' if share >= _ALL else 'about '}{many} samples"
+        many = int(np.ceil(samples_for(self.asked) / (1.0 if share >= _ALL else share) * (1 - ROUNDING)))
+        return (
+            f"the largest of them, {sure}: with {self.samples} samples{independent} no fewer than {one_in(least)} can "
+            f"be promised at 95 %; {one_in(self.asked)} takes {'' if share >= _ALL else 'about '}{many} samples"
+        )
 
 
 def promise_by(source: str, seen: Observed, asked: float) -> Promise:
@@ -118,33 +98,22 @@ def promise_by(source: str, seen: Observed, asked: float) -> Promise:
         Whatever the distribution: the smallest order statistic of which fewer samples are in alarm than were asked for,
         with 95 % confidence. With :math:`j` of :math:`n` independent samples over it the rate is, at worst, distributed
         as :math:`B(j + 1, n - j)`.
-    ``"conformal"``
-        The order statistic over which no more than the rate is expected, :math:`(j + 1)/(n + 1)`, on samples that mean
-        and covariance were not fitted to; the same confidence interval.
-    ``"tail"``
-        The level over which the rate is expected by a generalised Pareto tail, with its interval.
-
     Samples that are in alarm together count as one: ``n`` and ``j`` are divided by the mean number of those over a high
     level in a stretch of time.
 
     References
     ----------
-    Wilks (1941), Annals of Mathematical Statistics 12(1), 91-96 (order statistics); Vovk (2012), Asian Conference on
-    Machine Learning 25, 475-490 (conformal ones); Davison and Smith (1990), Journal of the Royal Statistical Society B
-    52(3), 393-442 (the tail).
+    Wilks (1941), Annals of Mathematical Statistics 12(1), 91-96.
     """
     if source == "auto":
         return promise_of(seen, asked)
     levels, own = np.sort(seen.levels[seen.counted]), np.sort(seen.own[seen.counted])
     together = _together(seen, asked)
     worth = max(len(levels) / together, 1.0)
-    if source == "tail":
-        return _by_tail(seen, levels, own, asked, together)
-    most = _quantile_exceedances if source == "quantile" else _conformal_exceedances
-    over = most(len(levels), together, asked)
+    over = _quantile_exceedances(len(levels), together, asked)
     level = max(_over(levels, over), _over(own, over))
     expected = (over / together + 1) / (worth + 1)
-    return StatedPromise(level, asked, expected, _bound(over, len(levels), together), "", source, len(levels), worth)
+    return StatedPromise(level, asked, expected, _bound(over, len(levels), together), "", len(levels), worth)
 
 
 def _over(ordered: NDArray[np.float64], over: int) -> float:
@@ -169,11 +138,6 @@ def _quantile_exceedances(samples: int, together: float, asked: float) -> int:
     return low
 
 
-def _conformal_exceedances(samples: int, together: float, asked: float) -> int:
-    """Return the most samples over a level for which the expected rate is within a limit; 0 if there are none."""
-    return min(max(int(np.floor(asked * (samples + together) - together + SAME)), 0), samples - 1)
-
-
 def _together(seen: Observed, asked: float) -> float:
     """Return the number of samples over a high level that are worth one independent one."""
     levels = seen.levels[seen.counted]
@@ -185,27 +149,6 @@ def _together(seen: Observed, asked: float) -> float:
         if worth >= ENOUGH or rate >= HIGHEST:
             break
     return len(over) / worth if worth else float(n)
-
-
-def _by_tail(
-    seen: Observed, levels: NDArray[np.float64], own: NDArray[np.float64], asked: float, together: float
-) -> StatedPromise:
-    n = len(levels)
-    smooth, half = without_steps(seen.own[seen.counted])
-    levels = np.sort(smooth) if half else levels
-    start_rate = max(min(_TAIL * together / n, HIGHEST), asked)
-    start = quantile(levels, start_rate)
-    excesses = levels[levels > start] - start
-    worth = max(len(excesses) / together, 1.0)
-    tail = ParetoTail(start, excesses, max(len(excesses), 1) / n, worth)
-    level = tail.level(asked)
-    if asked * n >= 1:
-        level = max(level, _over(own, int(asked * n)) - half)
-    shape, spread = tail.shape
-    words = f"from {one_in(tail.rate)}, with a shape of {shape:.2f} +- {spread:.2f}"
-    expected = tail.expected(level)
-    bound = min(max(tail.bound(level, CONFIDENCE), expected), 1.0)
-    return StatedPromise(level + half, asked, expected, bound, words, "tail", n, max(n / together, 1.0))
 
 
 __all__ = ["Source", "StatedPromise", "check_source", "least_rate", "promise_by", "samples_for"]

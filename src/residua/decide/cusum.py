@@ -17,7 +17,6 @@ from residua.decide.stream_settings import StreamSettings
 from residua.decide.stream_test import StreamTest
 from residua.decide.test import ResidualTest
 from residua.decide.vector_run_lengths import (
-    MOST_DIMENSIONS,
     LengthChain,
     delay_of_mc1,
     run_length_of_mc1,
@@ -185,11 +184,10 @@ class CUSUM(StreamSettings):
         h, instead of both.
     form : {"auto", "page", "crosier", "pignatiello-runger"}
         ``"auto"``: Page's of one residual, Crosier's of several. Page's is best for changes of one residual alone.
-    source : {"auto", "design", "data", "quantile", "tail", "conformal"}
-        Where the threshold is from after a fit: designed, for white Gaussian residuals; from the fault-free data
-        themselves, for a fraction of samples in alarm, in one of the ways of
-        :class:`residua.decide.NormThreshold` (``"data"`` is its ``"auto"``); ``"auto"`` designs it unless the data
-        contradict the design, and says so.
+    source : {"auto", "design", "data", "quantile"}
+        Where the threshold is from after a fit: worlds of the fitted model, each fitted anew; the design, for white
+        Gaussian residuals; an order statistic of the data, so that the rate is at most ``false_alarm_rate`` with 95 %
+        confidence. ``"data"`` waits for a fit where the noise model of the plant would give a threshold.
     treatment : {"auto", "none"}
         Whether a fit makes a coloured residual white, by an autoregression, and heavy tails Gaussian, by normal scores.
 
@@ -282,20 +280,6 @@ class CUSUM(StreamSettings):
     def harmless_offset(self) -> float:
         """A fifth of the allowance."""
         return self.allowance / 5
-
-    def hurry(self, threshold: float, dimension: int, samples: int) -> float:
-        """Return the factor on the rate of false alarms if the mean comes from so many samples, on average."""
-        if self._form(dimension) == "page":
-            known = mean_run_length(PageChain(self.allowance), threshold)
-            off = [
-                mean_run_length(PageChain(self.allowance, mean), threshold)
-                for mean in (samples**-0.5, -(samples**-0.5))
-            ]
-            return known * (1 / off[0] + 1 / off[1]) / 2
-        if self._form(dimension) == "pignatiello-runger" or dimension > MOST_DIMENSIONS:
-            return 1.0
-        off = self.delay(threshold, dimension, shift=(dimension / samples) ** 0.5)
-        return max(self.run_length(threshold, dimension) / off, 1.0)
 
     def test(self, **parts: Any) -> CUSUMTest:
         """Build the fitted test."""

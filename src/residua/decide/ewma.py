@@ -16,7 +16,7 @@ from residua.decide.run_lengths import AlarmCycle, alarm_cycle, mean_run_length
 from residua.decide.stream_settings import StreamSettings
 from residua.decide.stream_test import StreamTest
 from residua.decide.test import ResidualTest
-from residua.decide.vector_run_lengths import MOST_DIMENSIONS, LengthChain, shifted_run_length
+from residua.decide.vector_run_lengths import LengthChain, shifted_run_length
 from residua.errors import SettingError
 from residua.number_kinds import PART, NumberKind
 from residua.visible import echo
@@ -90,9 +90,8 @@ class EWMA(StreamSettings):
         that the log of a fit can support; see :class:`residua.decide.NormThreshold`.
     threshold : float, optional
         h, where it is to be neither.
-    source : {"auto", "design", "data", "quantile", "tail", "conformal"}
-        Where the threshold is from after a fit: designed, for white Gaussian residuals; from the fault-free data
-        themselves; ``"auto"`` designs it unless the data contradict the design, and says so.
+    source : {"auto", "design", "data", "quantile"}
+        Where the threshold is from after a fit; see :class:`residua.decide.CUSUM`.
     treatment : {"auto", "none"}
         Whether a fit makes a coloured residual white, by an autoregression, and heavy tails Gaussian, by normal scores.
 
@@ -155,13 +154,6 @@ class EWMA(StreamSettings):
     def harmless_offset(self) -> float:
         """Two fifths of the deviation of the average."""
         return 0.4 * _deviation(self.weight)
-
-    def hurry(self, threshold: float, dimension: int, samples: int) -> float:
-        """Return the factor on the rate of false alarms if the mean comes from so many samples, on average."""
-        if dimension > MOST_DIMENSIONS:
-            return 1.0
-        off = self.delay(threshold, dimension, shift=(dimension / samples) ** 0.5)
-        return max(self.run_length(threshold, dimension) / off, 1.0)
 
     def test(self, **parts: Any) -> EWMATest:
         """Build the fitted test."""

@@ -352,24 +352,6 @@ def shrunk_to_one(covariance: NDArray[np.float64], samples: float) -> tuple[NDAr
     return (1 - intensity) * covariance + intensity * scale * np.eye(k), intensity
 
 
-def held_apart(data: FaultFree) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return the first half of the usable samples, the windows within it, and the mask of the second half.
-
-    As :meth:`FaultFree.held_out`, once: between the halves lies a gap of the correlation time and the window.
-    """
-    count, index = np.cumsum(data.usable), np.arange(len(data.usable))
-    check_enough(int(count[-1]) // 2, data.residuals.shape[1], data.window)
-    cut = int(np.searchsorted(count, count[-1] / 2)) + 1
-    part = next(part for part in data.parts if cut < part.stop or part.stop == len(index))
-    later = data.usable_samples_away(max(cut, part.start) + data.memory, data.window - 1, part)
-    if not (data.full & (index >= later)).any():
-        raise DataError(
-            f"{int(count[-1])} usable samples leave none to the second half of a conformal threshold, with a gap of "
-            f"{data.memory + data.window - 1}: give more, or take another source"
-        )
-    return data.usable & (index < cut), data.full & (index < cut), index >= later
-
-
 def check_enough(samples: int, k: int, window: int) -> None:
     """Raise unless there are enough samples."""
     least = max(30, 2 * window)
@@ -380,4 +362,4 @@ def check_enough(samples: int, k: int, window: int) -> None:
         )
 
 
-__all__ = ["FaultFree", "Moments", "check_enough", "held_apart"]
+__all__ = ["FaultFree", "Moments", "check_enough"]

@@ -144,9 +144,8 @@ class GLR(StreamSettings):
         that the log of a fit can support; see :class:`residua.decide.NormThreshold`.
     threshold : float, optional
         h, where it is to be neither.
-    source : {"auto", "design", "data", "quantile", "tail", "conformal"}
-        Where the threshold is from after a fit: designed, for white Gaussian residuals; from the fault-free data
-        themselves; ``"auto"`` designs it unless the data contradict the design, and says so.
+    source : {"auto", "design", "data", "quantile"}
+        Where the threshold is from after a fit; see :class:`residua.decide.CUSUM`.
     treatment : {"auto", "none"}
         Whether a fit makes a coloured residual white, by an autoregression, and heavy tails Gaussian, by normal scores.
     directions : "faults", optional

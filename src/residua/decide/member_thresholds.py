@@ -16,9 +16,10 @@ from residua.decide.checks import check_rate, rate_aimed_at
 from residua.decide.compiled import CompiledTest
 from residua.decide.false_alarms import coincidence
 from residua.decide.fault_free import FaultFree
+from residua.decide.norm_fit import fit_norms
 from residua.decide.persistence import AlarmRuns, alarm_logic
 from residua.decide.row_norms import row_norms
-from residua.decide.test import Block, ResidualTest, Tested, Watched
+from residua.decide.test import Block, FaultFreeRun, ResidualTest, Tested, Watched
 from residua.decide.whitened_norm import (
     BAND_DEVIATIONS,
     BAND_SHARE,
@@ -29,7 +30,6 @@ from residua.decide.whitened_norm import (
     NormState,
     NormTest,
     check_invertible,
-    fit_moments,
     is_selection,
     leads_of_sums,
     norm_test_from_model,
@@ -276,53 +276,33 @@ def bank_test_from_model(
 
 
 def fit_bank_test(
-    settings: NormSettings,
-    residuals: NDArray[np.float64],
-    usable: NDArray[np.bool_],
-    members: Parts,
-    *,
-    false_alarm_rate: float,
-    covariance: NDArray | None,
-    signal_sizes: Sequence[float],
-    seams: Sequence[int] = (),
+    settings: NormSettings, run: FaultFreeRun, members: Parts, rate: float, covariance: NDArray | None
 ) -> BankTest:
-    """Fit mean, covariance and threshold of every member to fault-free residuals.
-
-    Every member gets the same share of the rate; see :func:`fit_together`.
+    """Fit mean, covariance and threshold of every member to fault-free residuals; see :func:`fit_norms`.
 
     Parameters
     ----------
     settings : NormSettings
-    residuals : ndarray, shape (time, k)
-    usable : ndarray of bool, shape (time,)
+    run : FaultFreeRun
     members : mapping of str to sequence of int, or sequence of sequence of int
         Residual numbers of each member.
-    false_alarm_rate : float
-        Of the whole bank.
+    rate : float
+        Fraction of samples in which any member is in alarm.
     covariance : ndarray or None
         From the plant's noise model, of sums over the window.
-    signal_sizes : sequence of float
-        For each member the size of the signals that its residuals are the difference of.
-    seams : sequence of int
-        The first sample of each further recording.
 
     Returns
     -------
     BankTest
     """
-    check_rate(false_alarm_rate)
-    fits = [
-        fit_moments(
-            settings,
-            residuals[:, list(rows)],
-            usable,
-            covariance=_part(covariance, rows),
-            signal_size=size,
-            seams=seams,
-        )
-        for rows, size in zip(rows_of(members), signal_sizes, strict=True)
-    ]
-    return side_by_side(*fit_together(fits, false_alarm_rate), members, residuals.shape[1])
+    check_rate(rate)
+    rows = rows_of(members)
+    tests = fit_norms(settings, run, rows, rate, [_part(covariance, one) for one in rows])
+    bank = side_by_side(tests, 1.0, members, run.residuals.shape[1])
+    if settings.source != "auto" or settings.threshold is not None or any(test.promised is None for test in tests):
+        return bank
+    bases = list(dict.fromkeys(test.basis for test in tests))
+    return replace(bank, basis=" / ".join(bases[:_TOLD]), promised=tests[0].promised)
 
 
 #: Members in alarm at once, on average, from which on that is made use of.
@@ -537,29 +517,16 @@ def group_test_from_model(
 
 def fit_group_test(
     settings: NormSettings,
-    residuals: NDArray[np.float64],
-    usable: NDArray[np.bool_],
+    run: FaultFreeRun,
     rows: Mapping[str, Sequence[int]],
-    *,
-    false_alarm_rate: float,
+    rate: float,
     covariance: NDArray | None,
-    signal_sizes: Sequence[float],
-    seams: Sequence[int] = (),
 ) -> GroupTest:
     """Fit the tests of all groups to fault-free residuals, as :func:`fit_bank_test` does for members."""
-    test = fit_bank_test(
-        settings,
-        residuals,
-        usable,
-        rows,
-        false_alarm_rate=false_alarm_rate,
-        covariance=covariance,
-        signal_sizes=signal_sizes,
-        seams=seams,
-    )
-    data = FaultFree(residuals, usable, settings.window, tuple(seams))
-    if settings.whiten == "none" or data.spread <= SIGNAL_ROUNDING * max(signal_sizes):
-        whole = np.eye(residuals.shape[1])
+    test = fit_bank_test(settings, run, rows, rate, covariance)
+    data = FaultFree(run.residuals, run.usable, settings.window, run.seams)
+    if settings.whiten == "none" or data.spread <= SIGNAL_ROUNDING * run.signal_size():
+        whole = np.eye(run.residuals.shape[1])
     elif settings.whiten == "model" and covariance is not None:
         whole = whitening_matrix(covariance)
     else:

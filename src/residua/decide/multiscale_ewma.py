@@ -20,7 +20,6 @@ from residua.decide.multiscale_fit import (
     FALLS_TO,
     averaged,
     clipped,
-    columns_of,
     factors_of,
     fit_means,
     held_out_levels,
@@ -30,13 +29,13 @@ from residua.decide.multiscale_fit import (
     scaled,
     scaled_anew,
     scores_of,
-    side_by_side,
     variance_of,
 )
 from residua.decide.persistence import AlarmRuns, held, run_alarm
 from residua.decide.row_norms import row_squares
 from residua.decide.stream_test import StreamState, StreamTest, plain
 from residua.decide.test import Block, FaultFreeRun, ResidualTest, Tested, TestSettings, Watched
+from residua.decide.treatment import columns_of, side_by_side
 from residua.decide.whitened_norm import (
     BAND_DEVIATIONS,
     BAND_SHARE,

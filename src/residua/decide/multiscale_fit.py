@@ -2,102 +2,46 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.decide.autoregression import Past, unforetold
-from residua.decide.calibrate import ResidualModel, levels_of
-from residua.decide.fault_free import FaultFree
+from residua.decide.calibrate import held_out, levels_of
 from residua.decide.row_norms import row_squares
-from residua.decide.stream_test import plain
-from residua.decide.test import Block, FaultFreeRun, Watched
-from residua.decide.treatment import Treated, treated
-from residua.decide.whitened_norm import whitened_residuals
+from residua.decide.test import FaultFreeRun, Watched
+from residua.decide.treatment import ResidualFit, fit_parts, innovations_of, whitened_part
 from residua.errors import DataError
 from residua.linear.subspaces.whitening import VARIANCE_FLOOR
 from residua.linear.systems.recursion import run_filter
-from residua.tolerances import SIGNAL_ROUNDING
 
 #: Normal score of the length at which a sample is clipped before it enters the long means.
 CLIP = 3.0
 #: Part of the threshold, as a normal score, at or below which an alarm ends.
 FALLS_TO = 0.5
-#: Error of a mean that does not matter, in deviations: it is simulated.
-_HARMLESS = 1.0
 #: Samples of a mean that a fit leaves to its start, in units of its memory, and the most of a recording.
 _STARTING, _MOST_STARTING = 2.0, 0.25
 #: Parts of the variance of white noise below which a mean is rounding.
 _STILL = VARIANCE_FLOOR**0.5
 #: Independent exceedances by which scales are made alike.
 _EXCEEDANCES = 20
-#: Stretches of the data that are judged by the others.
-_FOLDS = 4
 
 
 @dataclass(frozen=True, eq=False)
-class MeansFit:
+class MeansFit(ResidualFit):
     """Residual model and means of a fit, before the threshold."""
 
-    parts: dict[str, Any]
     scaling: NDArray[np.float64]
-    columns: list[slice]
-    moving: list[int]
-    model: ResidualModel
-    notes: list[str]
 
 
 def fit_means(weights: Sequence[float], treatment: str, rows: Sequence[Sequence[int]], run: FaultFreeRun) -> MeansFit:
     """Fit the whitening of residuals, and the covariance of their means, to the usable samples of a run."""
-    columns, made = columns_of(rows), [_treated(treatment, run, one) for one in rows]
-    parts = side_by_side([one.parts for one in made], rows, run.residuals.shape[1])
-    series = _white(parts, run)
-    e = np.concatenate(series)
-    covariance = e.T @ e / max(1, len(e))
-    for part in columns:  # each is white by itself; directions without noise are left out
-        covariance[part, part] = np.diag((np.diag(covariance[part, part]) > _STILL).astype(float))
-    radii = tuple(
-        np.sort(np.sqrt(row_squares(e[:, part]))) if one.is_heavy else None
-        for part, one in zip(columns, made, strict=True)
-    )
-    model = ResidualModel(
-        parts["coefficients"], parts["rewhitening"], covariance, tuple(columns), radii, int(run.usable.sum())
-    )
-    notes = list(dict.fromkeys(note for one in made for note in one.notes))
-    fit = MeansFit(parts, np.zeros(0), columns, [max(one.moving, 1) for one in made], model, notes)
-    scaling = [scaled_anew(means_of(weight, series, fit), columns, weight, 1.0) for weight in weights]
-    return replace(fit, scaling=np.concatenate(scaling))
-
-
-def _treated(treatment: str, run: FaultFreeRun, rows: Sequence[int]) -> Treated:
-    """Return the whitening of some residuals; those without noise are scaled by their largest value."""
-    data = FaultFree(run.residuals[:, list(rows)], run.usable, 1, run.seams)
-    rounding = SIGNAL_ROUNDING * run.signal_size(rows)
-    if data.spread > rounding:
-        try:
-            return treated(data, treatment, _HARMLESS, scores=False)
-        except DataError:  # its past predicts all of it: it is judged unchanged
-            return treated(data, "none", _HARMLESS, scores=False)
-    size = max(float(np.abs(data.deviations).max(initial=0.0)), rounding, float(np.finfo(float).tiny))
-    parts = plain(data.middle, np.eye(len(rows)) / size)
-    return Treated(parts, len(rows), ["no noise in these data: the threshold is at rounding level"], False)
-
-
-def _white(parts: Mapping[str, Any], run: FaultFreeRun) -> list[NDArray[np.float64]]:
-    """Return the white residuals of each recording that has some, at samples where they are known."""
-    A, out = parts["coefficients"], []
-    for part in FaultFree(run.residuals, run.usable, 1, run.seams).parts:
-        q, usable = whitened_residuals(
-            parts["center"], parts["whitening"], Block(run.residuals[None, part], run.usable[None, part])
-        )
-        e, seen, _ = unforetold(A, Past.empty(1, A), q, usable)
-        if seen.any():
-            out.append((e[0] @ parts["rewhitening"] if A.size else e[0])[seen[0]])
-    return out
+    fit = fit_parts([whitened_part(treatment, run, one) for one in rows], rows, run)
+    blank = MeansFit(**vars(fit), scaling=np.zeros(0))
+    series = innovations_of(fit.parts, run)
+    scaling = [scaled_anew(means_of(weight, series, blank), fit.columns, weight, 1.0) for weight in weights]
+    return replace(blank, scaling=np.concatenate(scaling))
 
 
 def means_of(weight: float, series: Sequence[NDArray[np.float64]], fit: MeansFit) -> list[NDArray[np.float64]]:
@@ -176,18 +120,13 @@ def held_out_levels(
     factors: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Return the levels of each quarter of the samples by a fit to the others; none if they are too few."""
-    count = np.cumsum(run.usable)
-    edges = np.searchsorted(count, np.arange(_FOLDS + 1) * count[-1] / _FOLDS)
     out = []
-    for start, stop in pairwise([0, *edges[1:-1].tolist(), len(count)]):
-        others = run.usable.copy()
-        others[start:stop] = False
-        mine = replace(run, usable=run.usable & ~others)
+    for others, mine in held_out(run):
         try:
-            fit = fit_means(weights, treatment, rows, replace(run, usable=others))
+            fit = fit_means(weights, treatment, rows, others)
         except DataError:  # too few samples remain for a fit
             return np.zeros(0)
-        for e in _white(fit.parts, mine):
+        for e in innovations_of(fit.parts, mine):
             if len(e):
                 means = [
                     means_of(weight, [e], fit)[0] @ (M / g)
@@ -202,26 +141,6 @@ def rows_of_parts(watched: Watched) -> list[list[int]]:
     if watched.parts is None:
         return [list(range(watched.generator.n_residuals))]
     return [list(rows) for rows in watched.parts.values()]
-
-
-def columns_of(rows: Sequence[Sequence[int]]) -> list[slice]:
-    """Return the columns of the whitened residuals of each part."""
-    ends = np.cumsum([len(one) for one in rows]).tolist()
-    return [slice(a, b) for a, b in zip([0, *ends[:-1]], ends, strict=True)]
-
-
-def side_by_side(made: Sequence[Mapping[str, Any]], rows: Sequence[Sequence[int]], n: int) -> dict[str, Any]:
-    """Return the joint whitening of the residuals of all parts."""
-    columns = columns_of(rows)
-    k, order = columns[-1].stop, max(len(one["coefficients"]) for one in made)
-    parts = {**plain(np.zeros(n), np.zeros((n, k))), "coefficients": np.zeros((order, k, k)), "rewhitening": np.eye(k)}
-    parts["knots"] = np.zeros((k, 0))
-    for one, mine, part in zip(made, rows, columns, strict=True):
-        parts["center"][mine] = one["center"]
-        parts["whitening"][mine, part] = one["whitening"]
-        parts["coefficients"][: len(one["coefficients"]), part, part] = one["coefficients"]
-        parts["rewhitening"][part, part] = one["rewhitening"]
-    return parts
 
 
 def clipped(e: NDArray[np.float64], columns: Sequence[slice], clips: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -260,7 +179,6 @@ __all__ = [
     "MeansFit",
     "averaged",
     "clipped",
-    "columns_of",
     "factors_of",
     "fit_means",
     "held_out_levels",
@@ -270,6 +188,5 @@ __all__ = [
     "scaled",
     "scaled_anew",
     "scores_of",
-    "side_by_side",
     "variance_of",
 ]

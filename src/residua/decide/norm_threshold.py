@@ -16,8 +16,9 @@ from residua.decide.member_thresholds import (
     group_test_from_model,
     rows_of_groups,
 )
+from residua.decide.norm_fit import fit_norm_test, fit_norms
 from residua.decide.test import FaultFreeRun, ResidualTest, Watched
-from residua.decide.whitened_norm import NormSettings, NormTest, fit_norm_test, norm_test_from_model
+from residua.decide.whitened_norm import NormSettings, NormTest, norm_test_from_model
 from residua.errors import FileFormatError, SettingError
 from residua.records import joined, table_in, text_in, texts_in, values_in, values_out
 from residua.visible import echo
@@ -61,16 +62,15 @@ class NormThreshold(NormSettings):
         while any group is, and tells which. Of many residuals one norm hides a fault that few of them show: of 52, it
         lies at 10 standard deviations where that of a single one lies at 5. Not for banks, whose members are groups
         already.
-    source : {"auto", "quantile", "tail", "conformal"}
-        How a fit finds the threshold. ``"auto"``: read off the data where they show the rate, else extended by a tail
-        like that of chi-squared. ``"quantile"``: an order statistic, so that the rate is at most ``false_alarm_rate``
-        with 95 % confidence, whatever the distribution. ``"conformal"``: mean and covariance of the first half of the
-        data, an order statistic of the second: at most the rate on average over fits. ``"tail"``: a generalised Pareto
-        tail, of any weight. All state in ``basis`` the rate that the samples can promise, and the number required.
+    source : {"auto", "quantile"}
+        How a fit finds the threshold. ``"auto"``: by worlds of the fitted residual model, each fitted anew, so that the
+        errors of a fit to so few rows are allowed for. ``"quantile"``: an order statistic of the data, so that the rate
+        is at most ``false_alarm_rate`` with 95 % confidence, whatever the distribution. ``basis`` states the rate that
+        the samples can promise.
 
     References
     ----------
-    Chen, Patton and Zhang (1996), eq. (24). Of the sources:
+    Chen, Patton and Zhang (1996), eq. (24). Of order statistics:
     :func:`residua.decide.confident_thresholds.promise_by`.
     """
 
@@ -97,20 +97,12 @@ class NormThreshold(NormSettings):
 
     def fitted(self, watched: Watched, run: FaultFreeRun, rate: float) -> NormTest | BankTest:
         """Return the test fitted to fault-free data, for a rate of false alarms."""
-        generator = watched.generator
-        options: dict[str, Any] = {
-            "false_alarm_rate": rate,
-            "covariance": generator.covariance_of_sums(self.window),
-            "seams": run.seams,
-        }
+        covariance = watched.generator.covariance_of_sums(self.window)
         if watched.parts is not None:
-            sizes = [run.signal_size(rows) for rows in watched.parts.values()]
-            return fit_bank_test(self, run.residuals, run.usable, watched.parts, signal_sizes=sizes, **options)
+            return fit_bank_test(self, run, watched.parts, rate, covariance)
         if self.groups is not None:
-            rows = rows_of_groups(self.groups, generator.residuals)
-            sizes = [run.signal_size(part) for part in rows.values()]
-            return fit_group_test(self, run.residuals, run.usable, rows, signal_sizes=sizes, **options)
-        return fit_norm_test(self, run.residuals, run.usable, signal_size=run.signal_size(), **options)
+            return fit_group_test(self, run, rows_of_groups(self.groups, watched.generator.residuals), rate, covariance)
+        return fit_norms(self, run, [range(run.residuals.shape[1])], rate, [covariance])[0]
 
     # ----------------------------------------------- interface to the rest of a monitor
 

@@ -104,7 +104,7 @@ class PageHinkley(StreamSettings):
         the log of a fit can support; see :class:`residua.decide.NormThreshold`.
     threshold : float, optional
         h, where it is to be neither.
-    source : {"auto", "design", "data", "quantile", "tail", "conformal"}
+    source : {"auto", "design", "data", "quantile"}
         Where the threshold is from after a fit; see :class:`residua.decide.CUSUM`.
     treatment : {"auto", "none"}
         Whether a fit makes a coloured residual white, by an autoregression, and heavy tails Gaussian, by normal scores.
@@ -178,11 +178,6 @@ class PageHinkley(StreamSettings):
     def harmless_offset(self) -> float:
         """One standard deviation, since the mean of the stream itself counts."""
         return 1.0
-
-    @property
-    def uninterrupted(self) -> StreamSettings:
-        """Test with a known mean, as after a long stream."""
-        return CUSUM(shift=2 * self.drift, form="page")
 
     def test(self, **parts: Any) -> PageHinkleyTest:
         """Build the fitted test."""

@@ -14,7 +14,6 @@ from residua.decide.confident_thresholds import least_rate
 from residua.decide.cusum import CUSUM
 from residua.decide.dependence import correlation_times
 from residua.decide.fault_free import FaultFree, check_enough
-from residua.decide.pareto_tail import ParetoTail
 from residua.decide.stationarity import CONFIDENCE as SURE_OF_CHANGE, Change, changes
 from residua.decide.test import FaultFreeRun
 from residua.decide.treatment import treated
@@ -333,7 +332,9 @@ def _tail(size: NDArray[np.float64]) -> tuple[float, float]:
     """Return the shape of the tail of the sizes of samples, and its standard deviation."""
     start = float(np.quantile(size, 1 - _TAIL))
     over = size[size > start] - start
-    return ParetoTail(start, over, _TAIL, float(max(len(over), 1))).shape
+    if not len(over) or not over.var() > 0:
+        return 0.0, 0.0
+    return float(0.5 * (1 - over.mean() ** 2 / over.var())), float(len(over) ** -0.5)
 
 
 def _squares(data: FaultFree) -> NDArray[np.float64]:

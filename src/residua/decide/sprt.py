@@ -167,7 +167,7 @@ class SPRT(StreamSettings):
         In samples, from a start: A then follows from it by integral equation instead, B stays.
     threshold : float, optional
         A, where it is to be neither.
-    source : {"auto", "design", "data", "quantile", "tail", "conformal"}
+    source : {"auto", "design", "data", "quantile"}
         Where the threshold is from after a fit; see :class:`residua.decide.CUSUM`.
     treatment : {"auto", "none"}
         Whether a fit makes a coloured residual white, by an autoregression, and heavy tails Gaussian, by normal scores.
@@ -275,16 +275,11 @@ class SPRT(StreamSettings):
         lasting = alarm_cycle(self._chain(0.0), level, release).lasting
         return AlarmCycle(self.run_length(threshold, dimension), lasting)
 
-    def hurry(self, threshold: float, dimension: int, samples: int) -> float:
-        """Return the factor on the rate of false alarms if the mean comes from so many samples, on average."""
-        known, off = mean_run_length(self._chain(0.0), self._level(threshold)), samples**-0.5
-        return known * sum(run_frequency(self._chain(mean), self._level(threshold)) for mean in (off, -off)) / 2
-
-    def designed(self, dimension: int, rate: float | None = None, *, samples: int | None = None) -> float:
+    def designed(self, dimension: int, rate: float | None = None) -> float:
         """Return A: by Wald's bound, or for a wanted time between alarms, or a fraction of samples in alarm."""
         if self.mean_time_between_false_alarms is None and rate is None:
             return self.upper
-        return super().designed(dimension, rate, samples=samples)
+        return super().designed(dimension, rate)
 
     def promise(self, threshold: float, dimension: int) -> tuple[str, float | None]:
         """Describe a threshold by its false alarms, and return the time between them."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,17 +10,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.autoregression import Past, autoregression, unforetold, whiteness
+from residua.decide.calibrate import ResidualModel
 from residua.decide.fault_free import FaultFree
 from residua.decide.normal_scores import is_heavy_tailed, knots_of
+from residua.decide.row_norms import row_squares
 from residua.decide.stream_test import plain
+from residua.decide.test import Block, FaultFreeRun
+from residua.decide.whitened_norm import whitened_residuals
 from residua.errors import DataError
 from residua.linear.subspaces.whitening import VARIANCE_FLOOR
+from residua.tolerances import SIGNAL_ROUNDING
 from residua.words import counted, number
 
 #: Probability that white noise looks as coloured, below which it is taken to be coloured.
 _COLOURED = 0.01
 #: Standard deviations by which the ends of a stretch of time may be off its mean, and stretches that data are cut into.
 _ENDS, _FOLDS = 3.0, 4
+#: Error of a mean that does not matter where it is simulated, in deviations.
+_HARMLESS = 1.0
+#: Parts of the variance of white noise below which a direction is rounding.
+_STILL = VARIANCE_FLOOR**0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,12 +47,15 @@ class Treated:
         Remarks on it.
     is_heavy : bool
         Whether the innovations have heavy tails.
+    shrinkage : float
+        How far the covariance was drawn towards a simpler one; 0 if the data sufficed.
     """
 
     parts: dict[str, Any]
     moving: int
     notes: list[str]
     is_heavy: bool
+    shrinkage: float = 0.0
 
 
 def treated(data: FaultFree, treatment: str, harmless_offset: float, *, scores: bool = True) -> Treated:
@@ -104,7 +117,105 @@ def treated(data: FaultFree, treatment: str, harmless_offset: float, *, scores: 
         everywhere = np.tile(values, (len(parts["center"]), 1))
         everywhere[live[varies]] = knots
         parts = {**parts, "knots": everywhere, "scores": values}
-    return Treated(parts, moving, notes, is_heavy)
+    return Treated(parts, moving, notes, is_heavy, whole.intensity)
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualFit:
+    """Treatment of the parts of a residual, side by side, and the model of what it leaves.
+
+    Attributes
+    ----------
+    parts : dict
+        As of :class:`Treated`, with the whitened residuals of one part after those of another.
+    columns : list of slice
+        Whitened residuals of each part.
+    moving : list of int
+        Independent directions of each part.
+    model : ResidualModel
+    notes : list of str
+    """
+
+    parts: dict[str, Any]
+    columns: list[slice]
+    moving: list[int]
+    model: ResidualModel
+    notes: list[str]
+
+
+def fit_parts(made: Sequence[Treated], rows: Sequence[Sequence[int]], run: FaultFreeRun) -> ResidualFit:
+    """Return the joint model of residuals that are treated part by part."""
+    columns = columns_of(rows)
+    parts = side_by_side([one.parts for one in made], rows, run.residuals.shape[1])
+    e = np.concatenate(innovations_of(parts, run))
+    covariance = e.T @ e / max(1, len(e))
+    for part in columns:  # each is white by itself; directions without noise are left out
+        covariance[part, part] = np.diag((np.diag(covariance[part, part]) > _STILL).astype(float))
+    heavy = [one.is_heavy and not one.parts["scores"].size for one in made]
+    radii = tuple(
+        np.sort(np.sqrt(row_squares(e[:, part]))) if one else None for part, one in zip(columns, heavy, strict=True)
+    )
+    model = ResidualModel(
+        parts["coefficients"],
+        parts["rewhitening"],
+        covariance,
+        tuple(columns),
+        radii,
+        int(run.usable.sum()),
+        parts["knots"],
+        parts["scores"],
+    )
+    notes = list(dict.fromkeys(note for one in made for note in one.notes))
+    return ResidualFit(parts, columns, [max(one.moving, 1) for one in made], model, notes)
+
+
+def whitened_part(treatment: str, run: FaultFreeRun, rows: Sequence[int]) -> Treated:
+    """Return the whitening of some residuals; those without noise are scaled by their largest value."""
+    data = FaultFree(run.residuals[:, list(rows)], run.usable, 1, run.seams)
+    rounding = SIGNAL_ROUNDING * run.signal_size(rows)
+    if data.spread > rounding:
+        try:
+            return treated(data, treatment, _HARMLESS, scores=False)
+        except DataError:  # its past predicts all of it: it is judged unchanged
+            return treated(data, "none", _HARMLESS, scores=False)
+    size = max(float(np.abs(data.deviations).max(initial=0.0)), rounding, float(np.finfo(float).tiny))
+    parts = plain(data.middle, np.eye(len(rows)) / size)
+    return Treated(parts, len(rows), ["no noise in these data: the threshold is at rounding level"], False)
+
+
+def innovations_of(parts: Mapping[str, Any], run: FaultFreeRun) -> list[NDArray[np.float64]]:
+    """Return the white residuals of each recording that has some, at samples where they are known."""
+    A, out = parts["coefficients"], []
+    for part in FaultFree(run.residuals, run.usable, 1, run.seams).parts:
+        q, usable = whitened_residuals(
+            parts["center"], parts["whitening"], Block(run.residuals[None, part], run.usable[None, part])
+        )
+        e, seen, _ = unforetold(A, Past.empty(1, A), q, usable)
+        if seen.any():
+            out.append((e[0] @ parts["rewhitening"] if A.size else e[0])[seen[0]])
+    return out
+
+
+def columns_of(rows: Sequence[Sequence[int]]) -> list[slice]:
+    """Return the columns of the whitened residuals of each part."""
+    ends = np.cumsum([len(one) for one in rows]).tolist()
+    return [slice(a, b) for a, b in zip([0, *ends[:-1]], ends, strict=True)]
+
+
+def side_by_side(made: Sequence[Mapping[str, Any]], rows: Sequence[Sequence[int]], n: int) -> dict[str, Any]:
+    """Return the joint whitening of the residuals of all parts."""
+    if len(made) == 1 and list(rows[0]) == list(range(n)):
+        return dict(made[0])
+    columns = columns_of(rows)
+    k, order = columns[-1].stop, max(len(one["coefficients"]) for one in made)
+    parts = {**plain(np.zeros(n), np.zeros((n, k))), "coefficients": np.zeros((order, k, k)), "rewhitening": np.eye(k)}
+    parts["knots"] = np.zeros((k, 0))
+    for one, mine, part in zip(made, rows, columns, strict=True):
+        parts["center"][list(mine)] = one["center"]
+        parts["whitening"][list(mine), part] = one["whitening"]
+        parts["coefficients"][: len(one["coefficients"]), part, part] = one["coefficients"]
+        parts["rewhitening"][part, part] = one["rewhitening"]
+    return parts
 
 
 def _floor(samples: int, harmless_offset: float) -> float:
@@ -124,4 +235,13 @@ def _innovations(
     return e[0, seen[0]]
 
 
-__all__ = ["Treated", "treated"]
+__all__ = [
+    "ResidualFit",
+    "Treated",
+    "columns_of",
+    "fit_parts",
+    "innovations_of",
+    "side_by_side",
+    "treated",
+    "whitened_part",
+]

@@ -13,7 +13,7 @@ from residua.decide.checks import check_rate, check_samples, is_number, rate_aim
 from residua.decide.compiled import CompiledTest
 from residua.decide.confident_thresholds import check_source, promise_by
 from residua.decide.false_alarms import Observed, observed
-from residua.decide.fault_free import FaultFree, check_enough, held_apart
+from residua.decide.fault_free import FaultFree, check_enough
 from residua.decide.gaussian_norm import norm_above
 from residua.decide.persistence import AlarmRuns, run_alarm
 from residua.decide.row_norms import row_norms, row_squares
@@ -290,47 +290,6 @@ def norm_test_from_model(settings: NormSettings, covariance: NDArray | None, n_r
     return NormTest(np.zeros(n_residuals), whitening, threshold, settings.persistence, release, settings.window, basis)
 
 
-def fit_norm_test(
-    settings: NormSettings,
-    residuals: NDArray[np.float64],
-    usable: NDArray[np.bool_],
-    *,
-    false_alarm_rate: float,
-    covariance: NDArray | None,
-    signal_size: float,
-    seams: Sequence[int] = (),
-) -> NormTest:
-    """Fit mean, covariance and threshold to fault-free residuals.
-
-    Mean and covariance are those of all samples. The threshold comes from statistics that each stretch of time has by
-    the mean and covariance of the others (cross-fitting, :class:`residua.decide.fault_free.FaultFree`), so that it
-    holds on data that the covariance was not fitted to. It is that which the fraction of samples in alarm, persistence
-    and release included, is ``false_alarm_rate`` for; see :func:`residua.decide.false_alarms.promise_of` for what is
-    done where the data are too few to show that, and for what ``promised`` says.
-
-    Parameters
-    ----------
-    settings : NormSettings
-    residuals : ndarray, shape (time, k)
-    usable : ndarray of bool, shape (time,)
-    false_alarm_rate : float
-    covariance : ndarray or None
-        From the plant's noise model, of sums over the window.
-    signal_size : float
-        Size of the signals that the residual is the difference of; residuals below 1e-12 of it are rounding.
-    seams : sequence of int
-        Where ``residuals`` are those of several recordings in a row: the first sample of each further one. No window,
-        run or correlation reaches across.
-
-    Returns
-    -------
-    NormTest
-    """
-    check_rate(false_alarm_rate)
-    base = fit_moments(settings, residuals, usable, covariance=covariance, signal_size=signal_size, seams=seams)
-    return with_threshold(base, false_alarm_rate)
-
-
 @dataclass(frozen=True, eq=False)
 class Fitted:
     """A test with mean and covariance fitted, and the data for its threshold.
@@ -365,7 +324,7 @@ def fit_moments(
     signal_size: float,
     seams: Sequence[int] = (),
 ) -> Fitted:
-    """Fit mean and covariance, and return the data for the threshold; see :func:`fit_norm_test`."""
+    """Fit mean and covariance, and return the data for the threshold."""
     data = FaultFree(residuals, usable, settings.window, tuple(seams))
     k, count = residuals.shape[1], int(usable.sum())
     check_enough(count, k, settings.window)
@@ -382,8 +341,7 @@ def fit_moments(
         known = np.eye(k)
     elif settings.whiten == "model" and covariance is not None:
         known = whitening_matrix(covariance)
-    split = held_apart(data) if settings.source == "conformal" else None
-    whole = data.moments(whitening=known) if split is None else data.moments(*split[:2], whitening=known)
+    whole = data.moments(whitening=known)
     release = settings.release or settings.persistence
     test = NormTest(whole.center, whole.whitening, np.inf, settings.persistence, release, settings.window, "")
     if known is None:
@@ -391,11 +349,6 @@ def fit_moments(
     if settings.threshold is not None:
         test = replace(test, threshold=settings.threshold, basis="threshold given, mean and covariance fitted")
         return Fitted(test, None, count, None)
-    if split is not None:
-        later = data.full & split[2], usable & split[2]
-        seen = observed(data.statistic(whole), *later, data.parts, k,
-                        persistence=settings.persistence, release=release, window=settings.window)  # fmt: skip
-        return Fitted(test, seen, count, rounding if noise_free else None, settings.source)
     seen = observed(
         data.cross_fitted(whole, whiten=known is None), data.full, usable, data.parts, k,
         persistence=settings.persistence, release=release, window=settings.window, own=data.statistic(whole),
@@ -409,8 +362,6 @@ def with_threshold(base: Fitted, rate: float) -> NormTest:
         return base.test
     promise = promise_by(base.source, base.seen, rate)
     threshold, basis = promise.threshold, f"fitted to {base.count} fault-free samples, {promise}"
-    if base.source == "conformal":
-        basis += "; mean and covariance of the first half of them, the threshold of the second"
     if base.test.shrinkage:
         basis += f"; covariance of too few samples, shrunk by {base.test.shrinkage:.2g} towards a simpler one"
     if base.rounding is not None:
