@@ -23,7 +23,7 @@ import numpy as np
 import scipy.io
 from numpy.typing import NDArray
 
-from residua.decide import NormThreshold, read_codes
+from residua.decide import FaultFreeRun, NormThreshold, read_codes
 from residua.decide.consistency import code_likelihoods
 from residua.decide.member_thresholds import fit_bank_test, member_alarms
 from residua.decide.window import empty_window, moving_sum
@@ -91,15 +91,9 @@ def decisions(recording: Recording) -> Iterator[tuple[str, dict[str, NDArray[np.
 def fitted(training: NDArray, modes: dict[str, NDArray], window: int) -> dict[str, NDArray[np.bool_]]:
     """Return the members in alarm by the thresholds of a bank, fitted to fault-free samples."""
     count = training.shape[1]
-    test = fit_bank_test(
-        NormThreshold(window=window, persistence=1),
-        training,
-        np.ones(len(training), dtype=bool),
-        [[i] for i in range(count)],
-        false_alarm_rate=FALSE_ALARM,
-        covariance=None,
-        signal_sizes=[1.0] * count,
-    )
+    run = FaultFreeRun(training, np.ones(len(training), dtype=bool), (), np.ones(count))
+    settings = NormThreshold(window=window, persistence=1)
+    test = fit_bank_test(settings, run, [[i] for i in range(count)], FALSE_ALARM, None)
     out = {}
     for name, residuals in modes.items():
         sums = means((residuals - test.center) @ test.whitening, window) * np.sqrt(window)

@@ -284,8 +284,6 @@ def test_sizes_of_errors_that_are_none(relative: object) -> None:
 
 def test_what_cannot_be_done_is_said() -> None:
     flt = rs.design.kalman_filter(plant_of())
-    with pytest.raises(SettingError, match="conformal"):
-        rs.decide.Adaptive(source="conformal")
     other = UncertainPlant.from_plants([rs.Plant([[a]], [[1.0]], [[1.0]], dt=1) for a in (0.5, 0.6)])
     with pytest.raises(SettingError, match="channels"):
         rs.Monitor(flt, test=rs.decide.Adaptive(relative=other))

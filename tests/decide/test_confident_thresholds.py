@@ -1,4 +1,4 @@
-"""Thresholds from data with a statement of confidence: promises hold as often as they say, and say what it takes."""
+"""Order statistics with a statement of confidence: promises hold as often as they say, and say what it takes."""
 
 from __future__ import annotations
 
@@ -14,9 +14,8 @@ import residua as rs
 from effort import cases
 from residua.decide.confident_thresholds import StatedPromise, least_rate, promise_by, samples_for
 from residua.decide.false_alarms import Observed, observed
-from residua.decide.pareto_tail import ParetoTail
 from residua.decide.test import Watched
-from residua.errors import DataError, NotFittedError, SettingError
+from residua.errors import NotFittedError, SettingError
 
 #: Promises of 95 % that are kept: in one of 100 series of 500 right ones fewer are.
 REPEATS = 500
@@ -102,10 +101,10 @@ def promises_kept(source: str, kind: str, rate: float, rows: int, fit: bool) -> 
         [
             ("quantile", "coloured", 0.02),
             ("quantile", "quantised", 0.02),
-            ("conformal", "white", 0.01),
-            ("tail", "t4", 0.005),
-            *[(s, k, 0.02) for s in ("quantile", "tail") for k in ("white", "coloured", "t4", "quantised")],
-            *[(s, k, 0.002) for s in ("quantile", "tail") for k in ("white", "coloured", "t4", "quantised")],
+            ("quantile", "t4", 0.002),
+            ("quantile", "white", 0.002),
+            *[("quantile", k, 0.02) for k in ("white", "t4")],
+            *[("quantile", k, 0.002) for k in ("coloured", "quantised")],
         ],
         4,
     ),
@@ -118,56 +117,13 @@ def test_a_promise_is_kept_in_95_of_100_cases(case: tuple[str, str, float]) -> N
 @pytest.mark.parametrize(
     "case",
     cases(
-        [
-            ("conformal", "t4"),
-            ("conformal", "coloured"),
-            *[(s, k) for s in ("conformal", "quantile", "tail") for k in ("white", "coloured", "t4", "quantised")],
-        ],
+        [("quantile", k) for k in ("coloured", "white", "t4", "quantised")],
         1,
     ),
 )
 def test_a_promise_is_kept_with_mean_and_covariance_from_the_same_data(case: tuple[str, str]) -> None:
     source, kind = case
     assert promises_kept(source, kind, 0.03, 200, fit=True) >= KEPT
-
-
-def test_a_conformal_threshold_keeps_its_rate_on_average() -> None:
-    """Of 39 samples (j + 1) / 40: exactly, whatever the distribution; both sides of the expectation are checked."""
-    rng, rates = np.random.default_rng(2), []
-    for _ in range(400):
-        seen = seen_of(rng.standard_t(4, 39) / np.sqrt(2))
-        seen = dataclasses.replace(seen, blocks=np.arange(39))
-        rates.append(share_outside("t4", -(h := promise_by("conformal", seen, 0.1).threshold), h))
-    assert np.mean(rates) <= 0.1 + 2.6 * np.std(rates) / 20
-    assert np.mean(rates) > 0.05
-
-
-def test_a_pareto_tail_finds_its_shape_and_its_levels() -> None:
-    rng = np.random.default_rng(3)
-    for shape in (-0.2, 0.0, 0.3):
-        y = stats.genpareto(shape, scale=2e-6).rvs(400, random_state=rng)
-        tail = ParetoTail(1e-5, y, 0.1, 400.0)
-        middle, spread = tail.shape
-        assert abs(middle - shape) < 3 * spread < 0.3
-        exact = 1e-5 + stats.genpareto(shape, scale=2e-6).isf(0.01)
-        assert tail.level(0.001) == pytest.approx(exact, rel=0.15)
-        assert tail.expected(tail.level(0.001)) == pytest.approx(0.001, rel=1e-4)
-        assert tail.bound(exact, 0.05) < 0.001 < tail.bound(exact, 0.999)
-        scaled = ParetoTail(1e-5 * 2.0**20, y * 2.0**20, 0.1, 400.0)
-        assert scaled.level(0.001) == pytest.approx(tail.level(0.001) * 2.0**20, rel=1e-9)
-    constant = ParetoTail(1.0, np.zeros(0), 0.1, 1.0)
-    assert constant.level(0.01) == 1.0
-    assert constant.shape == (0.0, 0.0)
-
-
-def test_a_tail_says_that_it_is_extrapolated_and_how_sure_it_is() -> None:
-    x = np.random.default_rng(4).standard_normal(1000)
-    promise = promise_by("tail", seen_of(x), 1e-4)
-    assert isinstance(promise, StatedPromise)
-    assert "it is extrapolated; with 1000 samples" in str(promise)
-    assert "29956 samples without it" in str(promise)
-    assert 1e-4 < promise.promised < least_rate(1000)
-    assert "extrapolated" not in str(promise_by("tail", seen_of(x), 0.02))
 
 
 def test_correlated_samples_count_for_fewer() -> None:
@@ -185,7 +141,7 @@ def test_correlated_samples_count_for_fewer() -> None:
     assert "takes about" in str(coloured)
 
 
-@pytest.mark.parametrize("source", ["quantile", "tail", "conformal"])
+@pytest.mark.parametrize("source", ["auto", "quantile"])
 def test_a_threshold_counts_samples_in_alarm_with_persistence(source: str) -> None:
     rng = np.random.default_rng(6)
     test = rs.decide.NormThreshold(persistence=3, source=source, false_alarm_rate=0.005)
@@ -199,13 +155,8 @@ def test_a_threshold_counts_samples_in_alarm_with_persistence(source: str) -> No
     "case",
     cases(
         [
-            ("quantile", rs.decide.CUSUM),
-            ("tail", rs.decide.ChiSquared),
-            ("conformal", rs.decide.ChiSquared),
-            ("tail", rs.decide.CUSUM),
-            ("conformal", rs.decide.CUSUM),
-            *[(source, rs.decide.EWMA) for source in ("quantile", "tail", "conformal")],
-            *[(source, rs.decide.SPRT) for source in ("quantile", "tail", "conformal")],
+            *[("quantile", make) for make in (rs.decide.CUSUM, rs.decide.ChiSquared, rs.decide.EWMA, rs.decide.SPRT)],
+            *[("auto", make) for make in (rs.decide.CUSUM, rs.decide.ChiSquared, rs.decide.EWMA, rs.decide.SPRT)],
         ],
         3,
     ),
@@ -220,7 +171,7 @@ def test_streams_keep_the_promise_of_their_data(case: tuple[str, type[rs.decide.
     assert monitor.norm_test.promised < 0.06
 
 
-@pytest.mark.parametrize("source", ["quantile", "tail", "conformal"])
+@pytest.mark.parametrize("source", ["auto", "quantile"])
 def test_units_change_nothing(source: str) -> None:
     rng = np.random.default_rng(8)
     residuals = rng.standard_normal((600, 3))
@@ -244,10 +195,13 @@ def test_a_noise_model_is_not_taken_where_the_data_are_asked_for() -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: rs.decide.NormThreshold(source="guess"), "source must be one of auto, quantile, tail, conformal"),
-        (lambda: rs.decide.NormThreshold(source="tail", threshold=3.0), "cannot be combined: leave one out"),
-        (lambda: rs.decide.CUSUM(source="conformal", threshold=3.0), "cannot be combined: leave one out"),
-        (lambda: rs.Monitor(given(2), test=rs.decide.NormThreshold(source="tail", groups="each")), "for one threshold"),
+        (lambda: rs.decide.NormThreshold(source="guess"), "source must be one of auto, quantile"),
+        (lambda: rs.decide.NormThreshold(source="quantile", threshold=3.0), "cannot be combined: leave one out"),
+        (lambda: rs.decide.CUSUM(source="quantile", threshold=3.0), "cannot be combined: leave one out"),
+        (
+            lambda: rs.Monitor(given(2), test=rs.decide.NormThreshold(source="quantile", groups="each")),
+            "for one threshold",
+        ),
     ],
 )
 def test_settings_that_cannot_be_are_refused(make: object, message: str) -> None:
@@ -255,19 +209,9 @@ def test_settings_that_cannot_be_are_refused(make: object, message: str) -> None
         make()  # pyright: ignore[reportCallIssue]
 
 
-def test_too_few_samples_are_refused() -> None:
-    rng = np.random.default_rng(9)
-    monitor = rs.Monitor(given(), test=rs.decide.NormThreshold(source="conformal"), isolate=None)
-    with pytest.raises(DataError, match="25 usable samples are too few"):
-        monitor.fit(None, rng.standard_normal((51, 1)), held_out=0)
-    settings = rs.decide.NormThreshold(source="conformal", window=15)
-    with pytest.raises(DataError, match="leave none to the second half"):
-        rs.Monitor(given(), test=settings, isolate=None).fit(None, np.arange(62.0)[:, None], held_out=0)
-
-
 def test_settings_and_thresholds_come_back_from_files(tmp_path: Path) -> None:
     rng = np.random.default_rng(10)
-    for source in ("auto", "tail"):
+    for source in ("auto", "quantile"):
         test = rs.decide.NormThreshold(source=source)
         monitor = rs.Monitor(given(), test=test, isolate=None).fit(None, rng.standard_normal((500, 1)))
         monitor.save(tmp_path / "monitor.json")

@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
+from residua.decide.calibrate import persistent_levels
 from residua.decide.dependence import correlation_times, effective_exceedances
 from residua.decide.exceedance_tail import Scale
-from residua.decide.false_alarms import alarm_levels
 from residua.decide.fault_free import FaultFree, oracle_approximating_intensity, shrunk
 from residua.decide.member_thresholds import fit_bank_test, member_alarms
 from residua.decide.norm_threshold import NormTest, NormThreshold, fit_norm_test
 from residua.decide.persistence import alarm_logic
+from residua.decide.test import FaultFreeRun
 from residua.errors import DataError
 
 REPOSITORY = Path(__file__).resolve().parent.parent.parent
@@ -180,25 +181,22 @@ def test_members_that_alarm_together_share_the_rate() -> None:
     residuals = common + 0.05 * rng.standard_normal((60_000, 12))
     usable = np.ones(20_000, dtype=bool)
     settings_ = NormThreshold(persistence=1)
-    test = fit_bank_test(
-        settings_, residuals[:20_000], usable, [(i,) for i in range(12)], false_alarm_rate=0.01, covariance=None,
-        signal_sizes=[1.0] * 12,
-    )  # fmt: skip
+    run = FaultFreeRun(residuals[:20_000], usable, (), np.ones(12))
+    test = fit_bank_test(settings_, run, [(i,) for i in range(12)], 0.01, None)
     q = np.abs((residuals[20_000:] - test.center) @ test.whitening)
     none, off = np.zeros((1, 12), dtype=np.int64), np.zeros((1, 12), dtype=bool)
     fired, _, _ = member_alarms(test, (q > test.thresholds)[None], np.ones((1, 40_000), dtype=bool), none, none, off)
     assert 0.002 < fired.any(axis=2).mean() < 0.015
-    assert "are in alarm at once" in test.basis
     assert test.promised is not None
 
 
 def test_members_that_are_independent_add_up() -> None:
     rng = np.random.default_rng(8)
-    test = fit_bank_test(
-        NormThreshold(persistence=1), rng.standard_normal((20_000, 4)), np.ones(20_000, dtype=bool),
-        [(i,) for i in range(4)], false_alarm_rate=0.01, covariance=None, signal_sizes=[1.0] * 4,
-    )  # fmt: skip
-    assert "1/4 of the rate of the whole bank" in test.basis
+    run = FaultFreeRun(rng.standard_normal((20_000, 4)), np.ones(20_000, dtype=bool), (), np.ones(4))
+    test = fit_bank_test(NormThreshold(persistence=1), run, [(i,) for i in range(4)], 0.01, None)
+    q = np.abs((rng.standard_normal((40_000, 4)) - test.center) @ test.whitening)
+    shares = (q > test.thresholds).mean(axis=0)
+    assert shares == pytest.approx(np.full(4, 0.0025), rel=0.4)
 
 
 # ---------------------------------------------------------------------------- parts
@@ -213,7 +211,7 @@ def test_a_level_is_over_the_threshold_where_the_alarm_is_on(
     none, off = np.zeros(1, dtype=np.int64), np.zeros(1, dtype=bool)
     usable = np.ones((1, len(values)), dtype=bool)
     alarm, _, _ = alarm_logic((statistic > threshold)[None], usable, none, none, off, persistence, release)
-    assert np.array_equal(alarm[0], alarm_levels(statistic, persistence, release) > threshold)
+    assert np.array_equal(alarm[0], persistent_levels(statistic, persistence, release) > threshold)
 
 
 @pytest.mark.parametrize("phi", [0.0, 0.5, 0.9])

@@ -9,8 +9,8 @@ from scipy.stats import binomtest
 
 from residua.decide import NormThreshold
 from residua.decide.held_out import LEAST, HeldOut, alarms_held_out, held_out_rows
+from residua.decide.norm_fit import fit_norm_test
 from residua.decide.test import FaultFreeRun
-from residua.decide.whitened_norm import fit_norm_test
 
 
 def run_of(residuals: np.ndarray, seams: tuple[int, ...] = ()) -> FaultFreeRun:

@@ -25,6 +25,7 @@ from residua.decide import (
     Tested,
     TestSettings,
     Watched,
+    calibrated_test,
     register,
 )
 from residua.decide.kinds import ISOLATIONS, TESTS
@@ -85,10 +86,7 @@ class PageHinkley(TestSettings):
     def fitted(self, watched: Watched, run: FaultFreeRun, rate: float) -> ResidualTest:
         rows = run.residuals[run.usable]
         blank = PageHinkleyTest(rows.mean(axis=0), rows.std(axis=0), self.tolerated, np.inf, "")
-        seen = blank.run(blank.start(1), Block(run.residuals[None], run.usable[None]))[1].statistic[0, run.usable]
-        return replace(
-            blank, threshold=1.5 * float(np.quantile(seen, 1 - rate)), basis=f"fitted to {len(rows)} samples"
-        )
+        return calibrated_test(blank, run, rate)
 
 
 @dataclass(frozen=True, eq=False)

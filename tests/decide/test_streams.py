@@ -13,8 +13,8 @@ from scipy.signal import lfilter
 import residua as rs
 from effort import cases
 from residua.decide.autoregression import Past, autoregression, unforetold, whiteness
+from residua.decide.calibrate import levels_of
 from residua.decide.normal_scores import is_heavy_tailed, knots_of, normal_scores
-from residua.decide.stream_settings import _levels
 from residua.decide.stream_test import plain
 from residua.decide.test import Block, Watched
 from residua.errors import DataError, FileFormatError, SettingError
@@ -113,25 +113,6 @@ def test_a_likelihood_ratio_is_as_rare_as_it_is_designed_where_alarms_are_freque
 def test_a_likelihood_ratio_over_single_samples_is_exact() -> None:
     settings = rs.decide.GLR(window=1, mean_time_between_false_alarms=3000)
     assert settings.designed(3) == pytest.approx(rs.decide.ChiSquared(false_alarm_rate=1 / 3000).designed(3), rel=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("settings", "samples"),
-    [
-        (rs.decide.GLR(), 2000),
-        (rs.decide.GLR(window=10), 5000),
-        (rs.decide.CUSUM(form="page"), 2000),
-        (rs.decide.PageHinkley(), 20_000),
-    ],
-)
-def test_white_data_do_not_contradict_a_design(settings: rs.decide.CUSUM, samples: int) -> None:
-    """In 1 of 100 recordings or so: neither short times between alarms, nor a mean that starts again, are compared."""
-    blank = settings.test(**plain(np.zeros(3), np.eye(3)), threshold=np.inf, release=0.0, basis="")
-    e = np.random.default_rng(22).standard_normal((12, samples, 3))
-    seen = np.ones(e.shape[:2], bool)
-    values = blank.run(blank.start(12), Block(e, seen))[1].statistic
-    said = [settings._contradiction(values[k], seen[k], [slice(0, samples)], 3) for k in range(12)]
-    assert sum(map(bool, said)) <= 1
 
 
 def test_a_likelihood_ratio_can_be_fitted_to_2000_samples_of_one_residual() -> None:
@@ -241,7 +222,7 @@ def test_copies_of_a_residual_are_not_counted_again(settings: rs.decide.CUSUM) -
         rs.Monitor(given(columns), test=settings, isolate=None).fit(None, rows, held_out=0)
         for columns, rows in ((2, white), (6, white @ copies))
     )
-    assert other.threshold == one.threshold
+    assert other.threshold == pytest.approx(one.threshold, rel=1e-6)
     assert "2 of the 6 residuals are independent" in other.norm_test.basis
     again = rng.standard_normal((5_000, 2))
     np.testing.assert_allclose(
@@ -337,13 +318,13 @@ def test_a_residual_that_hardly_moves_in_a_recording_is_refused() -> None:
         rs.Monitor(given(1), test=test, isolate=None).fit(None, slow)
 
 
-def test_what_the_data_contradict_is_said_and_the_threshold_is_theirs() -> None:
+def test_bursts_that_no_model_has_raise_the_threshold() -> None:
     """Noise that comes in bursts is white, and no autoregression and no scores make it independent."""
     rng = np.random.default_rng(9)
     loud = np.repeat(np.where(rng.uniform(size=400) < 0.2, 3.0, 0.6), 50)[:, None]
     burst = loud * rng.standard_normal((20_000, 1))
     monitor = rs.Monitor(given(1), test=rs.decide.CUSUM(false_alarm_rate=0.01), isolate=None).fit(None, burst)
-    assert "the data contradict the design" in monitor.norm_test.basis
+    assert "for effects that the noise model does not have" in monitor.norm_test.basis
     assert monitor.norm_test.promised is not None
     other = np.repeat(np.where(rng.uniform(size=800) < 0.2, 3.0, 0.6), 50)[:, None] * rng.standard_normal((40_000, 1))
     assert monitor.run(None, other).alarm.mean() < 0.03
@@ -433,8 +414,8 @@ def test_scores_are_gaussian_whatever_the_samples_are() -> None:
 def test_a_level_is_that_below_which_a_threshold_has_an_alarm() -> None:
     rng = np.random.default_rng(12)
     values = np.abs(np.cumsum(rng.standard_normal(300)))
-    for part in (0.0, 0.5, 1.0):
-        levels = _levels(values, part)
+    for part in (0.5, 1.0):
+        levels = levels_of(values[None], part)[0]
         for h in (0.5, 3.0, 8.0):
             on, alarm = False, []
             for value in values:
@@ -489,7 +470,6 @@ def test_a_time_between_alarms_from_the_data_counts_alarms_as_long_as_they_are_t
         rng = np.random.default_rng((seed, 3))
         monitor = rs.Monitor(given(2), test=settings, isolate=None)
         monitor.fit(None, noise("heavy-tailed", rng, 20_000, 2), held_out=0)
-        assert "the data contradict the design" in monitor.norm_test.basis
         found = monitor.run(None, noise("heavy-tailed", rng, 100_000, 2))
         assert isinstance(found, rs.Diagnosis)
         raised += int((found.alarm[1:] & ~found.alarm[:-1]).sum())
@@ -526,14 +506,13 @@ def test_files_that_fit_nothing_are_refused() -> None:
 @pytest.mark.parametrize(("columns", "window", "rows"), [(1, 1, 60), (1, 20, 200), (3, 1, 60), (3, 10, 120)])
 def test_a_chi_squared_threshold_allows_for_the_covariance_of_a_fit(columns: int, window: int, rows: int) -> None:
     rng, over = np.random.default_rng(4), []
-    settings = rs.decide.ChiSquared(window=window, false_alarm_rate=0.02, source="design", treatment="none")
+    settings = rs.decide.ChiSquared(window=window, false_alarm_rate=0.02, treatment="none")
     for _ in range(60):
         watch = rs.Monitor(given(columns), test=settings, isolate=None)
         watch.fit(None, rng.standard_normal((rows, columns)), held_out=0)
         over.append(watch.run(None, rng.standard_normal((1000, columns))).alarm[window:].mean())
     spread = np.std(over) / len(over) ** 0.5
     assert np.mean(over) == pytest.approx(0.02, abs=4 * spread + 0.002)  # the mean of the fit adds a little
-    assert "more often with it from" in watch.norm_test.basis
 
 
 def test_what_no_run_length_is_known_of_is_said() -> None:

@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from residua.decide.adaptive import Adaptive
     from residua.decide.alarm import Alarm, Candidate
     from residua.decide.by_channel import ByChannel
+    from residua.decide.calibrated_test import calibrated_test
     from residua.decide.channel_relations import ChannelRelations
     from residua.decide.chi_squared import ChiSquared
     from residua.decide.consistency import ConsistentFault, Explanation, code_likelihoods, consistent_faults
@@ -85,6 +86,7 @@ __all__ = [
     "Watched",
     "WindowState",
     "Word",
+    "calibrated_test",
     "code_likelihoods",
     "consistent_faults",
     "correlation",
@@ -109,6 +111,7 @@ hand_on(
         "residua.decide.adaptive": ("Adaptive",),
         "residua.decide.alarm": ("Alarm", "Candidate"),
         "residua.decide.by_channel": ("ByChannel",),
+        "residua.decide.calibrated_test": ("calibrated_test",),
         "residua.decide.channel_relations": ("ChannelRelations",),
         "residua.decide.chi_squared": ("ChiSquared",),
         "residua.decide.consistency": ("ConsistentFault", "Explanation", "code_likelihoods", "consistent_faults"),

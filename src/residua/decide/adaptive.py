@@ -272,8 +272,7 @@ class Adaptive(NormSettings):
     relative : float, UncertainPlant, or None
         How wrong the model may be. ``None``: as wrong as a fit finds it.
     threshold, persistence, release, window, whiten, false_alarm_rate, source
-        As of :class:`residua.decide.NormThreshold`; the threshold is that at rest, :math:`a`. A conformal source is
-        not possible.
+        As of :class:`residua.decide.NormThreshold`; the threshold is that at rest, :math:`a`.
     errors : sequence of OutputError, optional
         Errors made from an uncertain plant; stored in files.
 

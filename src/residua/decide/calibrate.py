@@ -44,6 +44,8 @@ _ALARMS, _ROUNDS = 30, 8
 _MANY = 5
 #: How sure a promise is, and the multiple of the rate from which on it is stated.
 _SURE_OF, TOLERATED = 0.95, 1.5
+#: Where that allows for more, the threshold is set for less, down to this share of the rate.
+_LEAST_AIM = 0.6
 #: Independent rows to each residual below which nothing is promised.
 _LEAST_ROWS = 10.0
 #: Stretches of the data that are judged by the others.
@@ -196,27 +198,32 @@ def persistent_levels(statistic: NDArray[np.float64], persistence: int, release:
 
     Parameters
     ----------
-    statistic : ndarray, shape (..., time)
+    statistic : ndarray, shape (time,) or (series, time)
         Of usable samples only: others change nothing, see :func:`residua.decide.persistence.alarm_logic`.
     persistence, release : int
     """
     from scipy.ndimage import maximum_filter1d, minimum_filter1d  # slow to import, and needed only here
 
     time = statistic.shape[-1]
-    if not time:
-        return np.zeros(statistic.shape)
+    if not time or persistence == release == 1:
+        return statistic.copy()
     low = minimum_filter1d(statistic, persistence, axis=-1, origin=(persistence - 1) // 2, mode="nearest")
     high = maximum_filter1d(statistic, release, axis=-1, origin=(release - 1) // 2, mode="nearest")
     low[..., : persistence - 1] = -np.inf
     if release > 1:  # fewer samples than that end no alarm
         high[..., : release - 1] = np.inf
+    if statistic.ndim > 1:
+        rows, level = np.ascontiguousarray(low.T), np.full(len(low), -np.inf)
+        for t, highest in enumerate(np.ascontiguousarray(high.T)):
+            level = rows[t] = np.minimum(np.maximum(level, rows[t]), highest)
+        return rows.T
     # limits of the composition of the last 1, 2, 4, ... samples: a map that clamps, after one that clamps, clamps
     reach = 1
     while reach < time:
-        later_low, later_high = low[..., reach:], high[..., reach:]
-        low_now = np.minimum(np.maximum(low[..., :-reach], later_low), later_high)
-        high_now = np.minimum(np.maximum(high[..., :-reach], later_low), later_high)
-        low[..., reach:], high[..., reach:] = low_now, high_now
+        later_low, later_high = low[reach:], high[reach:]
+        low_now = np.minimum(np.maximum(low[:-reach], later_low), later_high)
+        high_now = np.minimum(np.maximum(high[:-reach], later_low), later_high)
+        low[reach:], high[reach:] = low_now, high_now
         reach *= 2
     return low
 
@@ -269,6 +276,9 @@ def calibrated(
 ) -> Calibration:
     """Return the threshold for a rate, or for a time between alarms.
 
+    Where fits to so few rows differ by more than 1.5 times the rate it is set for less, down to 0.6 of it; if that does
+    not suffice, the promise says so.
+
     Parameters
     ----------
     levels : ndarray, shape (worlds, time)
@@ -284,15 +294,18 @@ def calibrated(
         Samples between false alarms, instead of a rate.
     """
     ordered = np.sort(levels, axis=None)
-    lasting = 1.0
-    for _ in range(1 if time is None else _ROUNDS):
-        if time is not None:
+    if time is not None:
+        lasting = 1.0
+        for _ in range(_ROUNDS):
             rate = lasting / (time + lasting)
-        threshold, lasting = _level(ordered, rate), _mean_length(levels, ordered, rate)
-    excess = allowance(held_out, levels, rate, rows)[1] if len(held_out) else 1.0
-    promised = 1.0 if worth < _LEAST_ROWS else _promised(levels, ordered, rate)
-    every = lasting * (1 - rate) / rate if time is None else time
-    return Calibration(max(threshold * excess, TINY), rate, promised, every, rows, excess)
+            lasting = _mean_length(levels, ordered, rate)
+    surely = 1.0 if worth < _LEAST_ROWS else _promised(levels, ordered, rate)
+    aimed = rate if time is not None else rate * max(_LEAST_AIM, min(1.0, TOLERATED * rate / surely))
+    if time is None:
+        time = _mean_length(levels, ordered, aimed) * (1 - aimed) / aimed
+    excess = allowance(held_out, levels, aimed, rows)[1]
+    promised = 1.0 if surely >= 1 else surely * aimed / rate
+    return Calibration(max(_level(ordered, aimed) * excess, TINY), aimed, promised, time, rows, excess)
 
 
 def _level(ordered: NDArray[np.float64], rate: float) -> float:
@@ -377,16 +390,19 @@ def allowance(levels: NDArray[np.float64], worlds: NDArray[np.float64], rate: fl
     few = 1 + _UNSEEN / rows**0.5
     found: list[tuple[float, float]] = []
     passes = False
+    if not len(levels):
+        return few, 1.0
     own = worlds[:, : min(len(levels), worlds.shape[1])]
-    for one in _RATES:
-        level = float(np.quantile(levels, 1 - one))
+    shares = 1 - np.array(_RATES)
+    of_data, of_worlds = np.quantile(levels, shares), np.quantile(worlds, shares)
+    surely = np.quantile(np.quantile(own, shares, axis=1), _SURE, axis=1)
+    for one, level, expected, most in zip(_RATES, of_data, of_worlds, surely, strict=True):
         if np.count_nonzero((levels[1:] > level) & (levels[:-1] <= level)) < _SHOWN:
             break
-        expected = float(np.quantile(worlds, 1 - one))
         if not expected > 0:  # residuals that mostly stand still
             break
-        passes |= level > np.quantile(np.quantile(own, 1 - one, axis=1), _SURE)
-        found.append((one, level / expected))
+        passes |= bool(level > most)
+        found.append((one, float(level / expected)))
         if one <= rate:
             break
     if not passes:

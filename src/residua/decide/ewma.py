@@ -155,6 +155,11 @@ class EWMA(StreamSettings):
         """Two fifths of the deviation of the average."""
         return 0.4 * _deviation(self.weight)
 
+    @property
+    def settling(self) -> int:
+        """Six times the samples in the average."""
+        return int(np.ceil(6 / self.weight))
+
     def test(self, **parts: Any) -> EWMATest:
         """Build the fitted test."""
         return EWMATest(**parts, weight=self.weight)

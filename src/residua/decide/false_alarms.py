@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.decide.calibrate import persistent_levels
 from residua.decide.dependence import correlation_times, effective_exceedances
 from residua.decide.exceedance_runs import RunModel
 from residua.decide.exceedance_tail import HIGHEST, Scale, Tail, quantile, scale_of, tail_of, without_steps
@@ -24,45 +25,6 @@ _LEAST_AIM = 0.6
 ENOUGH = 30.0
 #: Groups of stretches of time that are left out in turn to see how well a rate is known.
 _GROUPS = 20
-
-
-def alarm_levels(statistic: NDArray[np.float64], persistence: int, release: int) -> NDArray[np.float64]:
-    r"""Return for every sample the level :math:`a_t` with: the alarm is on if and only if the threshold is below it.
-
-    With :math:`m_t` the smallest of the last ``persistence`` values of the statistic, and :math:`M_t` the largest of
-    the last ``release``, an alarm of threshold :math:`h` is raised where :math:`m_t > h` and ends where :math:`M_t \le
-    h`. So
-
-    .. math:: a_t = \min(\max(a_{t-1}, m_t), M_t)
-
-    and the fraction of samples in alarm is, for all thresholds at once, the fraction of levels above it. Before
-    ``persistence`` samples the level is minus infinity.
-
-    Parameters
-    ----------
-    statistic : ndarray, shape (time,)
-        Of usable samples only: others change nothing, see :func:`residua.decide.persistence.alarm_logic`.
-    persistence, release : int
-    """
-    from scipy.ndimage import maximum_filter1d, minimum_filter1d  # slow to import, and needed only here
-
-    time = len(statistic)
-    if not time:
-        return np.zeros(0)
-    low = minimum_filter1d(statistic, persistence, origin=(persistence - 1) // 2, mode="nearest")
-    high = maximum_filter1d(statistic, release, origin=(release - 1) // 2, mode="nearest")
-    low[: persistence - 1] = -np.inf
-    if release > 1:  # fewer samples than that end no alarm
-        high[: release - 1] = np.inf
-    # limits of the composition of the last 1, 2, 4, ... samples: a map that clamps, after one that clamps, clamps
-    reach = 1
-    while reach < time:
-        later_low, later_high = low[reach:], high[reach:]
-        low_now = np.minimum(np.maximum(low[:-reach], later_low), later_high)
-        high_now = np.minimum(np.maximum(high[:-reach], later_low), later_high)
-        low[reach:], high[reach:] = low_now, high_now
-        reach *= 2
-    return low
 
 
 def within_tolerance(promised: float, asked: float) -> bool:
@@ -120,7 +82,7 @@ class Observed:
     statistic : ndarray, shape (n,)
         Of usable samples, one recording after the other.
     levels : ndarray, shape (n,)
-        See :func:`residua.decide.false_alarms.alarm_levels`.
+        See :func:`residua.decide.calibrate.persistent_levels`.
     counted : ndarray of bool, shape (n,)
         Samples that tell the rate: those of full windows, in which an alarm could have been raised.
     blocks : ndarray of int, shape (n,)
@@ -183,8 +145,8 @@ def observed(
     levels, levels_own, blocks, begins, first = [], [], [], [], 0
     for part in parts:
         mine = usable[part]
-        levels.append(alarm_levels(statistic[part][mine], persistence, release))
-        levels_own.append(levels[-1] if own is None else alarm_levels(own[part][mine], persistence, release))
+        levels.append(persistent_levels(statistic[part][mine], persistence, release))
+        levels_own.append(levels[-1] if own is None else persistent_levels(own[part][mine], persistence, release))
         number = np.cumsum(counted[part][mine]) // length
         blocks.append(first + number)
         begins.append(np.arange(len(number)) == 0)

@@ -18,7 +18,8 @@ from residua.decide.calibrate import (
     raw_worlds,
 )
 from residua.decide.checks import check_rate
-from residua.decide.fault_free import FaultFree, check_enough
+from residua.decide.exceedance_tail import without_steps
+from residua.decide.fault_free import FaultFree, Moments, check_enough
 from residua.decide.row_norms import row_norms
 from residua.decide.test import FaultFreeRun
 from residua.decide.treatment import ResidualFit, Treated, fit_parts, whitened_part
@@ -98,7 +99,16 @@ def fit_norms(
     data = _held_out_levels(settings, run, rows, known, units)
     worth = _independent_rows(run, rows)
     found = calibrated(together, data, rate, own.fit.model.rows, worth=worth)
-    return [_with_threshold(*one, found) for one in zip(tests, own.made, units, strict=True)]
+    return [
+        _with_threshold(test, made, unit, found, _half_a_step(test, run, one))
+        for test, made, unit, one in zip(tests, own.made, units, rows, strict=True)
+    ]
+
+
+def _half_a_step(test: NormTest, run: FaultFreeRun, rows: Sequence[int]) -> float:
+    """Return half the step in which the norm comes, as that of a coarse sensor does; 0 if it does not."""
+    data = FaultFree(run.residuals[:, list(rows)], run.usable, test.window, run.seams)
+    return without_steps(data.statistic(Moments(test.center, test.whitening))[data.full])[1]
 
 
 def _check(settings: NormSettings, run: FaultFreeRun, rows: Sequence[int]) -> bool:
@@ -136,14 +146,17 @@ def _by_data(
     return [with_threshold(one, rate / len(fits)) for one in fits]
 
 
-def _with_threshold(test: NormTest, made: Treated, unit: float, found: Calibration) -> NormTest:
-    """Return a test with its threshold, and the basis of that."""
+def _with_threshold(test: NormTest, made: Treated, unit: float, found: Calibration, half: float) -> NormTest:
+    """Return a test with its threshold, and the basis of that.
+
+    The model is smooth: of values in steps no more than the rate is over a threshold that lies half a step higher.
+    """
     notes = [note for note in made.notes if not note.startswith("correlated in time:")]
     order = len(made.parts["coefficients"])
     if order:
         notes.append(f"with a memory of {order} samples")
     basis = "; ".join([str(found), *notes])
-    return replace(test, threshold=found.threshold * unit, basis=basis, promised=float(found.promised))
+    return replace(test, threshold=found.threshold * unit + half, basis=basis, promised=float(found.promised))
 
 
 def _fitted(

@@ -510,7 +510,7 @@ def _advice(found: Sequence[Finding], order: int, samples: int) -> tuple[str, ..
         if "memory" in kinds and not order:
             out.append('no autoregression explains the memory: take source="data"')
         if "tails" in kinds:
-            out.append('for single samples take NormThreshold(source="tail"): a chi-squared threshold alarms too often')
+            out.append("for single samples fit NormThreshold: a chi-squared threshold alarms too often")
     elif kinds & {"skewness", "quantised", "light tails"}:
         out.append('take source="quantile" where the rate matters: it assumes no distribution')
     elif not kinds and samples < _ENOUGH:

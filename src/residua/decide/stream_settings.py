@@ -121,6 +121,11 @@ class StreamSettings(TestSettings):
         """Number of samples in every statistic; 1 if it begins with the first."""
         return 1
 
+    @property
+    def settling(self) -> int:
+        """Number of samples after which the statistic has forgotten its start."""
+        return self.counted_samples
+
     def for_parts(self, parts: Mapping[str, Any], watched: Watched) -> Self:
         """Return the settings completed for a generator and its whitening; as a rule these themselves."""
         return self
@@ -197,7 +202,7 @@ class StreamSettings(TestSettings):
 
     def _world_levels(self, blank: StreamTest, model: ResidualModel) -> NDArray[np.float64]:
         """Return the levels of new rows of simulated worlds."""
-        settling = SETTLING + self.counted_samples
+        settling = SETTLING + self.settling
         e = simulated_worlds(model, settling=settling).new
         for j, knots in enumerate(blank.knots if blank.scores.size else ()):
             e[..., j] = np.interp(e[..., j], knots, blank.scores)

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.decide.calibrate import persistent_levels
 from residua.decide.checks import check_rate, check_samples, check_whole
-from residua.decide.false_alarms import alarm_levels
 from residua.decide.norm_threshold import NormTest, NormThreshold
 from residua.errors import SettingError
 from residua.monitor.monitor import Monitor
@@ -113,7 +113,7 @@ def tune(
 
     For each window and persistence the threshold is set on simulated fault-free runs: the level :math:`h` that a share
     ``false_alarm_rate`` of their samples is in alarm for, persistence and release included
-    (:func:`residua.decide.false_alarms.alarm_levels`). Other runs, of another seed and the same for all candidates,
+    (:func:`residua.decide.calibrate.persistent_levels`). Other runs, of another seed and the same for all candidates,
     then say how often it really alarms, and how late it sees the scenarios.
 
     Parameters
@@ -268,7 +268,7 @@ def _levels(
         statistic, usable = quiet_statistics(plan, first, min(first + plan.runs_at_once, runs))
         for one, counts in zip(statistic, usable, strict=True):
             for persistence in persistences:
-                made = alarm_levels(one[counts], persistence, persistence)
+                made = persistent_levels(one[counts], persistence, persistence)
                 levels[persistence].append(made[settings.window - 1 :])  # once windows are full
     return {persistence: np.concatenate(parts) for persistence, parts in levels.items()}
 
