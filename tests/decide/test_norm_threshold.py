@@ -38,7 +38,7 @@ def test_the_rate_holds_on_new_data(rate: float, persistence: int) -> None:
             covariance=None,
             signal_size=1,
         )
-        assert 0.9 * rate < fraction_in_alarm(test, data[:20_000]) <= rate
+        assert fraction_in_alarm(test, data[:20_000]) == pytest.approx(rate, rel=0.35)
         on_new_data.append(fraction_in_alarm(test, data[20_000:]))
     assert np.mean(on_new_data) == pytest.approx(rate, rel=0.25)
 
@@ -68,7 +68,8 @@ def test_few_data_use_the_tail() -> None:
         covariance=None,
         signal_size=1,
     )
-    assert "too few" in test.basis
+    assert test.promised is not None
+    assert test.promised > 1.5e-5
     assert test.threshold == pytest.approx(np.sqrt(scipy.stats.chi2.ppf(1 - 1e-5, 2)), rel=0.2)
 
 

@@ -303,8 +303,8 @@ def calibrated(
     aimed = rate if time is not None else rate * max(_LEAST_AIM, min(1.0, TOLERATED * rate / surely))
     if time is None:
         time = _mean_length(levels, ordered, aimed) * (1 - aimed) / aimed
-    excess = allowance(held_out, levels, aimed, rows)[1]
-    promised = 1.0 if surely >= 1 else surely * aimed / rate
+    _, excess, is_seen = allowance(held_out, levels, aimed, rows)
+    promised = surely * aimed / rate if is_seen and surely < 1 else 1.0
     return Calibration(max(_level(ordered, aimed) * excess, TINY), aimed, promised, time, rows, excess)
 
 
@@ -369,11 +369,13 @@ def held_out(run: FaultFreeRun) -> Iterator[tuple[FaultFreeRun, FaultFreeRun]]:
         yield replace(run, usable=others), replace(run, usable=run.usable & ~others)
 
 
-def allowance(levels: NDArray[np.float64], worlds: NDArray[np.float64], rate: float, rows: int) -> tuple[float, float]:
-    """Return the factor for thresholds that covers few rows and effects outside of the noise model.
+def allowance(
+    levels: NDArray[np.float64], worlds: NDArray[np.float64], rate: float, rows: int
+) -> tuple[float, float, bool]:
+    """Return factors for thresholds that cover few rows, and effects outside of the noise model.
 
     The second is the factor by which levels of the data lie above those of worlds, at a rate: 1 where chance explains
-    it.
+    it. The third tells whether the data show enough alarms at any rate to be compared with worlds at all.
 
     Levels of the data are those that each stretch of time has by a fit to the others. They are compared at rates that
     the data show, by six alarms at least; the factor goes on growing towards rarer alarms as it grew, by at most 0.3 a
@@ -391,7 +393,7 @@ def allowance(levels: NDArray[np.float64], worlds: NDArray[np.float64], rate: fl
     found: list[tuple[float, float]] = []
     passes = False
     if not len(levels):
-        return few, 1.0
+        return few, 1.0, False
     own = worlds[:, : min(len(levels), worlds.shape[1])]
     shares = 1 - np.array(_RATES)
     of_data, of_worlds = np.quantile(levels, shares), np.quantile(worlds, shares)
@@ -406,10 +408,10 @@ def allowance(levels: NDArray[np.float64], worlds: NDArray[np.float64], rate: fl
         if one <= rate:
             break
     if not passes:
-        return few, 1.0
+        return few, 1.0, bool(found)
     (first, least), (last, most) = found[0], found[-1]
     growth = min(max((most - least) / np.log10(first / last), 0.0), _GROWTH) if first > last else 0.0
-    return few, max(1.0, most) + growth * max(0.0, float(np.log10(last / rate)))
+    return few, max(1.0, most) + growth * max(0.0, float(np.log10(last / rate))), True
 
 
 def _as_long_as_it_may_be(A: NDArray[np.float64], found: NDArray[np.float64], shrink: float) -> NDArray[np.float64]:

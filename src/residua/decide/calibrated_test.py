@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from residua.decide.calibrate import SETTLING, calibrated, held_out, inverse_root, levels_of, raw_worlds
 from residua.decide.fault_free import FaultFree, check_enough
 from residua.decide.test import Block, FaultFreeRun, ResidualTest
-from residua.decide.treatment import Treated, fit_parts, whitened_part
+from residua.decide.treatment import Treated, fit_parts, inverse_of, whitened_part
 from residua.errors import DataError
 
 
@@ -63,7 +63,7 @@ def calibrated_test(
     fitted, truth = raw.q[:, : raw.rows], np.swapaxes(raw.q, 1, 2) @ raw.q / raw.q.shape[1]
     theirs = np.swapaxes(fitted, 1, 2) @ fitted / raw.rows
     whole = truth.mean(axis=0) + raw.shrink * (theirs - truth.mean(axis=0))
-    back = np.linalg.pinv(own.parts["whitening"])
+    back = inverse_of(own.parts["whitening"])
     rows = own.parts["center"] + raw.q[:, raw.rows :] @ inverse_root(whole) @ back
     worlds = levels_of(_statistics(test, rows), falls_to)[:, settling:]
     data = FaultFree(run.residuals, run.usable, 1, run.seams)
@@ -82,7 +82,7 @@ def _statistics(test: ResidualTest, rows: NDArray[np.float64]) -> NDArray[np.flo
 
 def _held_out_levels(test: ResidualTest, run: FaultFreeRun, own: Treated, falls_to: float) -> NDArray[np.float64]:
     """Return the levels of each quarter, in the units of a fit to all, by a fit to the others."""
-    out, back = [], np.linalg.pinv(own.parts["whitening"])
+    out, back = [], inverse_of(own.parts["whitening"])
     for others, mine in held_out(run):
         try:
             parts = whitened_part("none", others, range(run.residuals.shape[1])).parts

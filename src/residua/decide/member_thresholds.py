@@ -302,7 +302,9 @@ def fit_bank_test(
     if settings.source != "auto" or settings.threshold is not None or any(test.promised is None for test in tests):
         return bank
     bases = list(dict.fromkeys(test.basis for test in tests))
-    return replace(bank, basis=" / ".join(bases[:_TOLD]), promised=tests[0].promised)
+    listed = bases if len(bases) <= _TOLD else [*bases[:_TOLD], f"and {len(bases) - _TOLD} more"]
+    basis = f"{' / '.join(listed)}; of the whole bank, with the same rate for each of {len(tests)} members"
+    return replace(bank, basis=basis, promised=tests[0].promised)
 
 
 #: Members in alarm at once, on average, from which on that is made use of.
@@ -536,5 +538,5 @@ def fit_group_test(
 
 def _with_names(test: BankTest, rows: Mapping[str, Sequence[int]], whole: NDArray[np.float64]) -> GroupTest:
     values = {one.name: getattr(test, one.name) for one in fields(BankTest)}
-    values["basis"] = test.basis.replace(" members: ", " groups: ", 1).replace("of the whole bank", "of all together")
+    values["basis"] = test.basis.replace(" members", " groups", 1).replace("of the whole bank", "of all together")
     return GroupTest(**values, whole=whole)

@@ -502,7 +502,8 @@ class MultiscaleEWMA(TestSettings):
         )
         levels = levels_of(scores_of([mean / g for mean, g in zip(means, factors, strict=True)], fit), FALLS_TO)
         score = float(np.quantile(levels, 1 - rate))
-        few, more = allowance(held_out_levels(self.weights, self.treatment, rows, run, factors), levels, rate, count)
+        data = held_out_levels(self.weights, self.treatment, rows, run, factors)
+        few, more, _ = allowance(data, levels, rate, count)
         basis = "; ".join(
             [f"{one_in(rate)} samples in alarm, simulated for a fit to {count} fault-free samples", *fit.notes]
         )

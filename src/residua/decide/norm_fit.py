@@ -22,7 +22,7 @@ from residua.decide.exceedance_tail import without_steps
 from residua.decide.fault_free import FaultFree, Moments, check_enough
 from residua.decide.row_norms import row_norms
 from residua.decide.test import FaultFreeRun
-from residua.decide.treatment import ResidualFit, Treated, fit_parts, whitened_part
+from residua.decide.treatment import ResidualFit, Treated, fit_parts, inverse_of, whitened_part
 from residua.decide.whitened_norm import NormSettings, NormTest, fit_moments, with_threshold
 from residua.decide.whitening import whitening_matrix
 from residua.decide.window import empty_window, moving_sum
@@ -90,12 +90,11 @@ def fit_norms(
     if settings.threshold is not None:
         basis = "threshold given, mean and covariance fitted"
         return [replace(test, threshold=settings.threshold, basis=basis) for test in tests]
-    levels = [
-        persistent_levels(norms, settings.persistence, release)[:, SETTLING:]
-        for norms in _world_norms(settings, own, known)
-    ]
+    norms = _world_norms(settings, own, known)
+    levels = persistent_levels(np.concatenate(norms), settings.persistence, release)[:, SETTLING:]
+    levels = levels.reshape(len(rows), -1, levels.shape[1])
     units = [max(float(np.quantile(one, 1 - rate)), TINY) for one in levels]
-    together = np.max([one / unit for one, unit in zip(levels, units, strict=True)], axis=0)
+    together = (levels / np.reshape(units, (-1, 1, 1))).max(axis=0)
     data = _held_out_levels(settings, run, rows, known, units)
     worth = _independent_rows(run, rows)
     found = calibrated(together, data, rate, own.fit.model.rows, worth=worth)
@@ -233,7 +232,7 @@ def _world_norms(
     out = []
     for part, one, fixed in zip(own.fit.columns, own.made, known, strict=True):
         if fixed is not None:
-            out.append(row_norms(sums[..., part] @ (np.linalg.pinv(one.parts["whitening"]) @ fixed)))
+            out.append(row_norms(sums[..., part] @ (inverse_of(one.parts["whitening"]) @ fixed)))
             continue
         A, fitted = raw.coefficients[:, part, part], raw.fitted[:, :, part, part]
         used = len(one.parts["coefficients"])
@@ -257,8 +256,9 @@ def _products(q: NDArray[np.float64], order: int) -> NDArray[np.float64]:
 def _shrunk(covariances: NDArray[np.float64], made: Treated) -> NDArray[np.float64]:
     """Return covariances of worlds drawn towards uncorrelated residuals, as far as that of the data was."""
     W = made.parts["whitening"]
+    W = W / np.sqrt(np.sum(W**2, axis=1, keepdims=True))  # units of residuals do not matter here
     raw = np.linalg.pinv(W)
-    plain = np.swapaxes(raw, 0, 1) @ covariances @ raw
+    plain = raw.T @ covariances @ raw
     kept = made.shrinkage * np.eye(len(W)) + (1 - made.shrinkage)
     return W.T @ (plain * kept) @ W
 

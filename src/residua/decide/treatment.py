@@ -196,6 +196,13 @@ def innovations_of(parts: Mapping[str, Any], run: FaultFreeRun) -> list[NDArray[
     return out
 
 
+def inverse_of(whitening: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the inverse of a whitening matrix, whatever the units of the residuals are."""
+    sizes = np.sqrt(np.sum(whitening**2, axis=1, keepdims=True))
+    sizes = np.where(sizes > 0, sizes, 1.0)
+    return np.linalg.pinv(whitening / sizes) / sizes.T
+
+
 def columns_of(rows: Sequence[Sequence[int]]) -> list[slice]:
     """Return the columns of the whitened residuals of each part."""
     ends = np.cumsum([len(one) for one in rows]).tolist()
@@ -241,6 +248,7 @@ __all__ = [
     "columns_of",
     "fit_parts",
     "innovations_of",
+    "inverse_of",
     "side_by_side",
     "treated",
     "whitened_part",
