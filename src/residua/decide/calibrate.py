@@ -41,7 +41,7 @@ _READ, _MOST_SHAPE = 1e-3, 0.3
 #: Alarms of all worlds that show how long one lasts, and rounds in which a time between alarms finds its rate.
 _ALARMS, _ROUNDS = 30, 8
 #: Alarms of each world by which its rate is told from that of others.
-_MANY = 5
+_MANY = 10
 #: How sure a promise is, and the multiple of the rate from which on it is stated.
 _SURE_OF, TOLERATED = 0.95, 1.5
 #: Where that allows for more, the threshold is set for less, down to this share of the rate.
@@ -337,9 +337,9 @@ def _mean_length(levels: NDArray[np.float64], ordered: NDArray[np.float64], rate
 def _promised(levels: NDArray[np.float64], ordered: NDArray[np.float64], rate: float) -> float:
     """Return the 95 % point of the rates of worlds, as a gamma distribution.
 
-    Both halves of the new rows of a world have its rate, and nothing else in common: their covariance is its variance.
-    It is read at a rate at which worlds have enough alarms; deviations of a threshold count for more where these are
-    rarer, by the logarithm of the rate.
+    Both halves of the new rows of a world have its rate, and nothing else in common: their covariance, and its standard
+    error, are its variance. It is read at a rate at which worlds have enough alarms; deviations of a threshold count
+    for more where these are rarer, by the logarithm of the rate.
     """
     from scipy.special import gammaincinv  # slow to import, and needed only here
 
@@ -352,7 +352,8 @@ def _promised(levels: NDArray[np.float64], ordered: NDArray[np.float64], rate: f
     half = over.shape[1] // 2
     first, second = over[:, :half].mean(axis=1), over[:, half:].mean(axis=1)
     mean = max(float(over.mean()), TINY)
-    variance = float(np.mean((first - first.mean()) * (second - second.mean()))) / mean**2
+    products = (first - first.mean()) * (second - second.mean())
+    variance = float(products.mean() + products.std() / len(products) ** 0.5) / mean**2
     variance *= float(np.log(rate) / np.log(min(read, 0.5))) ** 2
     if not variance > 0:
         return rate

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from residua.decide.checks import check_rate, rate_aimed_at
 from residua.decide.compiled import CompiledTest
 from residua.decide.false_alarms import coincidence
-from residua.decide.fault_free import FaultFree
-from residua.decide.norm_fit import fit_norms
+from residua.decide.norm_fit import fit_norms, whitening_of_sums
 from residua.decide.persistence import AlarmRuns, alarm_logic
 from residua.decide.row_norms import row_norms
 from residua.decide.test import Block, FaultFreeRun, ResidualTest, Tested, Watched
@@ -41,7 +40,6 @@ from residua.decide.window import empty_window, moving_sum
 from residua.errors import FileFormatError, ModelError, SettingError
 from residua.linear.systems.recursion import ordered_product
 from residua.number_kinds import COUNT, ENTRY, POSITIVE, NumberKind
-from residua.tolerances import SIGNAL_ROUNDING
 
 #: Groups of residuals: ``"each"`` by itself, names with the residuals of each, or none.
 Groups = str | tuple[tuple[str, tuple[str, ...]], ...] | None
@@ -526,14 +524,7 @@ def fit_group_test(
 ) -> GroupTest:
     """Fit the tests of all groups to fault-free residuals, as :func:`fit_bank_test` does for members."""
     test = fit_bank_test(settings, run, rows, rate, covariance)
-    data = FaultFree(run.residuals, run.usable, settings.window, run.seams)
-    if settings.whiten == "none" or data.spread <= SIGNAL_ROUNDING * run.signal_size():
-        whole = np.eye(run.residuals.shape[1])
-    elif settings.whiten == "model" and covariance is not None:
-        whole = whitening_matrix(covariance)
-    else:
-        whole = data.moments().whitening
-    return _with_names(test, rows, whole)
+    return _with_names(test, rows, whitening_of_sums(settings, run, covariance))
 
 
 def _with_names(test: BankTest, rows: Mapping[str, Sequence[int]], whole: NDArray[np.float64]) -> GroupTest:

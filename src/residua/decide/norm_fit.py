@@ -72,11 +72,7 @@ def fit_norms(
     noisy = [_check(settings, run, one) for one in rows]
     if settings.source != "auto" or not all(noisy):
         return _by_data(settings, run, rows, rate, covariances)
-    known = [
-        whitening_matrix(covariance) if settings.whiten == "model" and covariance is not None else
-        np.eye(len(one)) if settings.whiten == "none" else None
-        for one, covariance in zip(rows, covariances, strict=True)
-    ]  # fmt: skip
+    known = [_known(settings, len(one), covariance) for one, covariance in zip(rows, covariances, strict=True)]
     own = _fitted(settings.window, run, rows, known)
     release = settings.release or settings.persistence
     tests = [
@@ -108,6 +104,23 @@ def _half_a_step(test: NormTest, run: FaultFreeRun, rows: Sequence[int]) -> floa
     """Return half the step in which the norm comes, as that of a coarse sensor does; 0 if it does not."""
     data = FaultFree(run.residuals[:, list(rows)], run.usable, test.window, run.seams)
     return without_steps(data.statistic(Moments(test.center, test.whitening))[data.full])[1]
+
+
+def _known(settings: NormSettings, k: int, covariance: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
+    """Return the whitening that does not come from data; ``None`` if it does."""
+    if settings.whiten == "model" and covariance is not None:
+        return whitening_matrix(covariance)
+    return np.eye(k) if settings.whiten == "none" else None
+
+
+def whitening_of_sums(
+    settings: NormSettings, run: FaultFreeRun, covariance: NDArray[np.float64] | None
+) -> NDArray[np.float64]:
+    """Return the whitening of sums of all residuals together; the identity if they hold no noise."""
+    rows = range(run.residuals.shape[1])
+    if not _check(settings, run, rows):
+        return np.eye(len(rows))
+    return _fitted(settings.window, run, [rows], [_known(settings, len(rows), covariance)]).whitening[0]
 
 
 def _check(settings: NormSettings, run: FaultFreeRun, rows: Sequence[int]) -> bool:
@@ -335,4 +348,4 @@ def fit_norm_test(
     return fit_norms(settings, run, [range(k)], false_alarm_rate, [covariance])[0]
 
 
-__all__ = ["fit_norm_test", "fit_norms", "sum_covariance"]
+__all__ = ["fit_norm_test", "fit_norms", "sum_covariance", "whitening_of_sums"]
