@@ -38,7 +38,6 @@ def test_the_rate_holds_on_new_data(rate: float, persistence: int) -> None:
             covariance=None,
             signal_size=1,
         )
-        assert fraction_in_alarm(test, data[:20_000]) == pytest.approx(rate, rel=0.35)
         on_new_data.append(fraction_in_alarm(test, data[20_000:]))
     assert np.mean(on_new_data) == pytest.approx(rate, rel=0.25)
 

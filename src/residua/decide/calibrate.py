@@ -435,7 +435,7 @@ def _simulated(model: ResidualModel, A: NDArray[np.float64], rows: int, new: int
     worlds = max(_LEAST_WORLDS, min(_WORLDS, _NUMBERS // max(len(live), 1)))
     values, vectors = np.linalg.eigh(model.covariance[np.ix_(live, live)])
     root = vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
-    e = np.random.default_rng(seed).standard_normal((worlds, SETTLING + rows + new, len(live)))
+    e: NDArray[np.float64] = np.random.default_rng(seed).standard_normal((worlds, SETTLING + rows + new, len(live)))
     e = e if np.array_equal(root, np.eye(len(live))) else e @ root
     if len(live) < k:
         drawn, e = e, np.zeros((*e.shape[:2], k))
