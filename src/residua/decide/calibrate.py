@@ -43,7 +43,7 @@ _ALARMS, _ROUNDS = 30, 8
 #: Alarms of each world by which its rate is told from that of others.
 _MANY = 10
 #: How sure a promise is, and the multiple of the rate from which on it is stated.
-_SURE_OF, TOLERATED = 0.95, 1.5
+_SURE_OF, _DEVIATIONS, TOLERATED = 0.95, 1.645, 1.5
 #: Where that allows for more, the threshold is set for less, down to this share of the rate.
 _LEAST_AIM = 0.6
 #: Independent rows to each residual below which nothing is promised.
@@ -155,10 +155,12 @@ def simulated_worlds(model: ResidualModel, *, settling: int = SETTLING, seed: in
     fitted = q[:, order:rows]
     whole = np.swapaxes(fitted, 1, 2) @ fitted / fitted.shape[1]
     mean = whole.mean(axis=0)
-    whitening = np.zeros_like(whole)
-    for part in model.columns:
-        block = mean[part, part] + shrink * (whole[:, part, part] - mean[part, part])
-        whitening[:, part, part] = inverse_root(block)
+    k, live = len(model.covariance), np.diag(model.covariance) > 0
+    whitening = np.tile(np.eye(k), (len(whole), 1, 1))
+    for part in model.columns:  # what a fit predicts exactly stays in its own units
+        own = np.arange(k)[part][live[part]]
+        block = mean[np.ix_(own, own)] + shrink * (whole[:, own[:, None], own] - mean[np.ix_(own, own)])
+        whitening[:, own[:, None], own] = inverse_root(block)
     return Worlds(fitted @ whitening, q[:, rows:] @ whitening, shrink)
 
 
@@ -295,17 +297,28 @@ def calibrated(
     """
     ordered = np.sort(levels, axis=None)
     if time is not None:
-        lasting = 1.0
-        for _ in range(_ROUNDS):
-            rate = lasting / (time + lasting)
-            lasting = _mean_length(levels, ordered, rate)
+        rate = _rate_for(time, levels)
+        if allowance(held_out, levels, rate, rows)[1] > 1:  # their alarms may last shorter or longer, too
+            rate = _rate_for(time, held_out[None])
     surely = 1.0 if worth < _LEAST_ROWS else _promised(levels, ordered, rate)
-    aimed = rate if time is not None else rate * max(_LEAST_AIM, min(1.0, TOLERATED * rate / surely))
+    _, excess, shown = allowance(held_out, levels, rate, rows)
+    if excess > 1:  # then the rate is known no better than the alarms of the data show it
+        surely = min(1.0, surely * (1 + _DEVIATIONS / shown**0.5))
+    aimed = rate * max(_LEAST_AIM, min(1.0, TOLERATED * rate / surely))
+    excess = allowance(held_out, levels, aimed, rows)[1]
+    promised = surely * aimed / rate if shown and surely < 1 else 1.0
     if time is None:
         time = _mean_length(levels, ordered, aimed) * (1 - aimed) / aimed
-    _, excess, is_seen = allowance(held_out, levels, aimed, rows)
-    promised = surely * aimed / rate if is_seen and surely < 1 else 1.0
     return Calibration(max(_level(ordered, aimed) * excess, TINY), aimed, promised, time, rows, excess)
+
+
+def _rate_for(time: float, levels: NDArray[np.float64]) -> float:
+    """Return the rate that goes with a time between alarms: each is as long as these levels say."""
+    ordered, lasting, rate = np.sort(levels, axis=None), 1.0, 1.0
+    for _ in range(_ROUNDS):
+        rate = lasting / (time + lasting)
+        lasting = _mean_length(levels, ordered, rate)
+    return rate
 
 
 def _level(ordered: NDArray[np.float64], rate: float) -> float:
@@ -372,11 +385,11 @@ def held_out(run: FaultFreeRun) -> Iterator[tuple[FaultFreeRun, FaultFreeRun]]:
 
 def allowance(
     levels: NDArray[np.float64], worlds: NDArray[np.float64], rate: float, rows: int
-) -> tuple[float, float, bool]:
+) -> tuple[float, float, int]:
     """Return factors for thresholds that cover few rows, and effects outside of the noise model.
 
     The second is the factor by which levels of the data lie above those of worlds, at a rate: 1 where chance explains
-    it. The third tells whether the data show enough alarms at any rate to be compared with worlds at all.
+    it. The third is the number of alarms at the rarest rate that was compared; 0 if none could be.
 
     Levels of the data are those that each stretch of time has by a fit to the others. They are compared at rates that
     the data show, by six alarms at least; the factor goes on growing towards rarer alarms as it grew, by at most 0.3 a
@@ -392,27 +405,27 @@ def allowance(
     """
     few = 1 + _UNSEEN / rows**0.5
     found: list[tuple[float, float]] = []
-    passes = False
+    passes, shown = False, 0
     if not len(levels):
-        return few, 1.0, False
+        return few, 1.0, 0
     own = worlds[:, : min(len(levels), worlds.shape[1])]
     shares = 1 - np.array(_RATES)
     of_data, of_worlds = np.quantile(levels, shares), np.quantile(worlds, shares)
     surely = np.quantile(np.quantile(own, shares, axis=1), _SURE, axis=1)
     for one, level, expected, most in zip(_RATES, of_data, of_worlds, surely, strict=True):
-        if np.count_nonzero((levels[1:] > level) & (levels[:-1] <= level)) < _SHOWN:
+        raised = int(np.count_nonzero((levels[1:] > level) & (levels[:-1] <= level)))
+        if raised < _SHOWN or not expected > 0:  # or residuals that mostly stand still
             break
-        if not expected > 0:  # residuals that mostly stand still
-            break
+        shown = raised
         passes |= bool(level > most)
         found.append((one, float(level / expected)))
         if one <= rate:
             break
     if not passes:
-        return few, 1.0, bool(found)
+        return few, 1.0, shown
     (first, least), (last, most) = found[0], found[-1]
     growth = min(max((most - least) / np.log10(first / last), 0.0), _GROWTH) if first > last else 0.0
-    return few, max(1.0, most) + growth * max(0.0, float(np.log10(last / rate))), True
+    return few, max(1.0, most) + growth * max(0.0, float(np.log10(last / rate))), shown
 
 
 def _as_long_as_it_may_be(A: NDArray[np.float64], found: NDArray[np.float64], shrink: float) -> NDArray[np.float64]:

@@ -187,6 +187,8 @@ class StreamSettings(TestSettings):
         if self.source == "quantile":
             return mine._by_data(blank, levels, rate, made.notes)
         model = fit_parts([made], [range(run.residuals.shape[1])], run).model
+        assert made.varies is not None  # as of any treatment that was fitted
+        model = replace(model, covariance=np.diag(made.varies.astype(float)))
         time = None if asked_otherwise else self.mean_time_between_false_alarms
         worth = count / data.worth[0] / max(made.moving, 1)
         data_levels = np.concatenate(levels) if levels else np.zeros(0)

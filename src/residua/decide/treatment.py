@@ -49,6 +49,8 @@ class Treated:
         Whether the innovations have heavy tails.
     shrinkage : float
         How far the covariance was drawn towards a simpler one; 0 if the data sufficed.
+    varies : ndarray of bool, shape (k,), or None
+        Parts of the innovations that are neither constant nor predicted exactly; ``None`` if that is not known.
     """
 
     parts: dict[str, Any]
@@ -56,6 +58,7 @@ class Treated:
     notes: list[str]
     is_heavy: bool
     shrinkage: float = 0.0
+    varies: NDArray[np.bool_] | None = None
 
 
 def treated(data: FaultFree, treatment: str, harmless_offset: float, *, scores: bool = True) -> Treated:
@@ -117,7 +120,9 @@ def treated(data: FaultFree, treatment: str, harmless_offset: float, *, scores: 
         everywhere = np.tile(values, (len(parts["center"]), 1))
         everywhere[live[varies]] = knots
         parts = {**parts, "knots": everywhere, "scores": values}
-    return Treated(parts, moving, notes, is_heavy, whole.intensity)
+    everything = np.zeros(len(parts["center"]), dtype=bool)
+    everything[live[varies]] = True
+    return Treated(parts, moving, notes, is_heavy, whole.intensity, everything)
 
 
 @dataclass(frozen=True, eq=False)
