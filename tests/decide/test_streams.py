@@ -512,7 +512,8 @@ def test_a_chi_squared_threshold_allows_for_the_covariance_of_a_fit(columns: int
         watch.fit(None, rng.standard_normal((rows, columns)), held_out=0)
         over.append(watch.run(None, rng.standard_normal((1000, columns))).alarm[window:].mean())
     spread = np.std(over) / len(over) ** 0.5
-    assert np.mean(over) == pytest.approx(0.02, abs=4 * spread + 0.002)  # the mean of the fit adds a little
+    assert np.mean(over) < 0.02 + 4 * spread + 0.002  # the mean of the fit adds a little
+    assert np.mean(over) > 0.6 * 0.02 - 4 * spread - 0.002  # of few rows the threshold is set for as little as that
 
 
 def test_what_no_run_length_is_known_of_is_said() -> None:

@@ -47,7 +47,7 @@ _SURE_OF, _DEVIATIONS, TOLERATED = 0.95, 1.645, 1.5
 #: Where that allows for more, the threshold is set for less, down to this share of the rate.
 _LEAST_AIM = 0.6
 #: Independent rows to each residual below which nothing is promised.
-_LEAST_ROWS = 10.0
+LEAST_ROWS = 10.0
 #: Stretches of the data that are judged by the others.
 _FOLDS = 4
 
@@ -300,7 +300,7 @@ def calibrated(
         rate = _rate_for(time, levels)
         if allowance(held_out, levels, rate, rows)[1] > 1:  # their alarms may last shorter or longer, too
             rate = _rate_for(time, held_out[None])
-    surely = 1.0 if worth < _LEAST_ROWS else _promised(levels, ordered, rate)
+    surely = 1.0 if worth < LEAST_ROWS else _promised(levels, ordered, rate)
     _, excess, shown = allowance(held_out, levels, rate, rows)
     if excess > 1:  # then the rate is known no better than the alarms of the data show it
         surely = min(1.0, surely * (1 + _DEVIATIONS / shown**0.5))
@@ -523,6 +523,8 @@ def _largest_pole(A: NDArray[np.float64]) -> float:
 
 
 __all__ = [
+    "LEAST_ROWS",
+    "SETTLING",
     "Calibration",
     "RawWorlds",
     "ResidualModel",

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from residua.decide.checks import check_rate, rate_aimed_at
 from residua.decide.compiled import CompiledTest
 from residua.decide.false_alarms import coincidence
-from residua.decide.norm_fit import fit_norms, whitening_of_sums
+from residua.decide.norm_fit import fit_norms, moments_of, whitening_of_sums
 from residua.decide.persistence import AlarmRuns, alarm_logic
 from residua.decide.row_norms import row_norms
 from residua.decide.test import Block, FaultFreeRun, ResidualTest, Tested, Watched
@@ -295,9 +295,13 @@ def fit_bank_test(
     """
     check_rate(rate)
     rows = rows_of(members)
-    tests = fit_norms(settings, run, rows, rate, [_part(covariance, one) for one in rows])
+    covariances = [_part(covariance, one) for one in rows]
+    tests = fit_norms(settings, run, rows, rate, covariances)
+    if tests is None:
+        fits = moments_of(settings, run, rows, covariances)
+        return side_by_side(*fit_together(fits, rate), members, run.residuals.shape[1])
     bank = side_by_side(tests, 1.0, members, run.residuals.shape[1])
-    if settings.source != "auto" or settings.threshold is not None or any(test.promised is None for test in tests):
+    if settings.threshold is not None:
         return bank
     bases = list(dict.fromkeys(test.basis for test in tests))
     listed = bases if len(bases) <= _TOLD else [*bases[:_TOLD], f"and {len(bases) - _TOLD} more"]

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.calibrate import (
+    LEAST_ROWS,
     SETTLING,
     Calibration,
     calibrated,
@@ -23,7 +24,7 @@ from residua.decide.fault_free import FaultFree, Moments, check_enough
 from residua.decide.row_norms import row_norms
 from residua.decide.test import FaultFreeRun
 from residua.decide.treatment import ResidualFit, Treated, fit_parts, inverse_of, whitened_part
-from residua.decide.whitened_norm import NormSettings, NormTest, fit_moments, with_threshold
+from residua.decide.whitened_norm import Fitted, NormSettings, NormTest, fit_moments, with_threshold
 from residua.decide.whitening import whitening_matrix
 from residua.decide.window import empty_window, moving_sum
 from residua.errors import DataError
@@ -53,10 +54,12 @@ def fit_norms(
     rows: Sequence[Sequence[int]],
     rate: float,
     covariances: Sequence[NDArray[np.float64] | None],
-) -> list[NormTest]:
+) -> list[NormTest] | None:
     """Fit mean, covariance and threshold of the norm of each part, which together keep a rate.
 
-    A part that holds no noise has its threshold at the level of rounding.
+    ``None`` where thresholds are to be read off the data, from :func:`moments_of`: order statistics, residuals without
+    noise, whose threshold is at the level of rounding, and fewer than ten independent rows to each residual, when a
+    refit says little of other fits.
 
     Parameters
     ----------
@@ -69,9 +72,9 @@ def fit_norms(
     covariances : sequence of ndarray or None
         Of sums over the window, by the noise model of the plant.
     """
-    noisy = [_check(settings, run, one) for one in rows]
-    if settings.source != "auto" or not all(noisy):
-        return _by_data(settings, run, rows, rate, covariances)
+    worth = _worth(settings, run, rows)
+    if settings.source != "auto" or worth < LEAST_ROWS:
+        return None
     known = [_known(settings, len(one), covariance) for one, covariance in zip(rows, covariances, strict=True)]
     own = _fitted(settings.window, run, rows, known)
     release = settings.release or settings.persistence
@@ -92,7 +95,6 @@ def fit_norms(
     units = [max(float(np.quantile(one, 1 - rate)), TINY) for one in levels]
     together = (levels / np.reshape(units, (-1, 1, 1))).max(axis=0)
     data = _held_out_levels(settings, run, rows, known, units)
-    worth = _independent_rows(run, rows)
     found = calibrated(together, data, rate, own.fit.model.rows, worth=worth)
     return [
         _with_threshold(test, made, unit, found, _half_a_step(test, run, one))
@@ -117,34 +119,44 @@ def whitening_of_sums(
     settings: NormSettings, run: FaultFreeRun, covariance: NDArray[np.float64] | None
 ) -> NDArray[np.float64]:
     """Return the whitening of sums of all residuals together; the identity if they hold no noise."""
-    rows = range(run.residuals.shape[1])
-    if not _check(settings, run, rows):
-        return np.eye(len(rows))
-    return _fitted(settings.window, run, [rows], [_known(settings, len(rows), covariance)]).whitening[0]
+    rows = [range(run.residuals.shape[1])]
+    if _worth(settings, run, rows) < LEAST_ROWS:
+        return moments_of(settings, run, rows, [covariance])[0].test.whitening
+    return _fitted(settings.window, run, rows, [_known(settings, len(rows[0]), covariance)]).whitening[0]
 
 
-def _check(settings: NormSettings, run: FaultFreeRun, rows: Sequence[int]) -> bool:
-    """Tell whether some residuals hold noise; raise if they are too few samples."""
-    data = FaultFree(run.residuals[:, list(rows)], run.usable, settings.window, run.seams)
-    check_enough(int(run.usable.sum()), len(rows), settings.window)
-    if not data.full.any():
-        longest = max(int(run.usable[part].sum()) for part in data.parts)
-        raise DataError(
-            f"no recording has as many usable samples as the window of {settings.window}: the longest has {longest}; "
-            "take a shorter window, or longer recordings"
-        )
-    return data.spread > SIGNAL_ROUNDING * run.signal_size(rows)
+def _worth(settings: NormSettings, run: FaultFreeRun, rows: Sequence[Sequence[int]]) -> float:
+    """Return the number of independent rows to each residual, of the part that has the fewest; 0 without noise.
+
+    Raises
+    ------
+    DataError
+        If there are too few samples for any fit.
+    """
+    least = np.inf
+    for one in rows:
+        data = FaultFree(run.residuals[:, list(one)], run.usable, settings.window, run.seams)
+        check_enough(int(run.usable.sum()), len(one), settings.window)
+        if not data.full.any():
+            longest = max(int(run.usable[part].sum()) for part in data.parts)
+            raise DataError(
+                f"no recording has as many usable samples as the window of {settings.window}: the longest has "
+                f"{longest}; take a shorter window, or longer recordings"
+            )
+        is_still = data.spread <= SIGNAL_ROUNDING * run.signal_size(one)
+        own = 0.0 if is_still else float(run.usable.sum()) / data.worth[0] / max(data.moving, 1)
+        least = min(least, own)
+    return least
 
 
-def _by_data(
+def moments_of(
     settings: NormSettings,
     run: FaultFreeRun,
     rows: Sequence[Sequence[int]],
-    rate: float,
     covariances: Sequence[NDArray[np.float64] | None],
-) -> list[NormTest]:
-    """Return thresholds that are read off the data: order statistics, or the level of rounding."""
-    fits = [
+) -> list[Fitted]:
+    """Return mean and covariance of the sums of each part, with its cross-fitted statistic."""
+    return [
         fit_moments(
             settings,
             run.residuals[:, list(one)],
@@ -155,7 +167,6 @@ def _by_data(
         )
         for one, covariance in zip(rows, covariances, strict=True)
     ]
-    return [with_threshold(one, rate / len(fits)) for one in fits]
 
 
 def _with_threshold(test: NormTest, made: Treated, unit: float, found: Calibration, half: float) -> NormTest:
@@ -303,15 +314,6 @@ def _held_out_levels(
     return np.concatenate(out) if out else np.zeros(0)
 
 
-def _independent_rows(run: FaultFreeRun, rows: Sequence[Sequence[int]]) -> float:
-    """Return the number of independent rows to each residual, of the part that has the fewest."""
-    least = np.inf
-    for one in rows:
-        data = FaultFree(run.residuals[:, list(one)], run.usable, 1, run.seams)
-        least = min(least, float(run.usable.sum()) / data.worth[0] / max(data.moving, 1))
-    return least
-
-
 def fit_norm_test(
     settings: NormSettings,
     residuals: NDArray[np.float64],
@@ -343,9 +345,17 @@ def fit_norm_test(
     NormTest
     """
     check_rate(false_alarm_rate)
-    k = residuals.shape[1]
-    run = FaultFreeRun(residuals, usable, tuple(seams), np.full(k, signal_size))
-    return fit_norms(settings, run, [range(k)], false_alarm_rate, [covariance])[0]
+    run = FaultFreeRun(residuals, usable, tuple(seams), np.full(residuals.shape[1], signal_size))
+    return fit_norm(settings, run, false_alarm_rate, covariance)
 
 
-__all__ = ["fit_norm_test", "fit_norms", "sum_covariance", "whitening_of_sums"]
+def fit_norm(
+    settings: NormSettings, run: FaultFreeRun, rate: float, covariance: NDArray[np.float64] | None
+) -> NormTest:
+    """Return the test of all residuals together; see :func:`fit_norms`."""
+    rows = [range(run.residuals.shape[1])]
+    tests = fit_norms(settings, run, rows, rate, [covariance])
+    return with_threshold(moments_of(settings, run, rows, [covariance])[0], rate) if tests is None else tests[0]
+
+
+__all__ = ["fit_norm", "fit_norm_test", "fit_norms", "moments_of", "sum_covariance", "whitening_of_sums"]

@@ -16,7 +16,7 @@ from residua.decide.member_thresholds import (
     group_test_from_model,
     rows_of_groups,
 )
-from residua.decide.norm_fit import fit_norm_test, fit_norms
+from residua.decide.norm_fit import fit_norm, fit_norm_test
 from residua.decide.test import FaultFreeRun, ResidualTest, Watched
 from residua.decide.whitened_norm import NormSettings, NormTest, norm_test_from_model
 from residua.errors import FileFormatError, SettingError
@@ -102,7 +102,7 @@ class NormThreshold(NormSettings):
             return fit_bank_test(self, run, watched.parts, rate, covariance)
         if self.groups is not None:
             return fit_group_test(self, run, rows_of_groups(self.groups, watched.generator.residuals), rate, covariance)
-        return fit_norms(self, run, [range(run.residuals.shape[1])], rate, [covariance])[0]
+        return fit_norm(self, run, rate, covariance)
 
     # ----------------------------------------------- interface to the rest of a monitor
 
