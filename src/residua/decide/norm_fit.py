@@ -256,7 +256,8 @@ def _world_norms(
     out = []
     for part, one, fixed in zip(own.fit.columns, own.made, known, strict=True):
         if fixed is not None:
-            out.append(row_norms(sums[..., part] @ (inverse_of(one.parts["whitening"]) @ fixed)))
+            size = inverse_root(_products(q[..., part], 0)[0].mean(axis=0))  # longer memory has made it larger
+            out.append(row_norms(sums[..., part] @ (size @ inverse_of(one.parts["whitening"]) @ fixed)))
             continue
         A, fitted = raw.coefficients[:, part, part], raw.fitted[:, :, part, part]
         used = len(one.parts["coefficients"])
