@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 
 from cli_examples import Residua, assert_error, simulate, write_csv
 from residua.cli.call_options import READ
@@ -135,12 +136,21 @@ def test_arguments_of_reading(texts: list[str] | None, values: dict[str, object]
         ("dt", "write dt=NUMBER, got 'dt'"),
         ("fill_gaps=3", "write fill_gaps=true|false"),
         ("decimal=comma", "'comma' is not one of ., ,"),
+        ("columns=a,,b", "columns: a name is empty"),
+        ("columns=a=;b=y", "columns: a name is empty"),
+        ("transpose=", "write transpose=true|false"),
     ],
 )
 def test_wrong_arguments_of_reading(made: Path, residua: Residua, text: str, message: str) -> None:
     status, _, err = residua("run", made / "monitor.json", made / "faulty.csv", "--read", text)
     assert status == 2
     assert message in err
+
+
+def test_columns_are_given_in_one_form() -> None:
+    for texts in (["columns=a=x", "columns=b"], ["columns=b", "columns=a=x"], ["columns=a=x", "columns=b=y"]):
+        with pytest.raises(typer.BadParameter, match="columns is given twice"):
+            READ.values(texts)
 
 
 def test_the_arguments_are_listed(residua: Residua) -> None:

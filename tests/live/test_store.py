@@ -118,6 +118,20 @@ def test_a_file_that_is_no_store(tmp_path: Path) -> None:
         SqliteStore(tmp_path / "absent" / "x.db").open()
 
 
+def test_a_store_that_was_busy_opens_later(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("residua.live.sqlite_store._BUSY", 0.05)
+    SqliteStore(tmp_path / "x.db").open(own=False)
+    other = sqlite3.connect(tmp_path / "x.db", isolation_level=None)
+    other.execute("BEGIN IMMEDIATE")
+    store = SqliteStore(tmp_path / "x.db")
+    with pytest.raises(StoreAwayError, match="locked"):
+        store.open()
+    other.execute("ROLLBACK")
+    other.close()
+    store.open()  # its own lock of the first time is free
+    store.close()
+
+
 def test_tables_of_another_version(tmp_path: Path) -> None:
     store = SqliteStore(tmp_path / "x.db")
     store.open()

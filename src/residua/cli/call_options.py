@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 import shlex
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
@@ -60,7 +61,7 @@ class Arguments:
         values: dict[str, Any] = {}
         for text in texts or ():
             name, value = self._read(text)
-            if name in values and not isinstance(value, tuple):
+            if name in values and not (isinstance(value, tuple) and isinstance(values[name], tuple)):
                 raise typer.BadParameter(f"{name} is given twice")
             values[name] = (*values.get(name, ()), *value) if isinstance(value, tuple) else value
         return values
@@ -73,14 +74,18 @@ class Arguments:
             raise typer.BadParameter(f"there is no argument{suggestion(name, self.options)}; there are {known}")
         form = form_of(self.options[name])
         assert form is not None
-        if form.is_flag and value.lower() in _TRUTHS:
+        if form.is_flag and value.lower() in _TRUTHS and bool(sign) == bool(value):
             return name, _TRUTHS[value.lower()]
         if not sign or form.is_flag:
             raise typer.BadParameter(f"write {name}={_metavar(self.options[name])}, got {text!r}")
         try:
-            return name, form.read(value)
+            read = form.read(value)
         except ValueError as error:
             raise typer.BadParameter(f"{name}: {error}") from None
+        parts = (*read, *read.values()) if isinstance(read, Mapping) else read if isinstance(read, tuple) else ()
+        if "" in parts:
+            raise typer.BadParameter(f"{name}: a name is empty")
+        return name, read
 
     def in_words(self, text: str) -> str:
         """Return a message with these arguments as on the command line."""

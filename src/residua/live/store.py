@@ -167,9 +167,13 @@ class Store(ABC):
         """Open the store, or create it; only one run at a time has it as its ``own``."""
         with self._errors():
             self._owner = self._owned() if own else None
-            with self._transaction() as cursor:
-                for text in TABLES:
-                    cursor.execute(text.format_map(self.types))
+            try:
+                with self._transaction() as cursor:
+                    for text in TABLES:
+                        cursor.execute(text.format_map(self.types))
+            except BaseException:  # else the next try would find this run's own lock
+                self.close()
+                raise
         known = self.meta().get("schema")
         if known is None:
             self._write((_META, [("schema", str(SCHEMA))]))
