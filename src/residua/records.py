@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import FileFormatError
-from residua.number_kinds import FINITE, FLAG, INDEX, USUAL, NumberKind, kind_of, number_in, numbers_in
+from residua.number_kinds import FINITE, INDEX, USUAL, NumberKind, kind_of, number_in, numbers_in
 from residua.visible import echo
 
 #: Largest extent of an array in a file; more is a damaged file, not a design.
@@ -73,11 +73,6 @@ def text_in(value: Any, where: str) -> str:
 def whole_in(value: Any, where: str, kind: NumberKind = INDEX) -> int:
     """Return a whole number, not negative unless another kind is named."""
     return number_in(value, where, kind)
-
-
-def flag_in(value: Any, where: str) -> bool:
-    """Return true or false."""
-    return number_in(value, where, FLAG)
 
 
 def float_out(x: float) -> float | str:

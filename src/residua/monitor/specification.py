@@ -1,4 +1,4 @@
-"""What a monitor runs: the constants of its filter, test and isolation, from a design and settings."""
+"""Constants of a running monitor: of its filter, test and isolation, from a design and settings."""
 
 from __future__ import annotations
 
